@@ -175,6 +175,11 @@ class FestoAxis:
             "update_rate": Reach(0.0, UPDATES_Hz, "Hz", owner),
         }
 
+    @property
+    def misreadings(self) -> int:
+        """See `CountsMisreadings`."""
+        return self._travel.misreadings
+
     def homed(self) -> bool:
         """Return whether the drive knows where it is (ZSW1.11)."""
         return Zsw1.HOMED in self._poll().zsw1
@@ -538,6 +543,17 @@ class FestoAxis:
         self._link.write(OUTPUT_IMAGE, self._stopping().registers(), charge)
 
     def _read(self, charge: bool = True) -> Inputs:
+        """Read the drive's state, and once more where the axis cannot be where it says."""
+        if not self._in_charge:
+            return self._look(charge)
+        return self._travel.settled(
+            lambda: self._look(charge),
+            lambda seen: self._mm(seen.position),
+            self._clock.now,
+            self._motion,
+        )
+
+    def _look(self, charge: bool) -> Inputs:
         self._asked_at_s = self._clock.now()
         registers = self._link.read(INPUT_IMAGE, IMAGE_REGISTERS, charge)
         self._seen = Inputs.from_registers(registers)

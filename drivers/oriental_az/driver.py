@@ -62,7 +62,7 @@ from drivers.shared.stage import (
     stop_and_close,
 )
 from rig.core.clock import Clock, WallClock
-from rig.core.errors import InstrumentError
+from rig.core.errors import InstrumentError, RigError
 from rig.instruments.roles import Identity, Reach
 
 ROLES = ("stage_z", "stage_x")
@@ -216,6 +216,11 @@ class AzAxis:
             "speed": Reach(1 / own.steps_per_mm, own.max_speed_mm_s, "mm/s", owner),
             "update_rate": Reach(0.0, 1 / self._update_s(), "Hz", line),
         }
+
+    @property
+    def misreadings(self) -> int:
+        """See `CountsMisreadings`."""
+        return self._travel.misreadings
 
     def homed(self) -> bool:
         """Return whether the drive knows where it is (ABSPEN)."""
@@ -514,7 +519,7 @@ class AzAxis:
 
         def permit() -> None:
             if not allowed():
-                raise _StopStandsError
+                raise _StopStandsError("the stop stands")
 
         with contextlib.suppress(_StopStandsError):
             self._link.write(INPUT_COMMAND, halves(AzInput.NONE), permit=permit)
@@ -594,17 +599,24 @@ class AzAxis:
 
     def _read_position(self) -> AzPosition:
         """Read where the axis is; one that is held back, or runs past its target, raises."""
-        asked_s = self._clock.now()
-        words = self._link.read(COMMAND_POSITION, POSITION_REGISTERS[self._next_turn()])
-        position = AzPosition(signed(words[0] << 16 | words[1]), signed(words[6] << 16 | words[7]))
-        self._position, self._position_at_s = position, self._clock.now()
         motion = self._motion if self._in_charge else None  # another thread may stop the axis
+        asked_s, position = self._travel.settled(
+            self._look, lambda look: self._mm(look[1].feedback), self._clock.now, motion
+        )
+        self._position, self._position_at_s = position, self._clock.now()
         wrong = self._travel.judge(
             self._mm(position.feedback), asked_s, self._position_at_s, motion
         )
         if motion is not None:
             self._require_way(position, motion, wrong)
         return position
+
+    def _look(self) -> tuple[float, AzPosition]:
+        """Return when the drive was asked for its position, and its answer."""
+        asked_s = self._clock.now()
+        words = self._link.read(COMMAND_POSITION, POSITION_REGISTERS[self._next_turn()])
+        command, feedback = (signed(words[at] << 16 | words[at + 1]) for at in (0, 6))
+        return asked_s, AzPosition(command, feedback)
 
     def _await(
         self,
@@ -741,8 +753,10 @@ _STOPPED_BY_OTHERS = (
 _HELD_BY_OTHERS = "a stop stands in the drive, not on our command (make-safe from another terminal)"
 
 
-class _StopStandsError(Exception):
-    """The STOP input may not be lifted: the axis has been made safe meanwhile."""
+class _StopStandsError(RigError):
+    """The STOP input may not be lifted: the axis has been made safe meanwhile.
+
+    A RigError, since the line takes every other exception for a failure of its own."""
 
 
 def connect(settings: OrientalAzSettings, clock: Clock) -> AzAxis:

@@ -242,6 +242,8 @@ class MotionWatch:
         return (position - self.target) * self.direction > self.overtravel
 
 
+T = TypeVar("T")
+
 BEYOND = 0.1
 """How far an axis may be seen beyond where it can be, in mm or deg: the resolution of encoders and
 the time between a position and its answer."""
@@ -263,6 +265,10 @@ class TravelBound:
     given every position that a driver reads and returns what cannot be. Lengths are in the axis's
     `unit`. Positions are compared only while a motion is under way: at rest another client, or a
     hand, may move the axis.
+
+    One bit that was turned over on the way makes a position wrong as well, and only once. So a
+    driver asks again where a position is in doubt (`settled`), and only the second answer is
+    judged.
     """
 
     def __init__(self, unit: str, highest_speed: float, low: float, high: float):
@@ -270,6 +276,8 @@ class TravelBound:
         self._low, self._high = low, high
         self._latest: tuple[float, float] | None = None
         """The latest position, and when it was asked for."""
+        self.misreadings = 0
+        """Number of positions that could not be and that the next answer did not confirm."""
         self._stands: tuple[float, float] | None = None
         """Where the axis stands although a motion is under way, and since when it has been seen
         there."""
@@ -277,6 +285,30 @@ class TravelBound:
     def forget(self) -> None:
         """Compare nothing with earlier positions: the reference changes."""
         self._latest = self._stands = None
+
+    def settled(
+        self,
+        ask: Callable[[], T],
+        position: Callable[[T], float],
+        now: Callable[[], float],
+        motion: MotionWatch | None,
+    ) -> T:
+        """Ask for a position, and once more where the axis cannot be there; return the latest
+        answer.
+
+        `position` is what an answer says, `now` the bench time and `motion` the motion under way.
+        """
+        answer = ask()
+        if self._is_possible(position(answer), now(), motion):
+            return answer
+        again = ask()
+        if self._is_possible(position(again), now(), motion):
+            self.misreadings += 1
+        return again
+
+    def _is_possible(self, position: float, now_s: float, motion: MotionWatch | None) -> bool:
+        passed = motion is not None and motion.has_passed(position)
+        return not passed and self._leap(position, now_s, self._latest) is None
 
     def judge(
         self, position: float, asked_s: float, now_s: float, motion: MotionWatch | None

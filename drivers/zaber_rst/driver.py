@@ -143,6 +143,11 @@ class ZaberAxis:
             ),
         }
 
+    @property
+    def misreadings(self) -> int:
+        """See `CountsMisreadings`."""
+        return self._travel.misreadings
+
     def homed(self) -> bool:
         """Return whether it has a reference and nothing has put that in doubt since."""
         return not self._doubts()
@@ -446,11 +451,9 @@ class ZaberAxis:
 
     def _read(self) -> bool:
         """Angle, status and flag in one exchange; whether the stage is busy."""
-        self._asked_at_s = self._clock.now()
-        reply = self._command(f"get {self._position}")
-        microsteps = self._as_number(f"get {self._position}", reply.data)
-        self._seen_deg = microsteps * self._settings.microstep_deg
-        self._seen_at_s = self._clock.now()
+        reply = self._travel.settled(
+            self._look, lambda reply: self._seen_deg, self._clock.now, self._motion
+        )
         if reply.busy:
             self._idle_from_s = math.inf
         else:
@@ -458,6 +461,15 @@ class ZaberAxis:
         if not self._interlock.is_stopping:
             self._note(reply.flag)
         return reply.busy
+
+    def _look(self) -> Reply:
+        """Ask for the angle, and note it; the stage's reply."""
+        self._asked_at_s = self._clock.now()
+        reply = self._command(f"get {self._position}")
+        microsteps = self._as_number(f"get {self._position}", reply.data)
+        self._seen_deg = microsteps * self._settings.microstep_deg
+        self._seen_at_s = self._clock.now()
+        return reply
 
     # --- flags --------------------------------------------------------------------------------
 

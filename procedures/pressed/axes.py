@@ -12,7 +12,7 @@ from rig.bench.limits import require
 if TYPE_CHECKING:
     from procedures.pressed.links import TrialLinks
     from rig.control.tick_loop import Tick
-    from rig.instruments.roles import LinearStage
+    from rig.instruments.roles import LinearStage, RotaryStage
     from rig.run.context import Run
 
 SLOWEST_mm_s = 0.01
@@ -54,6 +54,11 @@ class PolledAxis(Protocol):
     @property
     def looked(self) -> Look:
         """The latest look at the axis."""
+        ...
+
+    @property
+    def stage(self) -> LinearStage | RotaryStage:
+        """Its stage."""
         ...
 
     def ask_poll(self) -> None:

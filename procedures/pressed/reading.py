@@ -89,6 +89,8 @@ class TrialRecord:
     """Rows of the strips' signals."""
     signal_rows: int = 0
     frames: int = 0
+    misread: int = 0
+    """Positions that could not be and were asked for again."""
     held_back: int = 0
     """Ticks of the servo without a new target: the drive had not answered to what came before."""
     loops: list[LoopStatistics] = field(default_factory=list)
@@ -172,6 +174,7 @@ def reading_of(run: Run, record: TrialRecord) -> Reading:
         "missed_ticks": missed,
         "held_back_ticks": record.held_back,
         "largest_lateness_s": max(loop.largest_lateness_s for loop in record.loops),
+        "misread_positions": record.misread,
         "oldest_look_s": max(record.unseen_s.values(), default=None),
         "filter_delay_s": record.filter_delay_s,
     }
@@ -181,6 +184,14 @@ def reading_of(run: Run, record: TrialRecord) -> Reading:
             "servo",
             f"trial {record.number}: z was busy in {record.held_back} of {ticks} ticks: the servo "
             f"held the force with fewer targets than its {record.tick_Hz:g} a second",
+        )
+    if record.misread:
+        run.event(
+            "warning",
+            "positions",
+            f"trial {record.number}: {record.misread} times a stage answered a position where it "
+            "cannot have been; it was asked again, and the wrong answer is not in the file: check "
+            "its cable and its link",
         )
     run.check_stop()  # computing takes a while: still alive
     reading |= _touch_down(run, record, force)

@@ -16,6 +16,7 @@ from procedures.pressed.force import TrialForce
 from procedures.pressed.positions import AxisRows, LookWatch, PositionRecorder
 from procedures.pressed.strips import StripRecorder
 from rig.core.errors import RigError
+from rig.instruments.roles import CountsMisreadings
 
 if TYPE_CHECKING:
     from procedures.pressed.axes import PolledAxis, PolledStage
@@ -64,7 +65,7 @@ class TickRecorder:
         stages: tuple[PolledStage, PolledStage],
         poll_rate_Hz: float,
     ):
-        self._run, self._links = run, links
+        self._run, self._record, self._links = run, record, links
         self._axes: list[PolledAxis] = [*stages]
         """Axes in the order in which they are polled."""
         self.force = TrialForce(run, record)
@@ -73,6 +74,7 @@ class TickRecorder:
         self._schedule = PollSchedule(poll_rate_Hz)
         self._watch = LookWatch(record)
         self._poll_due = self._recording = False
+        self._misread_before = 0
         self._left: list[Callable[[], None]] = []
         """Tasks that are still to be done in this poll interval, the next one last."""
 
@@ -85,6 +87,7 @@ class TickRecorder:
         """Begin to sample the strips and to record them, the forces and the positions."""
         self._strips.start()
         self.force.start_recording()
+        self._misread_before = self._misreadings()
         self._recording = True
 
     def stop(self) -> None:
@@ -94,8 +97,13 @@ class TickRecorder:
         self._strips.collect_rest()
         self.force.count_frames()
         self.force.record_frames()
+        self._record.misread = self._misreadings() - self._misread_before
         self._recording = False
         self._strips.stop()
+
+    def _misreadings(self) -> int:
+        stages = [axis.stage for axis in self._axes]
+        return sum(stage.misreadings for stage in stages if isinstance(stage, CountsMisreadings))
 
     @contextlib.contextmanager
     def loop(self, tick_Hz: float) -> Iterator[None]:

@@ -104,6 +104,17 @@ class ReadsInputs(Protocol):
         ...
 
 
+@runtime_checkable
+class CountsMisreadings(Protocol):
+    """The interface of a stage whose driver asks again for a position where the axis cannot be."""
+
+    @property
+    def misreadings(self) -> int:
+        """Number of positions since connecting that the next answer did not confirm; they are not
+        used."""
+        ...
+
+
 class SignalGenerator(Instrument, Protocol):
     """One channel that drives the vibrator's amplifier (high impedance)."""
 

@@ -755,3 +755,27 @@ def test_a_drive_that_is_not_there_is_reported() -> None:
     with pytest.raises(InstrumentError, match="cannot be opened") as caught:
         it.connect()
     assert f"127.0.0.1:{it.server.port}" in str(caught.value.hint)
+
+
+def test_one_flipped_bit_of_a_position_is_asked_for_again_and_changes_nothing() -> None:
+    """Modbus TCP has no checksum of its own. Bit 16 of the position is 65.5 mm."""
+    with service() as it:
+        axis = it.homed()
+        axis.start_move(20.0, 25.0)
+        it.clock.sleep(0.2)
+        usual = it.wire.read
+
+        def flip_once(address: int, count: int, by: str) -> Sequence[int]:
+            registers = list(usual(address, count, by))
+            if address == 100:
+                it.wire.read = usual  # type: ignore[method-assign]
+                registers[6] ^= 1
+            return registers
+
+        it.wire.read = flip_once  # type: ignore[method-assign]
+        assert axis.position_mm() == pytest.approx(it.truth_mm, abs=0.1)
+        assert axis.misreadings == 1
+        while axis.moving():
+            it.clock.sleep(0.02)
+        assert it.truth_mm == pytest.approx(20.0, abs=0.02)
+        assert axis.misreadings == 1

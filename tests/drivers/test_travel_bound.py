@@ -61,3 +61,19 @@ def test_nothing_is_said_of_an_axis_without_a_motion_or_after_its_reference_has_
     assert one.judge(5.0, 0.0, 0.001, DOWN) is None
     one.forget()
     assert one.judge(9.0, 0.01, 0.011, DOWN) is None
+
+
+@pytest.mark.parametrize(
+    ("answers", "kept", "misreadings"),
+    [((5.02,), 5.02, 0), ((117.3, 5.02), 5.02, 1), ((8.0, 8.0), 8.0, 0)],
+    ids=["possible", "one flipped bit", "confirmed"],
+)
+def test_a_position_that_cannot_be_is_asked_for_again_and_counted_where_it_was_wrong(
+    answers: tuple[float, ...], kept: float, misreadings: int
+) -> None:
+    one, left = bound(), list(answers)
+    assert one.judge(5.0, 0.0, 0.001, DOWN) is None
+    found = one.settled(lambda: left.pop(0), lambda mm: mm, lambda: 0.01, DOWN)
+    assert (found, left, one.misreadings) == (kept, [], misreadings)
+    wrong = one.judge(found, 0.009, 0.01, DOWN)
+    assert (wrong is None) is (kept == 5.02), "what is confirmed is judged"

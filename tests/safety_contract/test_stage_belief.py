@@ -6,6 +6,8 @@ from __future__ import annotations
 import pytest
 from tiers import mostly_thorough
 
+from rig.files.runfile.reader import RunFile
+
 WATCHED = "[watch]\nforce_limit_N = 15.0\nreaction_s = 0.06\n"
 SLIDING = "acquisition = 1\nafter_s = 3.0\n"
 """Under the normal force."""
@@ -46,3 +48,25 @@ def test_a_stage_that_answers_and_does_not_act_ends_the_run_without_more_force(r
         assert remains_N == 0.0
     elif remains_N > 0.4:
         assert "force_sensor reads" in ended.stderr or "NOT SAFE" in ended.stderr
+
+
+@pytest.mark.thorough
+@pytest.mark.stages("festo", because="a flipped bit does not pass the checksum of the other's line")
+def test_one_flipped_bit_of_a_position_is_asked_for_again_and_counted_in_the_file(rig):
+    """2 ** 16 steps of 0.001 mm: 77 mm on an axis of 14 mm."""
+    plan = rig.fault(
+        '[[fault]]\ndevice = "stage_z"\nkind = "flip"\ncommand = "FC3 100"\nbyte = 22\nbit = 0\n'
+        f"{SLIDING}"
+    )
+    ended = rig.run(
+        "slip-trial", "--distance", "1mm", "--json", "--no-figures", "--fault", plan,
+        "--world-log", str(rig.world_log),
+    )  # fmt: skip
+    assert ended.code == 0, ended.stderr
+    assert "1 times a stage answered a position where it cannot have been" in ended.stderr
+    with RunFile.open(rig.only("*.h5")) as run:
+        (reading,) = run.readings()
+        streams = {waveform.stream: waveform for waveform in run.waveforms("trial-001")}
+    assert told(rig, "injected") == ["flip"]
+    assert reading["misread_positions"] == 1
+    assert streams["position"].values("z").max() < 14.0
