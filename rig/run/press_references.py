@@ -21,9 +21,9 @@ from typing import TYPE_CHECKING
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
+from rig.bench.addresses import addresses_of
 from rig.core.atomic import write_text
 from rig.core.errors import ConfigurationError
-from rig.run.lock import address_of
 from rig.run.shared_folder import SharedFolder
 
 if TYPE_CHECKING:
@@ -195,7 +195,7 @@ def _file_of(plan: BenchPlan, results: Path) -> _InResults | _InSharedFolder:
 def _addresses(plan: BenchPlan) -> list[tuple[str, str]]:
     # Of what presses and what measures it: another DAQ or one stage more is no other bench.
     return [
-        (part.role, address_of(part.settings.model_dump()))
+        (part.role, addresses_of(part.settings.model_dump())[0])
         for part in plan.instruments
         if part.role in PRESSING
     ]
