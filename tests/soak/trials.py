@@ -34,6 +34,8 @@ UNNOTICED = ("wrong-scale", "drift")
 TALLER = "taller-object"
 """A kind of its own: nothing fails, but the object reaches higher than the bench file states."""
 TALLER_SHARE = 0.05
+TALLER_mm = (10.2, 11.9)
+"""Between the place where z of a simulated bench begins and the earliest contact stated."""
 
 REQUESTS = {
     "generator": 60,
@@ -107,7 +109,7 @@ def draw(seed: int, slip_share: float = 0.15, roll_share: float = 0.05) -> Trial
     for _ in range(chance.choice((1, 1, 2, 3))):
         only_rotary = rotary_share and chance.random() < rotary_share
         faults.append(fault(chance, {*DEVICES} - {ROTARY} if only_rotary else absent))
-    contact_mm = round(chance.uniform(1, 11.9), 2) if chance.random() < TALLER_SHARE else None
+    contact_mm = round(chance.uniform(*TALLER_mm), 2) if chance.random() < TALLER_SHARE else None
     world = world_of(arguments[0], faults, contact_mm)
     return Trial(seed, (*arguments, "--seed", str(seed % 1000)), world, tuple(faults), contact_mm)
 
