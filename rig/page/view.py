@@ -28,8 +28,8 @@ LONGEST_ROW_S = 1.0
 SERVO_ERROR = "servo_error"
 SHOWN_FIRST = ("signals", "force", "position", "waveform", "load_rate")
 """Streams of the procedures of this program, in the order in which channels are given to them."""
-LEFT_OUT = frozenset({"strips", "bridges", "ticks"})
-"""Streams whose values are shown by another one."""
+LEFT_OUT = frozenset({"strips", "bridges", "ticks", "ages"})
+"""Streams that say nothing to a person who watches, or whose values another one shows."""
 
 
 @dataclass
@@ -56,6 +56,8 @@ class RunView:
         """Latest time in the journal, in s since the run's start."""
         self.point: str | None = None
         """Id of the open point."""
+        self.recording = False
+        """True if samples have come since the open point began."""
         self.done = 0
         self.planned = 0
         self.holding = ""
@@ -83,6 +85,7 @@ class RunView:
     def take(self, record: JournalRecord) -> None:
         """Take the next record of the journal."""
         if isinstance(record, Block):
+            self.recording = self.point is not None
             self._take_block(record)
         elif isinstance(record, RunHeader):
             self._begin(record)
@@ -151,6 +154,7 @@ class RunView:
 
     def _begin_point(self, record: PointBegin) -> None:
         self.point, self.holding, self.end = record.id, "", None
+        self.recording = False
         time = record.fields.get("time")
         if isinstance(time, (int, float)) and math.isfinite(time):
             self.last_s = max(self.last_s, float(time))

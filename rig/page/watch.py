@@ -76,6 +76,7 @@ class BenchWatch:
         """The process that holds the bench of the run, or of the bench file."""
         self._run_pid = -1
         """Process that was seen to write the journal that is shown."""
+        self._guarded = False
         self.stop: Stop | None = None
         self.word = BenchWord("unknown", "nothing was read yet")
         self.behind = True
@@ -125,8 +126,10 @@ class BenchWatch:
             self._follow(chosen.path)
         with self.lock:
             self.holder = found if chosen is not None and chosen.path == self.path else None
+            self._guarded = False
             if self.holder is not None:
                 self._run_pid = self.holder.pid
+                self._guarded = guard_of(self.holder.pid) is not None
         self._look_at_bench(locked)
 
     def _is_news(self, journal: FoundFile) -> bool:
@@ -285,9 +288,10 @@ class BenchWatch:
             exit=end.exit if end is not None else 0 if by_file is None else int(by_file["exit"]),
             holding=view.holding,
             off_failed=view.off_failed,
-            force_N=view.force_N if view.point is not None else None,
+            force_N=view.force_N if view.recording and view.point is not None else None,
             silent_s=now - self._grew_s,
-            busy=view.point is not None,
+            recording=view.recording and view.point is not None,
+            guarded=self._guarded,
             unsafe="; ".join(dict.fromkeys(refuses))[:1000],
             pressed="; ".join(pressed)[:500],
             guard_reported=bool(report) and not failed,

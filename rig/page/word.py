@@ -41,8 +41,10 @@ class Facts:
     force_N: float | None = None
     silent_s: float = 0.0
     """Age of the newest sign of the run: the journal has grown."""
-    busy: bool = False
-    """A point is being recorded; between two points, and after the last, a run may be silent."""
+    recording: bool = False
+    """Samples of the open point have come. Before them a point may be silent, while axes travel."""
+    guarded: bool = False
+    """The run's guard lives: it ends a run that gives no sign of life for its patience."""
     unsafe: str = ""
     """A mark in force, or the guard's report of a bench that it could not make safe."""
     pressed: str = ""
@@ -89,8 +91,12 @@ def _of_a_run(facts: Facts) -> BenchWord:
         return BenchWord("safe", "the run made the bench safe and saves its data")
     if facts.holding:
         return BenchWord("holding", facts.holding)
-    if facts.silent_s >= SILENT_S and facts.busy:
-        return BenchWord("unknown", f"for {facts.silent_s:.0f} s: the run records nothing")
+    if facts.silent_s >= SILENT_S and (facts.recording or not facts.guarded):
+        no_guard = "" if facts.guarded else ", and no guard of it can be seen"
+        return BenchWord(
+            "unknown", f"for {facts.silent_s:.0f} s: the run records nothing{no_guard}"
+        )
     if facts.force_N is not None and abs(facts.force_N) > PRESSED_N:
         return BenchWord("pressed", f"{facts.force_N:.2f} N at the latest sample")
-    return BenchWord("running", "")
+    quiet = f"nothing recorded for {facts.silent_s:.0f} s; its guard hears it"
+    return BenchWord("running", quiet if facts.silent_s >= SILENT_S else "")

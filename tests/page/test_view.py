@@ -107,8 +107,13 @@ GOOD = Facts(recorded=True, ended=True)
     [
         (Facts(), "unknown"),
         (Facts(run_lives=True, recorded=True), "running"),
-        (Facts(run_lives=True, recorded=True, busy=True, silent_s=4.0), "unknown"),
-        (Facts(run_lives=True, recorded=True, busy=True, force_N=1.2), "pressed"),
+        (
+            Facts(run_lives=True, recorded=True, recording=True, guarded=True, silent_s=4.0),
+            "unknown",
+        ),
+        (Facts(run_lives=True, recorded=True, guarded=True, silent_s=4.0), "running"),
+        (Facts(run_lives=True, recorded=True, silent_s=4.0), "unknown"),
+        (Facts(run_lives=True, recorded=True, recording=True, force_N=1.2), "pressed"),
         (Facts(run_lives=True, recorded=True, holding="silent sensor", silent_s=60.0), "holding"),
         (Facts(run_lives=True, recorded=True, force_N=1.2, off_failed=True), "UNSAFE"),
         (Facts(recorded=True), "UNSAFE"),  # it died, and nobody has said anything yet

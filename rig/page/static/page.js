@@ -158,8 +158,11 @@ function showFacts(run) {
   }));
 }
 
-function digits(value) {
-  return value === null || value === undefined ? "–" : Number(value).toPrecision(4);
+function readOut(value, units) { // volts of a film are small: 85.7 µV, not 0.0000857 V
+  if (value === null || value === undefined) return ["–", units];
+  const size = Math.abs(value);
+  if (units === "V" && size < 0.1) return size < 1e-3 ? [(value * 1e6).toFixed(1), "µV"] : [(value * 1e3).toFixed(2), "mV"];
+  return [value.toFixed(size < 10 ? 3 : size < 1000 ? 2 : 0), units];
 }
 
 function showNumbers(run) {
@@ -168,7 +171,8 @@ function showNumbers(run) {
     about.channels.forEach((channel, c) => {
       if (!about.latest.length) return;
       const one = element("span", `${channel} `, {"data-channel": `${name}.${channel}`});
-      one.append(element("b", digits(about.latest[c])), ` ${about.units}`);
+      const [number, units] = readOut(about.latest[c], about.units);
+      one.append(element("b", number), ` ${units}`);
       shown.push(one);
     });
   $("numbers").replaceChildren(...shown);
