@@ -11,7 +11,7 @@ from pathlib import Path
 
 import typer
 
-from rig.core.errors import STOPPED_BY_SIGNAL, ExitCode, RigError
+from rig.core.errors import STOPPED_BY_SIGNAL, ExitCode, RigError, shortened
 
 log = logging.getLogger("rig")
 log.addHandler(logging.NullHandler())
@@ -46,9 +46,32 @@ def reported(debug: bool = False, as_json: bool = False) -> Iterator[None]:
         yield
     except RigError as error:
         raise typer.Exit(report(error, debug, as_json)) from None
+    except (OSError, ImportError, MemoryError) as error:
+        raise typer.Exit(report(_of_the_computer(error), debug, as_json)) from None
     except KeyboardInterrupt:
         say("stopped by Ctrl-C; nothing was left running")
         raise typer.Exit(int(ExitCode.SIGINT)) from None
+
+
+def _of_the_computer(error: OSError | ImportError | MemoryError) -> RigError:
+    """Return what the computer refuses as an error in one line: a name that is too long, a library
+    for which there is no memory, a process too many."""
+    if isinstance(error, OSError):
+        where = f"{shortened(str(error.filename))}: " if error.filename else ""
+        told = f"{where}{error.strerror or error}"
+        if error.filename:
+            failure = RigError(told, "give another name or place", ExitCode.USAGE)
+        else:
+            hint = "free what the computer lacks: processes (ulimit -u), memory, open files"
+            failure = RigError(told, hint, ExitCode.INTERNAL)
+    else:
+        failure = RigError(
+            f"{type(error).__name__}: {error}" if str(error) else type(error).__name__,
+            "not enough memory (ulimit -v), or the installation is damaged: install it again",
+            ExitCode.INTERNAL,
+        )
+    failure.__cause__ = error
+    return failure
 
 
 def report(error: RigError, debug: bool = False, as_json: bool = False) -> int:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import re
 from datetime import datetime
 from pathlib import Path
@@ -20,7 +21,10 @@ def next_run_path(results: Path | str, procedure: str, when: datetime) -> Path:
     ``JournalWriter.create`` decides, and the loser (FileExistsError) asks again.
     """
     folder = Path(results) / f"{when:%Y-%m-%d}"
-    folder.mkdir(parents=True, exist_ok=True)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except FileExistsError as error:  # not that of a journal, after which another name is tried
+        raise NotADirectoryError(errno.ENOTDIR, "not a folder", str(results)) from error
     numbers = [int(found[1]) for p in folder.iterdir() if (found := _RUN.search(p.name))]
     number = max(numbers, default=0) + 1
     return folder / f"{when:%Y-%m-%dT%H-%M-%S}_{procedure}_r{number:03d}{RUN_SUFFIX}"

@@ -61,6 +61,13 @@ def compile_run(
             cause = f"cannot be written: {error.strerror or error}"
             hint = f"free space there, then `rig recover {journal}`; the journal is untouched"
             raise RecordingError(target, cause, hint) from error
+        except (ImportError, MemoryError) as error:
+            cause = f"cannot be written: {type(error).__name__}: {error}"
+            hint = (
+                "not enough memory, or the installation is damaged: raise the limit (ulimit -v), "
+                f"then `rig recover {journal}`; the journal is untouched"
+            )
+            raise RecordingError(target, cause, hint) from error
         if retire and contents.complete:
             journal.unlink()
             sync_folder(journal.parent)
