@@ -24,6 +24,9 @@ a CMMT, and to be tried at the first bench; the code depends on each only where 
 * PNU 12698 and 12699 give the units of telegram 111 (`trust_units` where they do not);
 * PNU 11584 and 11585 are in position units and PNU 12168 is percent of the rated torque: each is
   read back, but its unit is taken on trust (`prepare`);
+* PNU 11070 is the present torque and PNU 11704 the rated one, in one unit, and the mailbox's first
+  five registers can be read in one request (`torque_percent`): the numbers are the vendor's, what
+  the values are is taken from their names. A drive that refuses either has no torque to watch;
 * the task's acknowledgement, ZSW1.12, stands as long as the task is in force (`_require_task`);
 * "homing" falls by itself when the reference is found (`home`);
 * 20 ms of a standing reject bit are enough for the drive to see it (`REJECT_HOLD_S`).
@@ -35,6 +38,7 @@ on it; `make_safe` is a controlled stop under power.
 from __future__ import annotations
 
 import contextlib
+import math
 import struct
 import time
 from collections.abc import Callable, Mapping
@@ -80,6 +84,7 @@ SERIAL_NUMBER, SERIAL_LENGTH = 2021, 5
 POSITION_UNIT = 12698  # CiA 402 object 60A8h
 SPEED_UNIT = 12699  # CiA 402 object 60A9h
 CLAMPING_TORQUE = 12168  # REAL, percent of the rated torque
+TORQUE, RATED_TORQUE = 11070, 11704  # torqueActDrive, torqueRated: REAL
 LOW_LIMIT, HIGH_LIMIT = 11584, 11585  # LINT, position units
 
 TELEGRAM = 111
@@ -156,6 +161,8 @@ class FestoAxis:
         )
         self._acknowledged = False
         """True if the drive has shown that it has taken that task."""
+        self._rated_torque: float | None = None
+        """Rated torque in the drive's unit; None where it does not report its torque."""
 
     # --- the role -----------------------------------------------------------------------------
 
@@ -325,6 +332,15 @@ class FestoAxis:
         self._in_charge, self._reported_fault = False, 0
         return True
 
+    def torque_percent(self) -> float | None:
+        """See `ReadsTorque`: percent of the rated torque, by three requests to the mailbox."""
+        if self._rated_torque is None:
+            return None
+        torque = _real(self._link.watched_parameter(TORQUE))
+        if not math.isfinite(torque):
+            raise self._error(f"read parameter {TORQUE}", f"its torque is {torque}", _LOOK)
+        return 100 * torque / self._rated_torque
+
     def keep_alive(self) -> None:
         """Feed the communication time-out by reading the drive's state, unless that has just been
         done. Raises InstrumentError for what ended a motion, and for a fault once, when it
@@ -372,6 +388,7 @@ class FestoAxis:
         if Zsw1.OPERATION_ENABLED in self._read().zsw1:
             self._halt()
         self._set_limits()
+        self._rated_torque = self._read_rated_torque()
 
     def stop_and_wait(self) -> None:
         """Stop and wait for rest; a drive without power is only watched."""
@@ -435,6 +452,15 @@ class FestoAxis:
             self._set(parameter, struct.pack("<q", round(limit_mm / own.position_unit_mm)))
         if own.torque_limit_percent is not None:
             self._set(CLAMPING_TORQUE, struct.pack("<f", own.torque_limit_percent))
+
+    def _read_rated_torque(self) -> float | None:
+        """Return the rated torque; None where the drive reports no torque."""
+        try:
+            rated = _real(self._link.parameter(RATED_TORQUE))
+            self._link.parameter(TORQUE)
+        except ParameterRefusedError:
+            return None
+        return rated if math.isfinite(rated) and rated > 0 else None
 
     def _set(self, parameter: int, raw: bytes) -> None:
         """Write a parameter only where it differs: the drive's memory wears."""
@@ -688,6 +714,11 @@ def _at_rest(settings: FestoCmmtSettings) -> Outputs:
         acceleration=round(settings.acceleration_mm_s2 / full * FULL_SCALE),
         deceleration=round(settings.deceleration_mm_s2 / full * FULL_SCALE),
     )
+
+
+def _real(raw: bytes) -> float:
+    """Return the value of a REAL parameter; NaN where it is none."""
+    return float(struct.unpack("<f", raw)[0]) if len(raw) == 4 else math.nan
 
 
 def _taken(seen: Inputs) -> bool:

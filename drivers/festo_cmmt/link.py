@@ -65,6 +65,8 @@ class CmmtLink:
         self._clock = clock
         self._lock = threading.RLock()
         self._client: Any = None
+        self._selected = (0, 0)
+        """Parameter and number of elements that the mailbox names, as far as this program knows."""
         self._watchdog_ms = 0
         """The communication time-out that every new connection sets; 0 leaves the drive's."""
 
@@ -147,6 +149,20 @@ class CmmtLink:
         registers = self.read(MAILBOX_DATA, (length + 1) // 2)
         return struct.pack(f"<{len(registers)}H", *registers)[:length]
 
+    def watched_parameter(self, number: int) -> bytes:
+        """Return the four bytes of a parameter that is read again and again.
+
+        Three requests: the mailbox keeps the number of the latest parameter, which is read back
+        with the result, so that another client's choice is not taken for this one.
+        """
+        if self._selected != (number, 1):
+            return self.parameter(number)
+        self.write_one(MAILBOX_EXECUTE, _READ)
+        named, subindex, elements, result, length = self.read(MAILBOX_PARAMETER, 5)
+        if (named, subindex, elements, result, length) != (number, 0, 1, _DONE, 4):
+            return self.parameter(number)
+        return struct.pack("<2H", *self.read(MAILBOX_DATA, 2))
+
     def set_parameter(self, number: int, raw: bytes) -> None:
         """Write a drive parameter and verify that it reads back the same."""
         self._mailbox(number, 1)
@@ -193,9 +209,11 @@ class CmmtLink:
         return getattr(reply, "information", {})
 
     def _mailbox(self, number: int, elements: int) -> None:
+        self._selected = (0, 0)
         self.write_one(MAILBOX_PARAMETER, number)
         self.write_one(MAILBOX_SUBINDEX, 0)
         self.write_one(MAILBOX_ELEMENTS, elements)
+        self._selected = (number, elements)
 
     def _execute(self, code: int, what: str) -> None:
         self.write_one(MAILBOX_EXECUTE, code)

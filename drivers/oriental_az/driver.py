@@ -26,7 +26,11 @@ AZD-KD in use), pages of HM-60262E. Not confirmed on an AZ, and to be tried at t
 * speed is in steps/s, rates in steps/s2 (`_motion`);
 * time-out, limits and overtravel take effect at once, without the command "configuration";
 * MOVE shows within `BEGIN_S` after a start (`moving`); outputs are assigned as at the factory;
-* HOME-END falls when homing begins and rises when it is over (`home`).
+* HOME-END falls when homing begins and rises when it is over (`home`);
+* the register of the operating current reads back what the latest motion was sent with (`_start`).
+
+From memory alone: 00D6h is the torque monitor, in 0.1 % of the largest torque (`torque_percent`). A
+drive that refuses it has no torque to watch.
 
 Steps per mm cannot be asked for: they are taken on trust. Nor is there a serial number. On a
 vertical axis an alarm that cuts the current, or FREE, drops the load unless a brake is fitted: FREE
@@ -81,6 +85,8 @@ Settings = OrientalAzSettings
 DIRECT_DATA, OPERATION_TYPE = 0x58, 0x5A
 INPUT_COMMAND, OUTPUT_STATUS = 0x7C, 0x7E
 COMMAND_POSITION = 0xC6
+CURRENT = 0x64
+TORQUE = 0xD6
 DIRECT_IO = 0xD4
 """Upper register the outputs, lower the inputs, bit 0 is DIN0."""
 TEMPERATURES = 0xF8
@@ -97,6 +103,8 @@ POSITION_REGISTERS = (8, 10)
 INPUT_REGISTERS = (12, 14)
 """Readings that end with the direct I/O, in turn: longer than any other. What they hold before it,
 among it the position, is not used."""
+TORQUE_REGISTERS = (16, 18)
+"""Readings that end with the torque, in turn: longer than any other."""
 OUTSIDE_C = (-40.0, 150.0)
 """No drive or motor reports a temperature beyond these."""
 
@@ -181,7 +189,11 @@ class AzAxis:
         """The alarm that has been raised already; `keep_alive` does not raise it again."""
         self._stop_stands = False
         """True if a stop by this program may still be in effect."""
-        self._inputs_read = 0
+        self._inputs_read = self._torques_read = 0
+        self._has_torque = True
+        """False once the drive has refused the register of its torque."""
+        self._current_checked = False
+        """True once the drive has read back the operating current that a motion was sent with."""
         self._turn = 0
         """Index of the one of two lengths that is next."""
         self._state_at_s = -1.0
@@ -299,7 +311,21 @@ class AzAxis:
             self._motion = None
             raise self._why_refused(refused) from refused
         motion.begun_at_s = self._clock.now()  # it may have waited for the line
+        if not self._current_checked:
+            self._check_current()
         return ticket
+
+    def _check_current(self) -> None:
+        """Read back the operating current of a motion that has begun; one that the drive has not
+        taken limits no torque, so it is stopped and raised."""
+        wanted, kept = round(10 * self._settings.current_percent), self._link.read_value(CURRENT)
+        if kept != wanted:
+            self._abort(
+                f"its operating current is {kept / 10:g} % where torque_limit_percent asks for "
+                f"{wanted / 10:g} %",
+                "something else configures the drive, or torque_limit_percent is outside its range",
+            )
+        self._current_checked = True
 
     def _watch(self, target: int, speed_mm_s: float, fresh: bool) -> MotionWatch:
         """Return a watch over a motion to `target` from the last known position."""
@@ -366,6 +392,19 @@ class AzAxis:
             return False
         self._in_charge, self._reported_alarm = False, 0
         return True
+
+    def torque_percent(self) -> float | None:
+        """See `ReadsTorque`: percent of the largest torque."""
+        if not self._has_torque:
+            return None
+        self._torques_read += 1
+        count = TORQUE_REGISTERS[self._torques_read % 2]
+        try:
+            words = self._link.read(TORQUE + 2 - count, count)
+        except AzRefusalError:
+            self._has_torque = False
+            return None
+        return signed(words[-2] << 16 | words[-1]) / 10
 
     def keep_alive(self) -> None:
         """Feed the communication time-outs of the whole line by reading the drive's state, unless

@@ -3,7 +3,8 @@
 A sensor that is dead does not always fall silent: its amplifier may send noise about the zero. Then
 nothing but the stage itself shows that it presses. An approach ends
 
-- where z stands although it is commanded to move: its torque limit holds it, or something else, and
+- where z stands although it is commanded to move: its torque limit holds it, or something else,
+- where the torque of its motor rises and no force with it, and
 - where contact has been felt, z has gone on, and the mean force is no force by the sensor's own
   noise, which was measured before contact.
 
@@ -19,6 +20,7 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 from procedures.pressed.contact import SIGMAS, contact_range_mm, felt_N
+from procedures.pressed.torque_watch import SUSPECT, TorqueWatch
 from rig.core.errors import InstrumentError
 
 if TYPE_CHECKING:
@@ -39,17 +41,16 @@ skin or a film that is pressed so far pushes back with several times the force t
 """
 CONFIRMED_S = 0.05
 """Stretch of force whose mean confirms a contact."""
-SUSPECT = (
-    "suspect the force sensor: check its cable, its supply and that the object stands on it; press "
-    "on it by hand and look at its value (rig jog shows it) before anything is pressed again"
-)
 
 
 class ApproachWatch:
     """Watches one approach, tick by tick."""
 
-    def __init__(self, run: Run, contact_N: float, target_N: float):
-        """`contact_N` is the force that means contact, and `target_N` the one that is wanted."""
+    def __init__(
+        self, run: Run, contact_N: float, target_N: float, torque: TorqueWatch | None = None
+    ):
+        """`contact_N` is the force that means contact, and `target_N` the one that is wanted.
+        `torque` is that of z, at rest in free air before."""
         self._run, self._contact_N, self._target_N = run, contact_N, target_N
         self._first_mm, _ = contact_range_mm(run.bench)
         self._recent: deque[tuple[float, float, float]] = deque()
@@ -57,6 +58,11 @@ class ApproachWatch:
         self._way_mm = self._ahead_mm = self._speed_mm_s = 0.0
         self._touched_mm: float | None = None
         self._confirmed = False
+        self._torque = torque
+        self._matched_N = 0.0
+        """Force that the latest rise of the torque has come with."""
+        self._matched = 0
+        """Rises of the torque, by its margin each, that a change of force has come with."""
 
     def commanded(self, ahead_mm: float, speed_mm_s: float) -> None:
         """Note the latest target: how far it is ahead of where z was seen, and the speed."""
@@ -75,6 +81,8 @@ class ApproachWatch:
         self._refuse_held(position_mm, force_N)
         if touched and not self._confirmed:
             self._confirm(position_mm)
+        if self._torque is not None:
+            self._compare_torque(self._torque, position_mm)
 
     def _refuse_held(self, position_mm: float, force_N: float) -> None:
         """Refuse a stage that does not do what it is commanded."""
@@ -106,17 +114,39 @@ class ApproachWatch:
             SUSPECT,
         )
 
+    def _compare_torque(self, torque: TorqueWatch, position_mm: float) -> None:
+        """Refuse a torque that has risen by its margin, once or once more, without a change of
+        force; learn it, with its friction, as long as z is above any contact."""
+        if position_mm < self._first_mm:
+            if self._way_mm > LEAST_WAY_mm:
+                torque.learn()
+            if not torque.is_learnt:
+                return
+        rise_percent = torque.rise_percent()
+        if rise_percent <= (self._matched + 1) * torque.margin_percent:
+            return
+        mean_N, least_N = self._mean_and_least_N()
+        if abs(mean_N - self._matched_N) >= least_N:
+            self._matched, self._matched_N = self._matched + 1, mean_N
+            return
+        self._run.bench.stage_z.stop()
+        raise torque.suspect("approach", rise_percent, mean_N)
+
+    def _mean_and_least_N(self) -> tuple[float, float]:  # noqa: N802 - the unit keeps its capital
+        """Return the mean force along z, and the least one that is no noise."""
+        force = self._run.force
+        latest_N = force.latest_N(CONFIRMED_S)[:, 2]
+        error_N = float(force.noise_N[2]) / math.sqrt(len(latest_N))
+        return float(latest_N.mean()), max(SIGMAS * error_N, self._contact_N / 2)
+
     def _confirm(self, position_mm: float) -> None:
         """Refuse a contact whose mean force is no more than noise."""
         if self._touched_mm is None:
             self._touched_mm = position_mm
         if position_mm - self._touched_mm < CONFIRMED_mm:
             return
-        force = self._run.force
-        latest_N = force.latest_N(CONFIRMED_S)[:, 2]
-        noise_N = float(force.noise_N[2])
-        mean_N = float(latest_N.mean())
-        least_N = max(SIGMAS * noise_N / math.sqrt(len(latest_N)), self._contact_N / 2)
+        noise_N = float(self._run.force.noise_N[2])
+        mean_N, least_N = self._mean_and_least_N()
         if mean_N >= least_N:
             self._confirmed = True
             return

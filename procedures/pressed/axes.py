@@ -11,6 +11,7 @@ from rig.bench.limits import require
 
 if TYPE_CHECKING:
     from procedures.pressed.links import TrialLinks
+    from procedures.pressed.torque_watch import TorqueWatch
     from rig.control.tick_loop import Tick
     from rig.instruments.roles import LinearStage, RotaryStage
     from rig.run.context import Run
@@ -125,6 +126,11 @@ class PressingStage(PolledStage):
             self.target_late_s = begun_s - asked_s + beyond_s / 2
 
         self.links.ask(self.role, "target", move)
+
+    def ask_torque(self, torque: TorqueWatch) -> None:
+        """Ask the stage's link for the torque, if it is time to."""
+        if torque.is_due():
+            self.links.ask(self.role, "torque", torque.read)
 
 
 class ArrivalWatch:

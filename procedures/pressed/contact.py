@@ -12,6 +12,7 @@ import contextlib
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from procedures.pressed.torque_watch import WayTorque
 from procedures.pressed.way_down import (
     ARRIVED_S,
     BASELINE_S,
@@ -273,10 +274,13 @@ def come_close(
     speed_mm_s = TRAVEL_mm_s
     if not known_clear:
         speed_mm_s = min(speed_bound(run.bench, run.force.limit_N).speed_mm_s, TRAVEL_mm_s)
+    torque = WayTorque(run)
     stage.start_move(first_mm - CLEAR_mm, speed_mm_s)
     while stage.moving():
         run.clock.sleep(every_s)
-        refuse_early_contact(run, felt_N(run, window_s), contact_N)
+        force_N = felt_N(run, window_s)
+        refuse_early_contact(run, force_N, contact_N)
+        torque.refuse_rise(force_N)
     stage.stop()
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from procedures.pressed.approach_watch import SUSPECT
+from procedures.pressed.torque_watch import SUSPECT
 from rig.core.errors import InstrumentError
 
 if TYPE_CHECKING:
@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from procedures.pressed.links import TrialLinks
     from procedures.pressed.reading import TrialRecord
     from procedures.pressed.ticks import TrialTicks
+    from procedures.pressed.torque_watch import TorqueWatch
     from rig.control.force_servo import ContactShift, ForceServo
 
 SILENT_S = 0.5
@@ -23,6 +24,10 @@ LOST_SHARE, LOST_STEPS = 0.5, 3
 """Where the force sensor reads less than this share of the held force in so many steps, one after
 the other, the force is lost: no motion of a trial changes it so much. The servo would press on at
 its full rate if the sensor were at fault."""
+
+CHANGED_SHARE = 0.25
+"""Share of the held force by which it has to have changed where the torque has: a motion changes
+both by less."""
 
 
 class ForceHold:
@@ -37,6 +42,7 @@ class ForceHold:
         record: TrialRecord,
         ticks: TrialTicks,
         at_rest_s: float,
+        torque: TorqueWatch,
     ):
         self._servo, self._z, self._links = servo, z, links
         self._force, self._record, self._ticks = force, record, ticks
@@ -45,6 +51,7 @@ class ForceHold:
         older force."""
         self._stepped_at = ticks.begun
         """Number of the tick of the latest step."""
+        self._torque, self._torque_asked = torque, False
         self._lost = 0
         """Number of successive steps in which the force was lost."""
 
@@ -79,10 +86,21 @@ class ForceHold:
             self._record.held_back += 1
             return
         self._refuse_lost(force_N)
+        self._compare_torque(force_N)
         passed = self._ticks.begun - self._stepped_at
         step = self._servo.step(force_N, passed, self._z.target_late_s, force.older_s)
         self._stepped_at = self._ticks.begun
         self._z.start_move(self._z.commanded_mm + step.increment_mm, step.speed_mm_s)
+        if self._torque.is_due():
+            self._z.ask_torque(self._torque)
+            self._torque_asked = True
+
+    def _compare_torque(self, force_N: float) -> None:
+        """Raise InstrumentError where the latest torque has changed and the force has not."""
+        if self._torque_asked:  # and answered: the link is idle
+            self._torque_asked = False
+            changed_N = CHANGED_SHARE * self._servo.settings.target_N
+            self._torque.refuse_rise_in_hold(force_N, changed_N)
 
     def _refuse_lost(self, force_N: float) -> None:
         """Raise InstrumentError where the force has been lost."""

@@ -16,6 +16,7 @@ from procedures.pressed.contact import (
 )
 from procedures.pressed.reading import CONTACT_N
 from procedures.pressed.settings import TAP_S, NEAR_mm
+from procedures.pressed.way_down import held_speed_bound
 from rig.control.approach import Approach
 from rig.control.speed_bound import largest_speed_mm_s
 from rig.core.errors import InstrumentError
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
     from procedures.pressed.series import PressedSeries
     from procedures.pressed.settings import PressedSettings
     from procedures.pressed.ticks import TrialTicks
+    from procedures.pressed.torque_watch import TorqueWatch
     from rig.control.tick_loop import Tick
     from rig.run.context import Run
 
@@ -50,13 +52,18 @@ class Press:
         recorder: TickRecorder,
         ticks: TrialTicks,
         earlier: EarlierPress,
+        torque: TorqueWatch,
     ):
         self._run, self._series, self._record = run, series, record
         self._z, self._recorder, self._ticks = z, recorder, ticks
-        self._earlier = earlier
+        self._earlier, self._torque = earlier, torque
         self._settings: PressedSettings = run.settings
         self._delay_s = recorder.force.timing.delay_s(series.rates)
         """Time in s from a command to the first force that shows it."""
+        settings = self._settings
+        limit_N, held_N = settings.largest_force_N, settings.normal_force_N
+        self.fastest_mm_s = held_speed_bound(run.bench, limit_N, held_N).speed_mm_s
+        """Largest speed of z from contact on."""
 
     def down(self) -> float:
         """Press the object with the normal force, and return the contact's stiffness in N/mm."""
@@ -67,6 +74,7 @@ class Press:
             self._delay_s,
             settings.acceleration_mm_s2,
             self._run.bench.settings.fixture.stiffest_N_mm,
+            self.fastest_mm_s,
         )
         self._run.count_press()
         self._go_near()
@@ -87,7 +95,7 @@ class Press:
         back_mm = TAP * self._settings.normal_force_N / stiffness_N_mm
         at_rest_s = 0.0
         for position_mm in (here_mm - back_mm, here_mm):
-            z.start_move(position_mm, TAP_mm_s)
+            z.start_move(position_mm, min(TAP_mm_s, self.fastest_mm_s))
             at_rest_s = clock.now() + TAP_S / 2
             self._ticks.run(TAP_S, self._record_only)
         return at_rest_s
@@ -126,7 +134,7 @@ class Press:
         z, force = self._z, self._recorder.force
         first_mm, last_mm = contact_range_mm(self._run.bench)
         touched = arrived = False
-        watch = ApproachWatch(self._run, CONTACT_N, self._settings.normal_force_N)
+        watch = ApproachWatch(self._run, CONTACT_N, self._settings.normal_force_N, self._torque)
 
         def on_tick(tick: Tick) -> bool:
             nonlocal touched, arrived
@@ -146,6 +154,7 @@ class Press:
             target_mm = min(here_mm + step.ahead_mm, last_mm)
             watch.commanded(target_mm - here_mm, step.speed_mm_s)
             z.start_move(target_mm, step.speed_mm_s)
+            z.ask_torque(self._torque)
             return not arrived and (touched or here_mm < last_mm - BOTTOM_mm)
 
         longest_s = (last_mm - first_mm + CLEAR_mm) / way_down.search_mm_s + PATIENCE_S

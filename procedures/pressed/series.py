@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from procedures.pressed.rates import ServoRates
+    from procedures.pressed.torque_watch import TorqueWatch
     from rig.run.context import Run
 
 
@@ -32,6 +33,8 @@ class PressedSeries:
     """Load rate by volt of each calibrated strip."""
     contact_mm: float | None = None
     """Position of z at which the object was felt last."""
+    torque: TorqueWatch | None = None
+    """Torque of z in this run; None before the first trial."""
     way_is_clear: bool = False
     """Whether z has gone down to just above the earliest contact since the run was armed."""
 

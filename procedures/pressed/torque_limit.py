@@ -16,6 +16,13 @@ if TYPE_CHECKING:
 SETTING = "torque_limit_percent"
 
 
+def torque_limit_percent(bench: Bench) -> float:
+    """Return the torque limit of the z stage in percent; 100 where it has none."""
+    part = next((part for part in bench.plan.instruments if part.role == "stage_z"), None)
+    limit: float | None = getattr(part and part.settings, SETTING, None)
+    return 100.0 if limit is None else limit
+
+
 def require_torque_limit(bench: Bench) -> None:
     """Raise ConfigurationError unless the bench file limits the torque of the z stage."""
     part = next((part for part in bench.plan.instruments if part.role == "stage_z"), None)

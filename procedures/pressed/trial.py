@@ -31,6 +31,7 @@ from procedures.pressed.reading import CONTACT_N, DECIMATED_Hz
 from procedures.pressed.recorder import TickRecorder
 from procedures.pressed.settings import AFTER_S
 from procedures.pressed.ticks import TrialTicks
+from procedures.pressed.torque_watch import TorqueWatch
 from procedures.pressed.way_down import TRAVEL_mm_s
 from rig.bench.limits import require
 from rig.control.force_servo import ForceServo, settings_from
@@ -76,6 +77,9 @@ class PressedTrial:
         self.recorder = TickRecorder(run, record, self.links, (self.z, self.x), poll_rate_Hz)
         self._ticks = TrialTicks(run, self.links, self.recorder, record.loops, rates.tick_s)
         self._hold: ForceHold | None = None
+        if series.torque is None:
+            series.torque = TorqueWatch(run)
+        self.torque = series.torque
 
     # --- the phases -----------------------------------------------------------------------------
 
@@ -88,6 +92,7 @@ class PressedTrial:
         self.record.zero = tare_in_free_air(self.run)
         self.z.commanded_mm, self.x.commanded_mm = parked_mm, start_mm
         self.x.poll()
+        self.torque.rest()
         window_s = self.recorder.force.timing.window_s
         series = self.series
         come_close(self.run, CONTACT_N, window_s, series.rates.approach_s, series.way_is_clear)
@@ -102,7 +107,16 @@ class PressedTrial:
         under the servo. The contact's stiffness is learnt on the way."""
         settings, record = self.settings, self.record
         earlier = EarlierPress(self.run, settings.normal_force_N, settings.object)
-        press = Press(self.run, self.series, record, self.z, self.recorder, self._ticks, earlier)
+        press = Press(
+            self.run,
+            self.series,
+            record,
+            self.z,
+            self.recorder,
+            self._ticks,
+            earlier,
+            self.torque,
+        )
         stiffness_N_mm = record.stiffness_N_mm = press.down()
         servo = ForceServo(
             settings_from(
@@ -112,12 +126,16 @@ class PressedTrial:
                 self.delay_s,
                 settings.acceleration_mm_s2,
                 self.even_moves,
+                press.fastest_mm_s,
             )
         )
         at_rest_s = press.tap(stiffness_N_mm)
         record.tapped_s = self.since_s()
         force, ticks = self.recorder.force, self._ticks
-        self._hold = ForceHold(servo, self.z, self.links, force, record, ticks, at_rest_s)
+        self.torque.hold_begins(settings.normal_force_N)
+        self._hold = ForceHold(
+            servo, self.z, self.links, force, record, ticks, at_rest_s, self.torque
+        )
         self.hold(settings.rest_s)
 
     def hold(self, seconds: float) -> None:

@@ -19,7 +19,7 @@ from procedures.pressed.settings import (
     summary_of,
 )
 from procedures.pressed.torque_limit import require_torque_limit
-from procedures.pressed.way_down import require_possible
+from procedures.pressed.way_down import held_speed_bound, require_possible
 from rig.run.points import Reading
 from rig.run.procedure import DriftFigure, Procedure, StreamPlan
 
@@ -60,7 +60,8 @@ class TrialProcedure(Procedure):
         that z cannot go down slowly enough."""
         contact_range_mm(bench)
         require_torque_limit(bench)
-        require_possible(bench, self.settings.largest_force_N)
+        settings = self.settings
+        require_possible(bench, settings.largest_force_N, settings.normal_force_N)
 
     def why_invalid(self, reading: Reading) -> str:
         """Return why a trial is invalid; "" for a valid one."""
@@ -74,6 +75,9 @@ class TrialProcedure(Procedure):
         if self._series is None:
             rates = rates_for(run.bench, self.settings)
             warn_of_slow_links(run, rates)
+            settings = self.settings
+            bound = held_speed_bound(run.bench, settings.largest_force_N, settings.normal_force_N)
+            run.event("info", "servo", f"z follows the force at up to {bound.in_words()}")
             self._series = self.new_series(rates, load_scales_for(run))
         self._series.way_is_clear = False  # during a hold something may have been put in the way
 

@@ -9,6 +9,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from procedures.pressed.torque_watch import WayTorque
+from rig.bench.braking import USUAL_DECELERATION_mm_s2, braking_bound
 from rig.bench.settings import FixtureSettings
 from rig.control.speed_bound import SpeedBound
 from rig.core.errors import InstrumentError
@@ -32,41 +34,38 @@ BASELINE_S = 0.1
 ARRIVED_S = 0.08
 """Expected of a way beyond its length: to come up to speed and to be asked whether it is over
 (measured)."""
-USUAL_DECELERATION_mm_s2 = 200.0
-"""Deceleration of a stage whose settings do not state one."""
 USUAL_LINK_S = 0.001
 """Time of an order on a link of its own (CMMT), which estimates assume."""
 
 
 def speed_bound(bench: Bench, limit_N: float) -> SpeedBound:
-    """Return the bound on every speed of z towards a contact on this bench.
+    """Return the bound on every speed of z towards a contact on this bench: the force may rise from
+    `RISE_N`, which ends the way, to `limit_N`."""
+    return braking_bound(bench, limit_N - RISE_N, REACTION_S)
 
-    The force may rise from `RISE_N`, which ends the way, to `limit_N`. The stiffest contact is the
-    fixture's, the deceleration the stage's, and one order takes the time of its link.
-    """
-    part = next(part for part in bench.plan.instruments if part.role == "stage_z")
-    deceleration = float(getattr(part.settings, "deceleration_mm_s2", USUAL_DECELERATION_mm_s2))
-    link_s = 1 / bench.stage_z.reach()["update_rate"].high
-    return _bound(bench.settings.fixture, limit_N, link_s, deceleration)
+
+def held_speed_bound(bench: Bench, limit_N: float, held_N: float) -> SpeedBound:
+    """Return the bound on every speed of z under a force that is brought up to `held_N` or held:
+    the thread that reads the force stops z at `limit_N`, so the rest is what it may rise to."""
+    return braking_bound(bench, limit_N - held_N)
 
 
 def expected_speed_mm_s(fixture: FixtureSettings, limit_N: float) -> float:
     """Return the speed in mm/s expected of a watched way, before the stage is known."""
-    bound = _bound(fixture, limit_N, USUAL_LINK_S, USUAL_DECELERATION_mm_s2)
+    bound = SpeedBound(
+        limit_N - RISE_N,
+        fixture.stiffest_N_mm,
+        REACTION_S + USUAL_LINK_S,
+        USUAL_DECELERATION_mm_s2,
+    )
     return min(bound.speed_mm_s, TRAVEL_mm_s)
 
 
-def require_possible(bench: Bench, limit_N: float) -> None:
-    """Raise LimitError where the slowest speed of z is faster than the bound allows."""
-    speed_bound(bench, limit_N).require("stage_z", bench.stage_z.reach()["speed"].low)
-
-
-def _bound(
-    fixture: FixtureSettings, limit_N: float, link_s: float, deceleration_mm_s2: float
-) -> SpeedBound:
-    return SpeedBound(
-        limit_N - RISE_N, fixture.stiffest_N_mm, REACTION_S + link_s, deceleration_mm_s2
-    )
+def require_possible(bench: Bench, limit_N: float, held_N: float) -> None:
+    """Raise LimitError where the slowest speed of z is faster than the bounds allow."""
+    slowest_mm_s = bench.stage_z.reach()["speed"].low
+    for bound in (speed_bound(bench, limit_N), held_speed_bound(bench, limit_N, held_N)):
+        bound.require("stage_z", slowest_mm_s)
 
 
 def go_down_watched(run: Run, target_mm: float, where: str) -> None:
@@ -80,11 +79,13 @@ def go_down_watched(run: Run, target_mm: float, where: str) -> None:
     run.clock.sleep(BASELINE_S)
     before_N = force.mean_N(BASELINE_S)
     speed_mm_s = min(speed_bound(run.bench, force.limit_N).speed_mm_s, TRAVEL_mm_s)
+    torque = WayTorque(run)
     stage.start_move(target_mm, speed_mm_s)
     while stage.moving():
         run.clock.sleep(CHECKED_EVERY_S)
         rise_N = float(abs(force.mean_N(WINDOW_S) - before_N).max())
         if rise_N <= RISE_N:
+            torque.refuse_rise(float(force.mean_N(WINDOW_S)[2]))
             continue
         stage.stop()
         raise InstrumentError(

@@ -36,6 +36,7 @@ from procedures.pressed.contact import (
     unload,
 )
 from procedures.pressed.earlier_runs import EarlierPress
+from procedures.pressed.torque_watch import TorqueWatch
 from rig.bench.limits import require
 from rig.bench.settings import FixtureSettings
 from rig.core.errors import InstrumentError, LimitError
@@ -73,6 +74,8 @@ bounds the motion of a late or hanging program until the drive's time-out, and t
 stiffness."""
 CLOSE = 0.002
 """Relative error of the force that is not corrected."""
+CHANGED = 0.1
+"""Relative change of the force that has to come with a change of the torque while it is held."""
 HELD = 0.01
 """Relative error within which the force is held."""
 HOLD_S = 0.3
@@ -102,6 +105,8 @@ class Preload:
     """Commanded position of the stage."""
     zero: ForceZero = field(default_factory=ForceZero)
     """Zero of the force sensor, from before the contact."""
+    torque: TorqueWatch | None = None
+    """Torque of the stage, compared with the force before each move."""
     _moved: tuple[float, float] | None = None
     """Length of the latest move in mm, and the force before it."""
 
@@ -136,13 +141,17 @@ class Preload:
                 f"had pressed with {self.target_N:g} N",
                 "check the film and its clamp: something has given way",
             )
+        if self.torque is not None:
+            self.torque.read()
+            self.torque.refuse_rise_in_hold(felt_N(run, stretch_s), CHANGED * self.target_N)
         # Aims beyond the target, because the film continues to creep.
         creep_N = CLOSE * self.target_N if missing_N > 0 else 0.0
         step_mm = (missing_N + creep_N) / self.stiffness_N_mm
         refuse_deeper(self.position_mm + step_mm, contact_range_mm(run.bench)[1])
         self.position_mm += step_mm
         self._moved = step_mm, self.target_N - missing_N
-        run.bench.stage_z.start_move(self.position_mm, RISE_N_s / self.stiffness_N_mm)
+        speed_mm_s = min(RISE_N_s / self.stiffness_N_mm, APPROACH_mm_s)
+        run.bench.stage_z.start_move(self.position_mm, speed_mm_s)
         return True
 
     def _learn_stiffness(self, force_N: float) -> None:
@@ -175,22 +184,30 @@ def press(run: Run, target_N: float) -> Preload:
     run.force.watch(bench.force_sensor.reach()["force"].high)
     park(run, "preload", lambda came_from_mm: unload(run, "film", came_from_mm))
     zero = tare_in_free_air(run)
+    torque = TorqueWatch(run)
+    torque.rest()
     come_close(run, CONTACT_N, FORCE_WINDOW_S, CHECKED_EVERY_S)
     run.count_press()
     with naming_the_sensor(run, CONTACT_N):
         earlier = EarlierPress(run, target_N)
-        pressed = _press_until_confirmed(run, target_N, earlier)
+        pressed = _press_until_confirmed(run, target_N, earlier, torque)
         earlier.judge(pressed.position_mm - pressed.contact_mm, pressed.stiffness_N_mm, zero)
     pressed.zero = zero
+    torque.hold_begins(pressed.reached_N)
+    torque.settle_in_hold()
+    pressed.torque = torque
     return pressed
 
 
-def _press_until_confirmed(run: Run, target_N: float, earlier: EarlierPress) -> Preload:
+def _press_until_confirmed(
+    run: Run, target_N: float, earlier: EarlierPress, torque: TorqueWatch
+) -> Preload:
     """Approach and press; again where the contact was not confirmed."""
     first_mm, last_mm = contact_range_mm(run.bench)
     while True:
-        contact_mm = _approach(run, first_mm, last_mm, target_N)
-        if (pressed := _press_from(run, contact_mm, target_N, earlier.refuse_way)) is not None:
+        contact_mm = _approach(run, first_mm, last_mm, target_N, torque)
+        pressed = _press_from(run, contact_mm, target_N, earlier.refuse_way, torque)
+        if pressed is not None:
             return pressed
         run.event("warning", "preload", "the contact was not confirmed: the approach continues")
 
@@ -213,13 +230,15 @@ def duration_s(fixture: FixtureSettings, target_N: float, homed: bool) -> float:
     )
 
 
-def _approach(run: Run, first_mm: float, last_mm: float, target_N: float) -> float:
+def _approach(
+    run: Run, first_mm: float, last_mm: float, target_N: float, torque: TorqueWatch | None = None
+) -> float:
     """Move slowly until contact is felt, with small targets ahead of the stage; return its
     position."""
     stage, clock = run.bench.stage_z, run.clock
     patience_s = (last_mm - stage.position_mm()) / APPROACH_mm_s + LATE_S
     begin_s = clock.now()
-    watch = ApproachWatch(run, CONTACT_N, target_N)
+    watch = ApproachWatch(run, CONTACT_N, target_N, torque)
     while (here_mm := stage.position_mm()) < last_mm - BOTTOM_mm:
         if clock.now() - begin_s > patience_s:
             stage.stop()
@@ -228,6 +247,8 @@ def _approach(run: Run, first_mm: float, last_mm: float, target_N: float) -> flo
         watch.commanded(target_mm - here_mm, APPROACH_mm_s)
         stage.start_move(target_mm, APPROACH_mm_s)
         clock.sleep(CHECKED_EVERY_S)
+        if torque is not None and torque.is_due():
+            torque.read()
         force_N = felt_N(run, FORCE_WINDOW_S)
         watch.step(here_mm, force_N, touched=False)
         if force_N > CONTACT_N:
@@ -245,6 +266,7 @@ def _press_from(
     contact_mm: float,
     target_N: float,
     refuse_way: Callable[[float, float], None] = lambda way_mm, force_N: None,
+    torque: TorqueWatch | None = None,
 ) -> Preload | None:
     """Go from contact to the held preload in small targets ahead of the stage that depend on the
     measured stiffness; None if the contact was not confirmed."""
@@ -254,8 +276,10 @@ def _press_from(
     stiffness, largest_N = FIRST_STIFFNESS_N_mm, 0.0
     target_mm = contact_mm
     deepest_mm = contact_range_mm(run.bench)[1]
-    watch = ApproachWatch(run, CONTACT_N, target_N)
+    watch = ApproachWatch(run, CONTACT_N, target_N, torque)
     while clock.now() - start_s < PATIENCE_S:
+        if torque is not None and torque.is_due():
+            torque.read()
         force_N = felt_N(run, FORCE_WINDOW_S)
         largest_N = max(largest_N, force_N)
         here_mm = stage.position_mm()

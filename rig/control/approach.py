@@ -15,6 +15,7 @@ CLOSING.
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from dataclasses import dataclass
 
@@ -150,10 +151,12 @@ class Approach:
         delay_s: float,
         acceleration_mm_s2: float = 200.0,
         stiffest_N_mm: float = STIFFEST_N_mm,
+        fastest_mm_s: float = math.inf,
     ):
+        """`fastest_mm_s` bounds every speed after touch; the search has a bound of its own."""
         self.target_N = target_N
         self._ahead_s = max(AHEAD_s, 3 * tick_s)
-        self._acceleration = acceleration_mm_s2
+        self._acceleration, self._fastest_mm_s = acceleration_mm_s2, fastest_mm_s
         self._delay_s = delay_s + tick_s
         self.search_mm_s = largest_speed_mm_s(
             TOUCH * target_N, stiffest_N_mm, self._delay_s, acceleration_mm_s2
@@ -198,7 +201,8 @@ class Approach:
         if missing_N <= ARRIVED * self.target_N:
             return ApproachStep(0.0, 0.0, True)
         delay_s = self._delay_s + behind_s
-        return self._go(closing_speed_mm_s(missing_N, self.stiffness_N_mm, delay_s))
+        closing_mm_s = closing_speed_mm_s(missing_N, self.stiffness_N_mm, delay_s)
+        return self._go(min(closing_mm_s, self._fastest_mm_s))
 
     def _go(self, speed_mm_s: float) -> ApproachStep:
         braking_mm = speed_mm_s**2 / (2 * self._acceleration)

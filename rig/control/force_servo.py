@@ -94,12 +94,13 @@ def settings_from(
     delay_s: float,
     acceleration_mm_s2: float = 200.0,
     evenly: bool = False,
+    largest_speed_mm_s: float = math.inf,
 ) -> ServoSettings:
     """Returns the settings of a servo for this contact, tick and delay.
 
     With `evenly`, moves are spread over the whole tick: the strips then feel no jump from tick to
     tick, but a fast change of the force is followed less well. Use it where the force changes
-    slowly.
+    slowly. No move is faster than `largest_speed_mm_s`.
 
     Raises ValueError if a number is not finite or not positive.
 
@@ -125,7 +126,7 @@ def settings_from(
         delay_s,
         acceleration_mm_s2,
         memory_s=MEMORY * (delay_s + ARRIVAL_OF_TICK * tick_s),
-        speed_mm_s=FASTEST_N_s / stiffness_N_mm,
+        speed_mm_s=min(FASTEST_N_s / stiffness_N_mm, largest_speed_mm_s),
         evenly=evenly,
     )
 

@@ -47,6 +47,14 @@ class SpeedBound:
             self.margin_N, self.stiffness_N_mm, self.reaction_s, self.deceleration_mm_s2
         )
 
+    def in_words(self) -> str:
+        """Return the bound with the numbers that it follows from."""
+        return (
+            f"{self.speed_mm_s:.3g} mm/s, from which it stops within {self.margin_N:.3g} N: "
+            f"stiffest contact {self.stiffness_N_mm:g} N/mm, reaction {self.reaction_s:.2g} s, "
+            f"deceleration {self.deceleration_mm_s2:g} mm/s2"
+        )
+
     def require(self, device: str, speed_mm_s: float) -> None:
         """Raise LimitError, which names the numbers that the bound follows from, for a faster
         speed."""
@@ -54,8 +62,6 @@ class SpeedBound:
             return
         raise LimitError(
             f"{device}: a speed of {speed_mm_s:.3g} mm/s towards a contact is above "
-            f"{self.speed_mm_s:.3g} mm/s, from which it stops within {self.margin_N:.3g} N: "
-            f"stiffest contact {self.stiffness_N_mm:g} N/mm, reaction {self.reaction_s:.2g} s, "
-            f"deceleration {self.deceleration_mm_s2:g} mm/s2",
-            "choose a slower one, or correct stiffest_contact_N_mm in [fixture]",
+            f"{self.in_words()}",
+            "choose a slower one or a smaller force, or correct stiffest_contact_N_mm in [fixture]",
         )

@@ -115,6 +115,24 @@ class CountsMisreadings(Protocol):
         ...
 
 
+@runtime_checkable
+class ReadsTorque(Protocol):
+    """The interface of a stage whose drive reports the torque of its motor.
+
+    Optional: a stage without it presses all the same, and then only the force sensor and the
+    drive's torque limit show how hard.
+    """
+
+    def torque_percent(self) -> float | None:
+        """Return the motor's present torque in percent of what `torque_limit_percent` of the bench
+        file is a percentage of; None where the drive does not report it.
+
+        The sign and the friction in it are the drive's own: compare two readings of one motion.
+        Raises InstrumentError for an exchange that fails.
+        """
+        ...
+
+
 class SignalGenerator(Instrument, Protocol):
     """One channel that drives the vibrator's amplifier (high impedance)."""
 

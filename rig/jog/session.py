@@ -16,9 +16,11 @@ from typing import Protocol
 
 from pydantic import Field
 
+from rig.bench.braking import braking_bound
 from rig.bench.connected import Bench
 from rig.bench.limits import require
 from rig.bench.plan import longest_call_s
+from rig.control.speed_bound import SpeedBound
 from rig.core.errors import ConfigurationError, ExitCode, LimitError, RigError
 from rig.core.settings import Settings
 from rig.instruments.roles import LinearStage, Reach, RotaryStage
@@ -150,7 +152,8 @@ class _Rotary:
 def axes_of(bench: Bench, settings: JogSettings) -> tuple[list[JogAxis], list[str]]:
     """Return the bench's axes for jogging, and in words the settings that were reduced.
 
-    Raises ConfigurationError for a bench that has none.
+    Raises ConfigurationError for a bench that has none, LimitError where the slowest speed of z is
+    too fast for the largest force.
     """
     axes, limited = [], []
     for name in AXES:
@@ -162,10 +165,15 @@ def axes_of(bench: Bench, settings: JogSettings) -> tuple[list[JogAxis], list[st
         places = reach["angle" if turns else "position"]
         step = settings.angle_step_deg if turns else settings.step_mm
         asked = settings.turn_speed_deg_s if turns else settings.speed_mm_s
-        speed = _speed(asked, places.unit, reach["speed"])
+        speed, why = _speed(asked, places.unit, reach["speed"]), ""
+        if name == "stage_z" and (bound := _bound_on_z(bench, settings)) is not None:
+            bound.require(name, reach["speed"].low)
+            if speed > bound.speed_mm_s:
+                speed, why = bound.speed_mm_s, f" ({bound.in_words()})"
         if speed != asked:
             limited.append(
-                f"--{turn}speed {asked:g} {places.unit}/s reduced to {speed:g} {places.unit}/s"
+                f"--{turn}speed {asked:g} {places.unit}/s reduced to {speed:.3g} {places.unit}/s"
+                f"{why}"
             )
         if step > (longest := speed * LONGEST_STEP_S):
             limited.append(
@@ -179,6 +187,15 @@ def axes_of(bench: Bench, settings: JogSettings) -> tuple[list[JogAxis], list[st
             f"{bench.plan.source}: the bench has no axis", f"add a table of {', '.join(AXES)}"
         )
     return axes, limited
+
+
+def _bound_on_z(bench: Bench, settings: JogSettings) -> SpeedBound | None:
+    """Return the bound on the speed of z: what has been stopped at the largest force may rise no
+    further than the force sensor's limit. None without a force sensor, by which nothing stops."""
+    if "force_sensor" not in bench.instruments:
+        return None
+    limit_N = bench.force_sensor.reach()["force"].high
+    return braking_bound(bench, limit_N - settings.largest_force_N)
 
 
 def _speed(asked: float, unit: str, reach: Reach) -> float:
@@ -204,17 +221,17 @@ class JogSession:
         """Prepare the session.
 
         Raises ConfigurationError if the bench has no such axis, LimitError for a largest force
-        beyond the sensor's range.
+        beyond the sensor's range or too near to its end for z to brake before it.
         """
+        if "force_sensor" in bench.instruments:
+            reach = bench.force_sensor.reach()["force"]
+            require("largest force", settings.largest_force_N, reach)
         axes, limited = axes_of(bench, settings)
         names = [axis.name for axis in axes]
         if chosen is not None and chosen not in names:
             raise ConfigurationError(
                 f"{bench.plan.source}: the bench has no axis {chosen}", f"it has {', '.join(names)}"
             )
-        if "force_sensor" in bench.instruments:
-            reach = bench.force_sensor.reach()["force"]
-            require("largest force", settings.largest_force_N, reach)
         self._bench, self._clock, self._stop = bench, bench.clock, stop
         self._person, self._settings = person, settings
         self._guard: GuardLink

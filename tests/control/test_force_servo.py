@@ -285,3 +285,11 @@ def test_a_wrong_stiffness_does_not_ring(skin6, rate_Hz, stiffness_error) -> Non
     assert abs(held.rest) < 0.005
     assert held.rms < 0.02
     assert -0.05 < held.low < held.high < 0.05
+
+
+def test_no_move_of_the_servo_is_faster_than_its_bound() -> None:
+    settings = settings_from(4.0, 10.0, 0.01, 0.0045, largest_speed_mm_s=1.5)
+    servo = ForceServo(settings)
+    step = servo.step(force_N=0.5)
+    assert step.speed_mm_s == 1.5, "and not 200 N/s on 10 N/mm"
+    assert abs(step.increment_mm) <= 1.5 * 0.01

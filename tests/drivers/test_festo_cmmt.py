@@ -56,6 +56,8 @@ def test_connecting_word_for_word() -> None:
             *mailbox_write(11585, 0x3880, 1, 0, 0),
             *mailbox_read(12168, 2),
             *mailbox_write(12168, 0, 0x41F0),
+            *mailbox_read(11704, 2),
+            *mailbox_read(11070, 2),
         ]
         assert not any(said.startswith("write 0:") for said in it.wire.said), "control is not taken"
 
@@ -321,6 +323,31 @@ def test_the_torque_limit_ends_a_motion_into_something() -> None:
         assert it.drive.enabled
         axis.stop()
         axis.move_to(5.0, 5.0)
+
+
+def test_the_torque_is_read_by_three_requests_and_shows_what_is_pressed() -> None:
+    with service() as it:
+        axis = it.homed()
+        it.bench.wall_mm = 10.0
+        axis.move_to(9.0, 5.0)
+        assert axis.torque_percent() == pytest.approx(0.0, abs=1e-6)
+        axis.move_to(10.1, 5.0)
+        it.wire.heard()
+        assert axis.torque_percent() == pytest.approx(10.0, abs=0.2), "10 N of 100 N"
+        assert it.wire.heard() == ["write 503: 1", "read 500 x5", "read 510 x2"]
+
+
+def test_a_parameter_that_another_client_has_chosen_is_not_taken_for_the_torque() -> None:
+    with service() as it:
+        axis = it.homed()
+        it.drive.write(500, [12168], "another client")
+        assert axis.torque_percent() == pytest.approx(0.0, abs=1e-6), "and not 30"
+
+
+def test_a_drive_that_reports_no_torque_has_none_to_watch() -> None:
+    with service() as it:
+        del it.drive._parameters[11704]
+        assert it.homed().torque_percent() is None
 
 
 def creep(axis: FestoAxis, clock: Clock, from_mm: float) -> None:

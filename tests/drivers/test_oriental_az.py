@@ -21,6 +21,7 @@ from drivers.simulated.instruments.oriental_az import (
     SLAVE_ERROR_RESPONSE,
     LINE_TIMEOUT_ms,
 )
+from drivers.simulated.transports.modbus_tcp import ILLEGAL_ADDRESS, ModbusError
 from rig.core.errors import InstrumentError, InstrumentTimeoutError
 
 
@@ -142,6 +143,48 @@ def test_the_torque_limit_goes_with_every_motion_and_ends_one_into_something() -
         assert bench.z.axis.force_limit_N == 30.0
         bench.run_dry(0.2)
         assert bench.speed(bench.z) == 0
+
+
+def test_an_operating_current_that_the_drive_does_not_keep_ends_the_first_motion() -> None:
+    with service() as bench:
+        axis = bench.homed()
+        operate = bench.z._operate
+
+        def at_full_current(by: str) -> None:
+            bench.z._values[0x64] = 1000
+            operate(by)
+
+        bench.z._operate = at_full_current  # type: ignore[method-assign]
+        told = "its operating current is 100 % where torque_limit_percent asks for 30 %"
+        with pytest.raises(InstrumentError, match=told):
+            axis.start_move(40.0, 5.0)
+        bench.run_dry(0.2)
+        assert bench.speed(bench.z) == 0
+
+
+def test_the_torque_shows_what_is_pressed_and_a_drive_without_it_is_asked_once() -> None:
+    with service() as bench:
+        axis = bench.homed()
+        bench.bench.wall_mm = 30.0
+        axis.move_to(29.0, 5.0)
+        assert [axis.torque_percent() for _ in range(2)] == [0.0, 0.0]
+        axis.move_to(30.1, 5.0)
+        shown = [axis.torque_percent() for _ in range(2)]
+        assert shown == pytest.approx([10.0, 10.0], abs=0.2), "10 N of 100 N, in either length"
+
+        bench.z.read = _without_torque(bench.z.read)
+        asked = len(bench.line.said)
+        assert [axis.torque_percent() for _ in range(3)] == [None, None, None]
+        assert len(bench.line.said) == asked + 1
+
+
+def _without_torque(read: Any) -> Any:
+    def refused(address: int, count: int, by: str) -> Any:
+        if address + count > 0xD6:
+            raise ModbusError(ILLEGAL_ADDRESS)
+        return read(address, count, by)
+
+    return refused
 
 
 def test_settings_that_contradict_each_other_are_refused() -> None:

@@ -185,3 +185,14 @@ def test_a_contact_too_stiff_for_the_slowest_speed_is_refused_before_anything_mo
     assert "stiffest contact 1e+09 N/mm, reaction 0.0" in error
     assert "deceleration 200 mm/s2" in error
     assert [kind for kind, _ in motion(rig)] == []
+
+
+def test_a_force_that_z_cannot_brake_within_the_limit_is_refused_before_anything_moves(rig):
+    ended = rig.run(
+        "slip-trial", "--normal-force", "14.99999N", "--no-figures",
+        "--world-log", str(rig.world_log),
+    )  # fmt: skip
+    assert ended.code == 4, ended.stderr
+    assert "from which it stops within 1e-05 N: stiffest contact 250 N/mm" in ended.errors[0]
+    assert "a smaller force" in ended.errors[0]
+    assert [kind for kind, _ in motion(rig)] == []

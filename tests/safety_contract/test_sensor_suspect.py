@@ -10,10 +10,10 @@ import pytest
 from tiers import mostly_thorough
 
 WATCHED = "[watch]\nforce_limit_N = {limit_N}\n"
-PROCEDURES = {  # World settings, options, torque limit as force in N
-    "sweep": ("clamp.contact_mm = 12.1\n", ("--frequencies", "300"), 45.0),
-    "slip-trial": ("skin_mount.contact_mm = 12.05\n", ("--distance", "0.5mm"), 25.0),
-    "roll-trial": ("skin_mount.contact_mm = 12.05\n", ("--angle", "2deg"), 25.0),
+PROCEDURES = {  # World settings, options, torque limit as force in N, force limit in N
+    "sweep": ("clamp.contact_mm = 12.1\n", ("--frequencies", "300"), 45.0, 40.0),
+    "slip-trial": ("skin_mount.contact_mm = 12.05\n", ("--distance", "0.5mm"), 25.0, 15.0),
+    "roll-trial": ("skin_mount.contact_mm = 12.05\n", ("--angle", "2deg"), 25.0, 15.0),
 }
 
 APPROACH = 'move = 4\nof = "stage_z"\n'
@@ -22,7 +22,7 @@ APPROACH = 'move = 4\nof = "stage_z"\n'
 
 def run(rig, procedure, fault, *asked, world=None):
     """A run with a fault of the force sensor; the World notes the largest true force."""
-    own, options, _ = PROCEDURES[procedure]
+    own, options, _, _ = PROCEDURES[procedure]
     plan = rig.fault(f'[[fault]]\ndevice = "force_sensor"\n{fault}\n')
     watched = f"{world or own}{WATCHED.format(limit_N=100.0)}"
     return rig.run(
@@ -46,11 +46,12 @@ def pressed_for_s(rig):
 
 
 @pytest.mark.parametrize("procedure", mostly_thorough(PROCEDURES, ["slip-trial"]))
-def test_a_dead_sensor_is_named_as_soon_as_the_torque_limit_holds_the_stage(rig, procedure):
+def test_a_dead_sensor_is_named_by_the_torque_before_the_force_limit_is_reached(rig, procedure):
     ended = run(rig, procedure, 'kind = "dead-noisy"')
     assert ended.code == 3, ended.stderr
+    assert "the torque of stage_z has changed by" in ended.errors[0]
     assert "suspect the force sensor" in ended.errors[0]
-    assert largest_N(rig) < PROCEDURES[procedure][2] + 0.5
+    assert largest_N(rig) < 0.75 * PROCEDURES[procedure][3]
     if procedure != "sweep":
         assert pressed_for_s(rig) < 3.0
 
@@ -129,6 +130,15 @@ def test_a_sensor_that_dies_while_the_force_is_held_ends_the_run_before_the_serv
     assert ended.code == 3, ended.stderr
     assert "N where z held 4 N" in ended.errors[0]
     assert "suspect the force sensor" in ended.errors[0]
+    assert largest_N(rig) < 15.0
+
+
+def test_a_drift_under_a_held_force_is_ended_by_the_torque(rig):
+    """The servo would follow the drift by 2 N/s to the torque limit, far over the force limit."""
+    drift = f'kind = "drift"\nrate_N_s = -2.0\n{HELD}'
+    ended = run(rig, "slip-trial", drift, "--rest", "12s")
+    assert ended.code == 3, ended.stderr
+    assert "force_sensor: hold the force: the torque of stage_z has changed by" in ended.errors[0]
     assert largest_N(rig) < 15.0
 
 

@@ -11,8 +11,9 @@ carriage's, which equal the drive's own after homing, and must be asked from `po
 
 Sources: register map, words and sequences from the vendor's client festo-edcon 0.14.12. UNCONFIRMED
 on a drive, each marked in its place: what the time-out does and which number it gives, what feeds
-it, the units' parameters, the meaning of the clamping torque, what an unhomed or out-of-range task
-is answered with, which jog bit is which way, the identification's texts.
+it, the units' parameters, the meaning of the clamping torque and of the present one, what an
+unhomed or out-of-range task is answered with, which jog bit is which way, the identification's
+texts.
 """
 
 from __future__ import annotations
@@ -50,6 +51,9 @@ NOMINAL_SPEED_mm_s = 1000.0
 _TELEGRAM, _SERIAL, _FIRMWARE, _TIMEOUT_ms = 3490, 2021, 2266, 4854
 _POSITION_UNIT, _SPEED_UNIT = 12698, 12699  # UNCONFIRMED that they describe telegram 111
 _CLAMPING, _LOW_LIMIT, _HIGH_LIMIT = 12168, 11584, 11585
+_TORQUE, _RATED_TORQUE = 11070, 11704
+RATED_TORQUE_Nm = 0.5
+"""UNCONFIRMED that both are in Nm."""
 _WRITABLE = frozenset({_TELEGRAM, _CLAMPING, _LOW_LIMIT, _HIGH_LIMIT})
 
 
@@ -513,7 +517,7 @@ class CmmtDrive(SimulatedDrive[MoveFault]):
     def _access_parameter(self, by: str) -> int:
         """Execute the mailbox: 1 reads, 2 writes; 0x10 for done, 3 for an error."""
         number, subindex, elements, what, length = self._mailbox
-        known = self._parameters.get(number)
+        known = self._torque() if number == _TORQUE else self._parameters.get(number)
         if known is None or subindex or not elements:
             return 3
         if what == 1:
@@ -530,6 +534,12 @@ class CmmtDrive(SimulatedDrive[MoveFault]):
         self._log("parameter", {"number": number, "raw": raw.hex()}, by)
         return 0x10
 
+    def _torque(self) -> bytes:
+        """Return the present torque; none without power."""
+        force_N = self.axis.drive_force_N(self._port.now_us) if self.enabled else 0.0
+        share = force_N / self.settings.force_at_full_torque_N
+        return struct.pack("<f", share * RATED_TORQUE_Nm)
+
 
 def _factory_parameters(settings: SimulatedCmmtSettings) -> dict[int, bytes]:
     unit = settings.position_unit_mm
@@ -545,6 +555,7 @@ def _factory_parameters(settings: SimulatedCmmtSettings) -> dict[int, bytes]:
         _POSITION_UNIT: _si_unit(settings.position_unit_mm, 0x00),
         _SPEED_UNIT: _si_unit(settings.speed_unit_mm_s, 0x03),
         _CLAMPING: struct.pack("<f", 100.0),
+        _RATED_TORQUE: struct.pack("<f", RATED_TORQUE_Nm),
         _LOW_LIMIT: struct.pack("<q", low),
         _HIGH_LIMIT: struct.pack("<q", high),
     }

@@ -40,8 +40,8 @@ STARTING_RATE, STOPPING_RATE, CURRENT, TRIGGER, DESTINATION = 0x60, 0x62, 0x64, 
 INPUT_COMMAND, OUTPUT_STATUS, PRESENT_ALARM = 0x7C, 0x7E, 0x80
 COMMAND_POSITION, FEEDBACK_POSITION = 0xC6, 0xCC
 FEEDBACK_RPM, FEEDBACK_Hz = 0xCE, 0xD0
-REMAINING_DWELL, DIRECT_IO = 0xD2, 0xD4
-"""Registers. UNCONFIRMED: the content of 00D2h, which reads 0."""
+REMAINING_DWELL, DIRECT_IO, TORQUE = 0xD2, 0xD4, 0xD6
+"""Registers. UNCONFIRMED: the content of 00D2h, which reads 0, and that 00D6h is the torque."""
 DIRECT_INPUTS = 10
 DRIVER_TEMPERATURE, MOTOR_TEMPERATURE = 0xF8, 0xFA
 ALARM_RESET, INTERNAL_OUTPUTS = 0x180, 0x178
@@ -371,6 +371,11 @@ class AzDrive(SimulatedDrive[MoveFault]):
     def _steps(self, position_mm: float) -> int:
         return round((position_mm - self._zero_mm) * self.settings.steps_per_mm)
 
+    def _torque(self, now: int) -> int:
+        """Return the present torque in tenths of a percent; none with an alarm."""
+        force_N = 0.0 if self.alarm else self.axis.drive_force_N(now)
+        return round(1000 * force_N / self.settings.force_at_full_current_N)
+
     def _status(self, now: int) -> int:
         """Return the outputs as they are assigned at the factory."""
         here = self.axis.position(now)
@@ -421,6 +426,7 @@ _SHOWN: dict[int, Callable[[AzDrive, int], int]] = {
     FEEDBACK_Hz: lambda drive, now: round(drive.axis.velocity(now) * drive.settings.steps_per_mm),
     REMAINING_DWELL: lambda drive, now: 0,
     DIRECT_IO: lambda drive, now: drive.direct_inputs(),
+    TORQUE: lambda drive, now: drive._torque(now),
     DRIVER_TEMPERATURE: lambda drive, now: ROOM_TEMPERATURE,
     MOTOR_TEMPERATURE: lambda drive, now: ROOM_TEMPERATURE,
     INTERNAL_OUTPUTS: AzDrive._internal_outputs,

@@ -57,6 +57,8 @@ class Mechanics:
     """The same while the drive travels to a fixed stop: there it means that the stop is found."""
     peak_force_N: float = 200.0
     """Largest force of the drive when nothing else limits it."""
+    friction_N: float = 2.0
+    """Friction of guide and screw in motion, as the motor's torque shows it (assumed)."""
 
 
 class AxisEvent(Enum):
@@ -372,6 +374,16 @@ class SimulatedAxis:
         """Return how far the carriage lags behind the setpoint, in mm."""
         self.settle(t_us)
         return self._setpoint.at(t_us * 1e-6)[0] - self._carriage.at(t_us * 1e-6)[0]
+
+    def drive_force_N(self, t_us: int) -> float:  # noqa: N802
+        """Return the force that the motor exerts on the carriage: against its load and, in motion,
+        its friction. A carriage that is held back gets all that the drive is allowed."""
+        self.settle(t_us)
+        if self._held_direction:
+            return self._held_direction * self._force_limit_N
+        position, velocity = self._carriage.at(t_us * 1e-6)
+        moving = math.copysign(1.0, velocity) if velocity else 0.0
+        return moving * self.mechanics.friction_N - self._load(position, t_us)
 
     def finished(self, t_us: int) -> bool:
         """Return whether the setpoint has come to its end."""

@@ -1,0 +1,214 @@
+"""Compares the torque of z's motor with the force that the sensor reads.
+
+Every force limit trusts the force sensor. A drive that reports its torque is a second witness:
+where the torque rises above what it was in free air and the force does not change, z presses on
+something that the sensor does not show. The torque is known in percent only, with the friction of
+guide and screw in it, so it is never converted into a force: a rise by `SHARE` of the torque limit
+has to come with some change of force, whichever. A stage without `ReadsTorque` is not watched here.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from procedures.pressed.torque_limit import torque_limit_percent
+from rig.core.errors import InstrumentError
+from rig.instruments.roles import ReadsTorque
+
+if TYPE_CHECKING:
+    from rig.run.context import Run
+
+EVERY_S = 0.02
+"""Shortest interval between two readings."""
+LINK_SHARE = 0.2
+"""Largest share of a slow link's time that readings take."""
+SHARE = 0.25
+"""Share of the torque limit by which the torque may rise without a change of force: far above
+ripple, and far enough below the limit that z stops before it."""
+LEAST_percent = 3.0
+"""The same where the torque limit is very low."""
+SIGMAS = 5.0
+"""Ratio to the scatter of the readings in free air from which a rise is no scatter."""
+FRICTION = 2.5
+"""A drive that holds may show its friction in either direction: so many times the friction is the
+least rise that is judged while the force is held."""
+ENOUGH, KEPT = 3, 30
+"""Fewest readings that a mean is taken of, and number of the latest ones that are used."""
+HIDDEN_SHARE = 0.75
+"""Share of the torque limit beyond which a margin leaves nothing to watch."""
+SUSPECT = (
+    "suspect the force sensor: check its cable, its supply and that the object stands on it; press "
+    "on it by hand and look at its value (rig jog shows it) before anything is pressed again"
+)
+
+
+class TorqueWatch:
+    """The torque of z in one run: what it was in free air and at rest, and how far it has risen.
+
+    `read` may be called by the worker of z's link; everything else by the procedure's thread.
+    """
+
+    def __init__(self, run: Run):
+        self._run = run
+        stage = run.bench.stage_z
+        self._stage = stage if isinstance(stage, ReadsTorque) else None
+        self._limit_percent = torque_limit_percent(run.bench) if self._stage else 100.0
+        self._every_s = EVERY_S
+        if self._stage is not None:
+            link_s = 1 / stage.reach()["update_rate"].high
+            self._every_s = max(EVERY_S, link_s / LINK_SHARE)
+        self._read_at_s = -np.inf
+        self.latest_percent: float | None = None
+        """Latest reading; None before the first, and where the drive does not report it."""
+        self._fresh = False
+        """True if the latest reading has not been learnt yet."""
+        self._moving: deque[float] = deque(maxlen=KEPT)
+        """Readings in motion in free air."""
+        self._resting: float | None = None
+        self._held: list[float] = []
+        """First readings under the held force."""
+        self._held_N = 0.0
+        self._reported = False
+
+    def is_due(self) -> bool:
+        """Return whether the torque is to be read again."""
+        if self._stage is None:
+            return False
+        return self._run.clock.now() - self._read_at_s >= self._every_s
+
+    def read(self) -> None:
+        """Read the torque. Raises InstrumentError for an exchange that fails."""
+        if self._stage is None:
+            return
+        self._read_at_s = self._run.clock.now()
+        self.latest_percent, self._fresh = self._stage.torque_percent(), True
+        if self.latest_percent is None:
+            self._stage = None
+            self._report("stage_z reports no torque: only its torque limit is behind the force")
+
+    def rest(self) -> None:
+        """Read the torque of a stage that stands in free air; the next approach begins from it."""
+        self.read()
+        self._resting, self._held, self._fresh = self.latest_percent, [], False
+
+    def learn(self) -> None:
+        """Use the latest reading, once, as one in motion in free air."""
+        if self._fresh and self.latest_percent is not None:
+            self._moving.append(self.latest_percent)
+        self._fresh = False
+
+    @property
+    def is_learnt(self) -> bool:
+        """Whether the torque in motion in free air is known; else rises from rest, which have the
+        friction in them, are all there is."""
+        return len(self._moving) >= ENOUGH
+
+    @property
+    def margin_percent(self) -> float:
+        """Rise that has to come with a change of force."""
+        scatter = float(np.std(self._moving)) if self.is_learnt else 0.0
+        return max(SHARE * self._limit_percent, LEAST_percent, SIGMAS * scatter)
+
+    def rise_percent(self) -> float:
+        """Return by how much the latest reading differs from free air; 0 where either is not
+        known."""
+        free = self._free_percent()
+        if free is None or self.latest_percent is None:
+            return 0.0
+        return abs(self.latest_percent - free)
+
+    def hold_begins(self, force_N: float) -> None:
+        """Compare with the readings from here on, in which the sensor reads `force_N`."""
+        self._held, self._held_N = [], force_N
+        if self._stage is not None and self._hold_margin_percent() > self._hidden_percent:
+            self._report(
+                f"the friction of stage_z, {self._friction_percent():.2g} % of its torque, hides "
+                "what a held force needs: its torque is not watched while the force is held"
+            )
+
+    def settle_in_hold(self) -> None:
+        """Take the readings at once with which later ones are compared; z is at rest."""
+        for _ in range(ENOUGH):
+            self.read()
+            if self.latest_percent is not None:
+                self._held.append(self.latest_percent)
+
+    def refuse_rise_in_hold(self, force_N: float, changed_N: float) -> None:
+        """Stop z and raise InstrumentError where the torque has changed under the held force and
+        the force along z, `force_N`, by less than `changed_N`. Call it once for each reading."""
+        latest = self.latest_percent
+        if latest is None:
+            return
+        if len(self._held) < ENOUGH:
+            self._held.append(latest)
+            return
+        margin = self._hold_margin_percent()
+        rise = abs(latest - float(np.mean(self._held)))
+        if rise <= margin or margin > self._hidden_percent:
+            return
+        if abs(force_N - self._held_N) < changed_N:
+            self._run.bench.stage_z.stop()
+            raise self.suspect("hold the force", rise, force_N)
+
+    def suspect(self, command: str, rise_percent: float, force_N: float) -> InstrumentError:
+        """Return the error for a torque that has risen without a change of force."""
+        return InstrumentError(
+            "force_sensor",
+            command,
+            f"the torque of stage_z has changed by {rise_percent:.3g} % to "
+            f"{self.latest_percent:.3g} % at {self._run.bench.stage_z.position_mm():.3f} mm, as if "
+            f"it pressed, and the sensor's {force_N:.2g} N have not changed with it",
+            SUSPECT,
+        )
+
+    @property
+    def _hidden_percent(self) -> float:
+        return HIDDEN_SHARE * self._limit_percent
+
+    def _free_percent(self) -> float | None:
+        if self.is_learnt:
+            return float(np.mean(self._moving))
+        return self._resting
+
+    def _friction_percent(self) -> float:
+        free = self._free_percent()
+        return 0.0 if free is None or self._resting is None else abs(free - self._resting)
+
+    def _hold_margin_percent(self) -> float:
+        return max(self.margin_percent, FRICTION * self._friction_percent())
+
+    def _report(self, text: str) -> None:
+        if not self._reported:
+            self._reported = True
+            self._run.event("info", "torque", text)
+
+
+class WayTorque:
+    """The torque on a way through free air: its first stretch is what the rest is compared with."""
+
+    LEARNT_S = 0.3
+    """Stretch of the way that is learnt, from its begin."""
+    STARTS_S = 0.1
+    """Time for which a motion speeds up; its torque is not used."""
+
+    def __init__(self, run: Run):
+        self._run, self._torque = run, TorqueWatch(run)
+        self._torque.rest()
+        self._begun_s = run.clock.now()
+
+    def refuse_rise(self, force_N: float) -> None:
+        """Read the torque if it is time to. Stops z and raises InstrumentError where it has risen;
+        call it where the force, of which `force_N` is along z, has not."""
+        torque = self._torque
+        if not torque.is_due():
+            return
+        torque.read()
+        since_s = self._run.clock.now() - self._begun_s
+        if self.STARTS_S <= since_s < self.LEARNT_S:
+            torque.learn()
+        if torque.is_learnt and (rise := torque.rise_percent()) > torque.margin_percent:
+            self._run.bench.stage_z.stop()
+            raise torque.suspect("way down", rise, force_N)
