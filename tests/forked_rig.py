@@ -2,17 +2,21 @@
 
 Half of the processor time of a short command is spent on imports. A server imports once per test
 worker; each command is a process forked from it, which changes to the command's folder and calls
-`rig.cli.main` as ``python -c`` does. The simulated bench that a command starts is forked from the
-command in the same way (`forked_bench`): numba alone needs a second of processor time before the
-first step of the contact. Tests of the start itself use a fresh process (`conftest.Rig.start`).
+`rig.cli.main` as ``python -c`` does. What a command starts of the program itself, the simulated
+bench first of all, is forked from the command in the same way (`ForkedPopen`): numba alone needs a
+second of processor time before the first step of the contact. Tests of the start itself use a fresh
+process (`conftest.Rig.start`).
 """
 
 from __future__ import annotations
 
 import atexit
+import fcntl
 import gc
+import inspect
 import json
 import os
+import runpy
 import select
 import signal
 import socket
@@ -21,9 +25,10 @@ import sys
 import threading
 import time
 import traceback
-from collections.abc import Callable, Mapping, Sequence
+import warnings
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from functools import cache, partial
+from functools import cache
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -39,7 +44,10 @@ MODULES = (
     *("drivers.me_gsv8.driver", "drivers.oriental_az.driver", "drivers.zaber_rst.driver"),
     *("drivers.simulated.bench.start", "drivers.simulated.faults.disk"),
     *("drivers.simulated.bench.process", "drivers.simulated.world.plate_world"),
+    "rig.run.guard",
 )
+FORKED_MODULES = ("drivers.simulated.bench.process", "rig.run.guard")
+"""Not the worker of a batch: SQLite does not survive a fork."""
 SERVER = (
     f"import sys; sys.path.append({str(Path(__file__).parent)!r})\n"
     "import forked_rig, compiled_kernels; sys.path.pop(); forked_rig.serve(int(sys.argv[1]))"
@@ -176,7 +184,7 @@ def serve(control_descriptor: int) -> None:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as `rig.cli.main` sets it
     _import_without_a_thread()
     gc.freeze()
-    assert len(list(Path("/proc/self/task").iterdir())) == 1, "a fork would lose threads"
+    assert _threads() == 1, "a fork would lose threads"
     control = socket.socket(fileno=control_descriptor)
     woken, waker = socket.socketpair()
     for end in (woken, waker):
@@ -248,9 +256,7 @@ def _become_rig(job: Mapping[str, Any], descriptors: Sequence[int]) -> None:
     time.tzset()
     os.chdir(job["folder"])
     sys.argv = ["-c", *job["arguments"]]
-    from drivers.simulated.bench import start
-
-    start.begin_process = partial(forked_bench, start.begin_process)
+    subprocess.Popen = ForkedPopen  # type: ignore[misc]
     from rig.cli import main
 
     main()
@@ -259,78 +265,101 @@ def _become_rig(job: Mapping[str, Any], descriptors: Sequence[int]) -> None:
 # --- in the process of a command -----------------------------------------------------------------
 
 
-class ForkedBench:
-    """The process of a simulated bench, with the members of `subprocess.Popen` that its owner
-    uses."""
+class ForkedPopen(subprocess.Popen[Any]):
+    """A `subprocess.Popen` that forks this process where it is asked for one of `FORKED_MODULES`.
 
-    def __init__(self, pid: int, stdin: int, stdout: int, stderr: int):
-        self.pid = pid
-        self.returncode: int | None = None
-        self.stdin = os.fdopen(stdin, "wb")
-        self.stdout = os.fdopen(stdout, "rb")
-        self.stderr = os.fdopen(stderr, "rb")
+    What has been imported here need not be imported there. Where this process has a second thread,
+    which a fork would lose, and for every other program, it is the usual one.
+    """
 
-    def wait(self, timeout: float | None = None) -> int:
-        """Wait for its end; return its exit code. Raises TimeoutExpired after `timeout` seconds."""
-        deadline = None if timeout is None else time.monotonic() + timeout
-        while self.returncode is None:
-            pid, status = os.waitpid(self.pid, os.WNOHANG)
-            if pid:
-                self.returncode = os.waitstatus_to_exitcode(status)
-            elif deadline is not None and time.monotonic() > deadline:
-                raise subprocess.TimeoutExpired("bench", timeout or 0.0)
-            else:
-                time.sleep(0.002)
-        return self.returncode
-
-    def terminate(self) -> None:
-        """Ask it to end."""
-        if self.returncode is None:
-            os.kill(self.pid, signal.SIGTERM)
-
-    def kill(self) -> None:
-        """Kill it."""
-        if self.returncode is None:
-            os.kill(self.pid, signal.SIGKILL)
+    def _execute_child(self, args: Any, *others: Any) -> None:
+        """Start the process; `others` are those of `subprocess.Popen._execute_child`."""
+        module = _forked_module(args)
+        if module is None or _threads() > 1:
+            super()._execute_child(args, *others)  # type: ignore[misc]
+            return
+        named = dict(zip(EXECUTE_CHILD, others, strict=True))
+        for stream in (sys.stdout, sys.stderr):
+            stream.flush()
+        self.pid = os.fork()
+        if self.pid == 0:
+            _become_module(module, list(args), named)
+        self._child_created = True
+        ends = ("p2cread", "p2cwrite", "c2pread", "c2pwrite", "errread", "errwrite")
+        self._close_pipe_fds(*(named[end] for end in ends))  # type: ignore[attr-defined]
 
 
-def forked_bench(begin_process: Callable[[], Any]) -> Any:
-    """Begin the process of a bench by a fork of this one, in place of `begin_process`, which is
-    used where a fork would lose threads."""
-    if len(list(Path("/proc/self/task").iterdir())) > 1:
-        return begin_process()
-    for stream in (sys.stdout, sys.stderr):
-        stream.flush()
-    ours_in, ours_out, ours_err = os.pipe(), os.pipe(), os.pipe()
-    child = os.fork()
-    if child == 0:
-        _become_bench(ours_in[0], ours_out[1], ours_err[1])
-    for descriptor in (ours_in[0], ours_out[1], ours_err[1]):
-        os.close(descriptor)
-    return ForkedBench(child, ours_in[1], ours_out[0], ours_err[0])
+EXECUTE_CHILD = list(inspect.signature(subprocess.Popen._execute_child).parameters)[2:]
+"""Names of the arguments of `subprocess.Popen._execute_child` after the program."""
 
 
-def _become_bench(*streams: int) -> None:
-    """Run the bench in this process, which it ends; nothing of the command's remains open here."""
+def _threads() -> int:
+    return len(list(Path("/proc/self/task").iterdir()))
+
+
+def _forked_module(args: Any) -> str | None:
+    """Return the module of ``python -P -m module ...``, if it is one of `FORKED_MODULES`."""
+    program = list(args) if isinstance(args, list | tuple) else []
+    if program[:3] == [sys.executable, "-P", "-m"] and program[3] in FORKED_MODULES:
+        return str(program[3])
+    return None
+
+
+def _become_module(module: str, program: list[str], named: Mapping[str, Any]) -> None:
+    """Run a module in this process as ``python -P -m`` does, and end it. Of the files of the
+    process before, those stay open that would stay open there."""
     code = 1
     try:
-        os.setsid()
+        if named["start_new_session"]:
+            os.setsid()
+        if named["process_group"] not in (None, -1):
+            os.setpgid(0, named["process_group"])
         signal.set_wakeup_fd(-1)
         for number in signal.valid_signals() - {signal.SIGKILL, signal.SIGSTOP}:
             if callable(signal.getsignal(number)):
                 signal.signal(number, signal.SIG_DFL)
-        for number, descriptor in enumerate(streams):
-            os.dup2(descriptor, number)
-        os.closerange(3, os.sysconf("SC_OPEN_MAX"))
-        sys.stdin, sys.stdout, sys.stderr = open(0), open(1, "w"), open(2, "w")  # noqa: SIM115
-        from drivers.simulated.bench import process
-
-        process.main()
+        if signal.getsignal(signal.SIGINT) is signal.SIG_DFL:
+            signal.signal(signal.SIGINT, signal.default_int_handler)
+        _take_streams(named)
+        if named["env"] is not None:
+            os.environ.clear()
+            os.environ.update({os.fsdecode(k): os.fsdecode(v) for k, v in named["env"].items()})
+        if named["cwd"] is not None:
+            os.chdir(named["cwd"])
+        sys.path[:] = [folder for folder in sys.path if folder]  # -P
+        sys.argv = [module, *program[4:]]
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", RuntimeWarning)  # that it has been imported is the aim
+            runpy.run_module(module, run_name="__main__", alter_sys=True)
         code = 0
-    except BaseException:
+    except SystemExit as end:
+        code = end.code if isinstance(end.code, int) else int(end.code is not None)
+    except BaseException:  # noqa: BLE001 - the interpreter, too, prints it and ends
         traceback.print_exc()
     finally:
+        threading._shutdown()  # as the interpreter does: it waits for threads that are no daemons
         for stream in (sys.stdout, sys.stderr):
-            with suppress(OSError):
+            with suppress(OSError, ValueError):
                 stream.flush()
         os._exit(code)
+
+
+def _take_streams(named: Mapping[str, Any]) -> None:
+    """Take the three standard streams that were asked for; close what is not passed on."""
+    wanted = [named["p2cread"], named["c2pwrite"], named["errwrite"]]
+    passed = sorted(named["pass_fds"])
+    # Out of the way first: one of them may have the number of another's place.
+    free = 1 + max([2, *passed])
+    taken = [fd if fd == -1 else fcntl.fcntl(fd, fcntl.F_DUPFD, free) for fd in wanted]
+    for number, descriptor in enumerate(taken):
+        if descriptor != -1:
+            os.dup2(descriptor, number)
+    low = 3
+    for descriptor in [*passed, os.sysconf("SC_OPEN_MAX")]:
+        os.closerange(low, descriptor)
+        low = descriptor + 1
+    for descriptor in passed:
+        os.set_inheritable(descriptor, True)
+    sys.stdin = open(0, closefd=False)  # noqa: SIM115 - open until the end
+    sys.stdout = open(1, "w", closefd=False)  # noqa: SIM115
+    sys.stderr = open(2, "w", buffering=1, closefd=False)  # noqa: SIM115

@@ -37,17 +37,6 @@ ABANDONED_S = 0.5
 """Time in s after which a bench ends by itself if no run has connected to it."""
 
 
-def begin_process() -> subprocess.Popen[bytes]:
-    """Begin the process of a bench, with pipes to its three streams; it waits for its options."""
-    return subprocess.Popen(
-        [sys.executable, "-P", "-m", "drivers.simulated.bench.process"],
-        stdin=subprocess.PIPE,  # its end tells the bench that we died
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        start_new_session=True,  # a terminal's Ctrl-C is the run's business, not the bench's
-    )
-
-
 class StartedBench:
     """A bench that was started as a process of its own, and how to drive it."""
 
@@ -56,7 +45,13 @@ class StartedBench:
         self._disk = _faulty_disk(options)
         self.drivers = driver_names(options)
         """Names of the drivers in its bench file."""
-        self._process = begin_process()
+        self._process = subprocess.Popen(
+            [sys.executable, "-P", "-m", "drivers.simulated.bench.process"],
+            stdin=subprocess.PIPE,  # its end tells the bench that we died
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            start_new_session=True,  # a terminal's Ctrl-C is the run's business, not the bench's
+        )
         if self._disk is not None:
             self._disk.install()
         assert self._process.stdin is not None
