@@ -35,6 +35,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "score": ("rig.cli.score", "score"),
     "train": ("rig.cli.train", "train"),
     "page": ("rig.cli.page", "page"),
+    "monitor": ("rig.cli.monitor", "monitor"),
     "make-safe": ("rig.cli.make_safe", "make_safe"),
 }
 """Commands in the order of the help, each described by the first line of its docstring."""

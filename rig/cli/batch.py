@@ -154,11 +154,18 @@ def stop(
         bool,
         typer.Option("--after-run", help="Stop after the run under way [after its point]."),
     ] = False,
+    this_run: Annotated[
+        bool,
+        typer.Option("--this-run", help="End the run under way at once; the batch continues."),
+    ] = False,
     debug: Debug = False,
 ) -> None:
     """Stop a batch safely after the point under way; `resume` continues it."""
-    if now and after_run:
-        raise typer.BadParameter("--now and --after-run exclude each other")
+    if now + after_run + this_run > 1:
+        raise typer.BadParameter("--now, --after-run and --this-run exclude each other")
+    if this_run:
+        _request("stop-run", "stopping this run only", folder, results, debug)
+        return
     when = "now" if now else "after-run" if after_run else "after-point"
     shown = {"now": "now", "after-run": "after this run", "after-point": "after this point"}[when]
     _request(f"stop-{when}", f"stopping {shown}", folder, results, debug)

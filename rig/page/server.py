@@ -42,7 +42,7 @@ from rig.page.frames import Cursor, as_event, next_frame
 from rig.page.history import RunIndex
 from rig.page.night import ask_batch, latest_batch, night
 from rig.page.watch import BenchWatch
-from rig.run.lock_holder import NotStoppedError, holder_of
+from rig.run.lock_holder import LockHolder, NotStoppedError, holder_of
 
 log = logging.getLogger("rig")
 
@@ -246,18 +246,26 @@ def _stop(state: PageState, wanted: dict[str, Any]) -> tuple[int, dict[str, Any]
     results = state.watch.results
     batch = latest_batch(results)
     in_batch = batch is not None and holder_of(batch.path / "supervisor.lock") is not None
+
+    def ask_for_this_run(path: Path) -> LockHolder:
+        """Have the batch end the run: it has to know that it continues."""
+        holder = holder_of(path)
+        if holder is None:
+            raise NotStoppedError("the run has ended already")
+        ask_batch(results, "stop-run")
+        return holder
+
     try:
         if what == "run" and in_batch:
-            # The batch has to know that it continues: so it is asked, and it asks the run.
-            name = ask_batch(results, "stop-run")
-            return 200, {"text": f"batch {name}: this run ends, the next one follows"}
-        try:
-            stop = state.watch.ask_to_stop()
-        except NotStoppedError:
-            if what != "night" or not in_batch:
-                raise
-            name = ask_batch(results, "stop-now")  # it rests or waits: no run holds the bench
-            return 200, {"text": f"batch {name} was asked to stop"}
+            stop = state.watch.ask_to_stop(ask_for_this_run)
+        else:
+            asked = ask_batch(results, "stop-now") if in_batch else ""
+            try:
+                stop = state.watch.ask_to_stop()
+            except NotStoppedError:
+                if not asked:
+                    raise
+                return 200, {"text": f"batch {asked} was asked to stop"}  # it rests or waits
     except RigError as error:
         return 409, {"problem": error.one_line()}
     again = stop.presses > 1

@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import threading
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -54,6 +55,11 @@ class Stop:
         self.guard_pid = guard_of(holder.pid)
         self.reacted = False
         self.end: End | None = None
+
+    @property
+    def over(self) -> bool:
+        """True if the run has recorded its end: a further press would be meant for the next."""
+        return self.end is not None
 
 
 class BenchWatch:
@@ -331,16 +337,20 @@ class BenchWatch:
 
     # --- stopping -------------------------------------------------------------------------------
 
-    def ask_to_stop(self) -> Stop:
+    def ask_to_stop(self, ask: Callable[[Path], LockHolder] = ask_to_stop) -> Stop:
         """Ask the run to end in order: SIGTERM to the process that holds its locks, and to no
-        other. A further press only counts. Raises NotStoppedError; then nothing was sent."""
+        other. A further press only counts.
+
+        `ask` may ask in another way: it is given the locked file and returns the process that
+        holds it. Raises RigError; then nothing was sent.
+        """
         with self.lock:
             stop = self.stop
-            if stop is not None and lives(stop.holder.pid) and stop.end is None:
+            if stop is not None and lives(stop.holder.pid) and not stop.over:
                 stop.presses += 1
                 return stop
         target, journal = self._target()
-        holder = ask_to_stop(target)
+        holder = ask(target)
         with self.lock:
             self.stop = Stop(holder, journal)
             return self.stop

@@ -169,6 +169,23 @@ def test_ctrl_backslash_stops_a_batch_as_ctrl_c_does(rig) -> None:
 
 
 @pytest.mark.thorough
+def test_this_run_only_ends_safely_is_not_taken_again_and_the_batch_continues(rig) -> None:
+    running = begin(rig, SIX_POINTS)
+    folder = folder_of(rig.results)
+    await_point(folder, 1)
+    assert rig.run("batch", "stop", "--this-run").code == 0
+    ended = running.finish()
+    assert ended.code == 5, ended.stderr
+    counts = object_of(ended.stdout)["runs"]
+    assert (counts["done"], counts["failed"]) == (1, 1)
+    states = ask(folder, "SELECT number, state, reason FROM run ORDER BY number")
+    assert states[0][:2] == (1, "failed")
+    assert "by a person" in states[0][2]
+    assert states[1][:2] == (2, "done")
+    assert ask(folder, "SELECT ending FROM attempt WHERE run = 1") == [("stopped",)]
+
+
+@pytest.mark.thorough
 def test_other_terminals_pause_it_let_it_go_on_and_stop_it_after_a_point(rig) -> None:
     running = begin(rig, SIX_POINTS + "repeat = 50\n")
     folder = folder_of(rig.results)

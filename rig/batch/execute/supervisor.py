@@ -51,6 +51,7 @@ HEARTBEAT: dict[str, HeartbeatState] = {
 REQUESTS = {
     "go": "resume",
     "stop-now": "stop now",
+    "stop-run": "stop of this run only",
     "stop-after-point": "stop after this point",
     "stop-after-run": "stop after this run",
 }

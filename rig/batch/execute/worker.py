@@ -2,8 +2,8 @@
 
     python -m rig.batch.execute.worker FOLDER
 
-It is started by the supervisor (`rig.batch.execute.supervisor`), which sends
-commands on its standard input ("stop-now", "stop-after-point", "stop-after-run", "pause", "go",
+It is started by the supervisor (`rig.batch.execute.supervisor`), which sends commands on its
+standard input ("stop-now", "stop-after-point", "stop-after-run", "stop-run", "pause", "go",
 "signal 2") and gets one JSON object a line on its standard output. When its input ends the
 supervisor has died: the worker then stops safely, as at a stop request.
 
@@ -94,6 +94,10 @@ class BatchTerms:
         )
 
 
+GIVEN_UP = "stopped by a person, who let the batch continue"
+"""Reason of a run that was ended alone. It is not taken again."""
+
+
 class _EndError(RigError):
     """The batch ends here, safely, before its last run."""
 
@@ -110,6 +114,9 @@ class _CommandListener:
         self.paused = threading.Event()
         self.stop_after_run = False
         self.in_run = False
+        self.ending = False
+        """True if the batch was asked to end."""
+        self._run_given_up = False
         threading.Thread(target=self._listen, name="commands", daemon=True).start()
 
     def _listen(self) -> None:
@@ -118,13 +125,20 @@ class _CommandListener:
             *lines, rest = (rest + chunk).split(b"\n")
             for line in lines:
                 self._handle(line.decode())
+        self.ending = True
         os.kill(os.getpid(), signal.SIGHUP)  # the supervisor has died
 
     def _handle(self, command: str) -> None:
         if command.startswith("signal "):
+            self.ending = True
             os.kill(os.getpid(), int(command.removeprefix("signal ")))
         elif command == "stop-now":
+            self.ending = True
             os.kill(os.getpid(), signal.SIGTERM)
+        elif command == "stop-run":
+            if self.in_run and not self.ending:
+                self._run_given_up = True
+                os.kill(os.getpid(), signal.SIGTERM)
         elif command == "stop-after-point":
             self._stop.after_point = self.stop_after_run = True
         elif command == "stop-after-run":
@@ -140,6 +154,15 @@ class _CommandListener:
             self.paused.clear()
             if self.in_run:
                 os.kill(os.getpid(), signal.SIGCONT)
+
+    def take_given_up(self) -> bool:
+        """Return, once, whether the run that has just ended was to end by itself: the batch then
+        continues. A batch that was asked to end as well ends."""
+        given_up, self._run_given_up = self._run_given_up, False
+        if not given_up or self.ending:
+            return False
+        self._stop.requested = None
+        return True
 
 
 class _Reporter(RunObserver):
@@ -430,6 +453,7 @@ class Worker:
 
     def _conclude(self, claim: Claim, ended: AttemptResult) -> None:
         """Record how an attempt ended, and do what follows from it."""
+        given_up = self._commands.take_given_up()
         if ended.ending == "complete":
             self._queue.finish(claim, ended, "done")
             self._finished(claim, ended)
@@ -438,6 +462,10 @@ class Worker:
             ):
                 self._hold(_text_of(found))
                 self._watch.accept(claim)
+            return
+        if ended.ending == "stopped" and given_up:
+            self._queue.finish(claim, replace(ended, reason=GIVEN_UP), "failed")
+            self._finished(claim, ended)
             return
         if ended.ending == "stopped":
             self._queue.finish(claim, ended, "queued")

@@ -1,0 +1,62 @@
+"""The command ``rig monitor``, which shows the bench in the terminal."""
+
+from __future__ import annotations
+
+import time
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from rig.cli.outcome import reported, say
+from rig.core.errors import ConfigurationError
+from rig.run.bench_selector import bench_file
+
+
+def monitor(
+    results: Annotated[Path, typer.Option(help="Folder of results to watch.")] = Path("results"),
+    bench: Annotated[
+        Path | None, typer.Option(help="Bench file, whose sensors are read if no run uses it.")
+    ] = None,
+    seconds: Annotated[
+        float | None, typer.Option(help="End after so long [until Ctrl-C].", metavar="s", min=0)
+    ] = None,
+    debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
+) -> None:
+    """Show forces, strips, positions and state in the terminal; nothing moves.
+
+    A run is followed by its journal. Without one, force sensor and DAQ of the bench file are read
+    and nothing is switched; a run cannot begin on that bench until the monitor has ended.
+    """
+    with reported(debug):
+        from rich.console import Console
+
+        from rig.page.terminal import show_run
+        from rig.page.watch import BenchWatch
+
+        chosen = bench_file(bench)
+        if chosen is not None and not chosen.is_file():
+            raise ConfigurationError(f"there is no bench file {chosen}", "name it with --bench")
+        until_s = None if seconds is None else time.monotonic() + seconds
+
+        def go_on() -> bool:
+            return until_s is None or time.monotonic() < until_s
+
+        watch = BenchWatch(results, chosen)
+        watch.poll()
+        console = Console()
+        if chosen is None or watch.holder is not None or watch.bench_holder is not None:
+            show_run(watch, console, go_on)
+            return
+        from rig.bench.plan import read_bench
+        from rig.page.sensors import show_sensors
+        from rig.run.bench_mark import read_marks
+        from rig.run.lock import BenchLock
+
+        plan = read_bench(chosen)
+        with ExitStack() as at_the_end:
+            lock = at_the_end.enter_context(BenchLock(plan))
+            for mark in read_marks(lock.names):
+                say(f"warning: {mark.in_words()}")
+            show_sensors(plan, console, go_on)

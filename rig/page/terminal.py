@@ -1,0 +1,106 @@
+"""The running bench in a terminal: the same watch as the page's, drawn with rich."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+from rich.console import Console, Group
+from rich.live import Live
+from rich.table import Table
+from rich.text import Text
+
+from rig.page.watch import BenchWatch
+
+DRAWN_EVERY_S = 0.25
+COLOURS = {
+    "running": "white on blue",
+    "holding": "black on yellow",
+    "pressed": "black on dark_orange",
+    "safe": "white on green",
+    "UNSAFE": "bold white on red",
+    "unknown": "black on grey70",
+}
+BARS = " ▁▂▃▄▅▆▇█"
+BAR_BINS = 60
+SHOWN_EVENTS = 6
+
+
+def show_run(watch: BenchWatch, console: Console, go_on: Callable[[], bool]) -> None:
+    """Show what the watch sees until `go_on` returns False."""
+    with Live(console=console, auto_refresh=False, transient=False) as live:
+        while go_on():
+            watch.poll()
+            live.update(run_panel(watch), refresh=True)
+            if not watch.behind:
+                time.sleep(DRAWN_EVERY_S)
+
+
+def run_panel(watch: BenchWatch) -> Group:
+    """Return what a terminal shows of the watch now."""
+    with watch.lock:
+        view, word = watch.view, watch.word
+        shown = view.summary()
+        parts: list[Text | Table] = []
+        if mark := shown.get("mark", ""):
+            parts.append(Text(f" {mark}: these are not measurements ", "bold white on purple"))
+        line = Text(f" {word.word} ", COLOURS[word.word])
+        line.append(f" {word.reason}", "default")
+        parts.append(line)
+        if shown:
+            left_s = shown["left_s"]
+            left = "not known yet" if left_s is None else f"{left_s:.0f} s"
+            parts.append(
+                Text(
+                    f"{shown['procedure']}: point {shown['n']} of {shown['planned']} "
+                    f"({shown['point'] or 'none open'}), {left} left; sample "
+                    f"{shown['sample'] or 'not named'}; {shown['last_s']:.1f} s"
+                )
+            )
+        parts.append(_values(watch))
+        parts += [
+            Text(f"{event['t']:.2f} s {event['code']}: {event['text']}")
+            for event in list(view.events)[-SHOWN_EVENTS:]
+        ]
+    return Group(*parts)
+
+
+def _values(watch: BenchWatch) -> Table:
+    table = value_table()
+    for name, ring in watch.view.rings.items():
+        history = ring.since(ring.last_key - BAR_BINS)
+        for number, channel in enumerate(ring.channels):
+            if ring.latest:
+                highs = history["high"][number]
+                add_value(table, f"{name} {channel}", ring.latest[number], ring.units, highs)
+    return table
+
+
+def value_table() -> Table:
+    """Return an empty table of values with their last seconds as bars."""
+    table = Table(box=None, pad_edge=False)
+    table.add_column("channel")
+    table.add_column("latest", justify="right")
+    table.add_column("unit")
+    table.add_column("last seconds", no_wrap=True)
+    return table
+
+
+def add_value(
+    table: Table, name: str, latest: float, units: str, history: list[float | None]
+) -> None:
+    """Add one value with its history, oldest first, scaled to its own range."""
+    table.add_row(Text(name), Text(f"{latest:.5g}"), Text(units), Text(bars(history)))
+
+
+def bars(values: list[float | None]) -> str:
+    """Return values as a line of bars between the smallest and the largest of them."""
+    known = [value for value in values if value is not None]
+    if not known:
+        return ""
+    low, high = min(known), max(known)
+    span = (high - low) or 1.0
+    return "".join(
+        " " if value is None else BARS[round((value - low) / span * (len(BARS) - 1))]
+        for value in values
+    )

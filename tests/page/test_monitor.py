@@ -1,0 +1,52 @@
+"""The bench in a terminal: a run by its journal; without one its sensors, and nothing moves."""
+
+from __future__ import annotations
+
+import signal
+
+import pytest
+import recorded_run as run
+
+from rig.page.terminal import bars
+
+
+def test_values_become_bars_between_their_smallest_and_largest():
+    assert bars([0.0, None, 1.0, 0.5]) == "  █▄"
+    assert bars([]) == ""
+
+
+def test_a_run_is_shown_by_its_journal(rig):
+    day = rig.results / "2026-11-21"
+    day.mkdir(parents=True)
+    run.write_run(day / "2026-11-21T22-00-00_sweep_r001.rigj")
+    ended = rig.run("monitor", "--seconds", "0.5")
+    assert ended.code == 0, ended.stderr
+    assert "SIMULATED" in ended.stdout
+    assert "sweep: point 5 of 5" in ended.stdout
+    assert "complete, exit 0" in ended.stdout
+
+
+@pytest.mark.thorough
+def test_without_a_run_the_sensors_are_read_and_nothing_moves_or_is_switched(rig):
+    path = rig.folder / "a-bench.toml"
+    serving = rig.start(
+        "simulate", "--fixture", "plate", "--write", str(path), "--world-log", str(rig.world_log)
+    )
+    serving.wait_for("Ctrl-C ends it")
+    watched = rig.start("monitor", "--bench", str(path), "--seconds", "6")
+    rig.await_world("streaming", True)
+    refused = rig.run("slip-trial", "--bench", str(path))
+    assert (refused.code, "is in use by" in refused.stderr) == (2, True)
+    ended = watched.finish()
+    serving.send(signal.SIGINT)
+    assert serving.finish().code == 0
+    assert ended.code == 0, ended.stderr
+    for shown in ("SIMULATED", "force z", "strip_1"):
+        assert shown in ended.stdout
+    by_the_monitor = []
+    for entry in rig.log():
+        if entry["what"] == "streaming" and entry["value"] is False:
+            break
+        by_the_monitor.append(entry)
+    devices = {entry["device"] for entry in by_the_monitor if entry["what"] != "ready"}
+    assert devices <= {"force_sensor", "daq"}, by_the_monitor
