@@ -92,6 +92,9 @@ class ReplyFault(Placed):
     carry an error."""
     count: int = Field(default=1, ge=0)
     """Number of matching requests that are disturbed; 0 means all later ones."""
+    every: int = Field(default=1, ge=1)
+    """Of the matching requests from the first one on only each so many-th is disturbed: with
+    ``silence``, ``count = 0`` and 3 a link that loses every third reply."""
     for_s: float | None = Field(default=None, gt=0, le=LONGEST_AFTER_s)
     """Time in s for which requests are disturbed instead, from the first one on."""
     command: str = ""
@@ -106,11 +109,12 @@ class ReplyFault(Placed):
     def disturbs(self, occurrence: int, since_us: int) -> bool:
         """Return whether the n-th matching request is disturbed, given the time since the first
         disturbed one."""
-        if occurrence < self.at:
+        turn, between = divmod(occurrence - self.at, self.every)
+        if turn < 0 or between:
             return False
         if self.for_s is not None:
             return since_us < round(self.for_s * 1e6)
-        return self.count == 0 or occurrence < self.at + self.count
+        return self.count == 0 or turn < self.count
 
 
 class WireFault(ReplyFault):
@@ -122,6 +126,7 @@ class WireFault(ReplyFault):
         "truncate",
         "double",
         "stale",
+        "before-last",
         "checksum",
         "close",
         "reset",
@@ -129,8 +134,10 @@ class WireFault(ReplyFault):
     ]
     """``silence`` loses the reply; ``garbage`` makes it unreadable; ``truncate`` sends its first
     half; ``double`` sends it twice; ``stale`` holds it back until the connection's next reply, in
-    front of which it arrives late; ``checksum`` spoils its check; ``close`` ends the connection in
-    its place, ``reset`` breaks it; ``half-open`` leaves it open while nothing answers any more."""
+    front of which it arrives late; ``before-last`` sends the connection's reply before the last one
+    once more instead, if there is one; ``checksum`` spoils its check; ``close`` ends the connection
+    in its place, ``reset`` breaks it; ``half-open`` leaves it open while nothing answers any
+    more."""
 
 
 class LateReply(ReplyFault):
@@ -138,6 +145,8 @@ class LateReply(ReplyFault):
 
     kind: Literal["late"]
     by_s: float = Field(gt=0, le=60)
+    jitter_s: float = Field(default=0.0, ge=0, le=60)
+    """Up to so much more, another part of it for each reply; the same parts in every run."""
 
 
 class FlippedBit(ReplyFault):
@@ -363,6 +372,7 @@ Fault = WireKind | MoveFault | RotaryFault | TimedFault | FileFault
 DEVICES_BY_FAULT: dict[str, tuple[str, ...]] = {
     **dict.fromkeys(("silence", "garbage", "truncate", "stale", "close"), ON_A_WIRE),
     "double": (DAQ, *STAGES, ROTARY, FORCE_SENSOR),
+    "before-last": (DAQ, *STAGES, ROTARY),
     "late": (*ON_TCP, ROTARY, FORCE_SENSOR),
     "flip": ON_TCP,
     "checksum": (ROTARY, FORCE_SENSOR, FORCE_STREAM),
@@ -388,8 +398,10 @@ DEVICES_BY_FAULT: dict[str, tuple[str, ...]] = {
 
 def devices_by_fault(on_a_line: Sequence[str]) -> dict[str, tuple[str, ...]]:
     """`DEVICES_BY_FAULT` where the stages `on_a_line` are on a serial line."""
-    tcp_only = ("flip", "reset", "half-open", "refused")
-    there = {kind: tuple(d for d in ON_TCP if d not in on_a_line) for kind in tcp_only}
+    tcp_only = ("flip", "before-last", "reset", "half-open", "refused")
+    there = {
+        kind: tuple(d for d in DEVICES_BY_FAULT[kind] if d not in on_a_line) for kind in tcp_only
+    }
     return {**DEVICES_BY_FAULT, "checksum": (*DEVICES_BY_FAULT["checksum"], *on_a_line), **there}
 
 
@@ -398,6 +410,7 @@ _WHY_NOT = {
     "checksum": "its protocol has no checksum of its own",
     "error": "its answers carry no error numbers",
     "late": "it is sent without being asked",
+    "before-last": "its protocol cannot distinguish an earlier reply from the one that is due",
     "flip": "its protocol has a checksum, which a flipped bit does not pass",
     **dict.fromkeys(("reset", "half-open", "refused"), "it is not on a TCP connection"),
 }

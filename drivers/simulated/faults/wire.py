@@ -138,6 +138,10 @@ class FaultyLink:
     def __init__(self, faults: WireFaults):
         self.faults = faults
         self.withheld: list[WireReply] = []
+        self.last: tuple[WireReply, ...] = ()
+        """The latest two replies that went out as they were, the earlier one first."""
+        self._late = 0
+        """Number of replies that were late."""
         self.half_open = False
         """True if what is sent on it reaches no instrument any more."""
 
@@ -155,11 +159,14 @@ class FaultyLink:
             byte, bit = fault.byte, fault.bit
             return _spoilt(whole, lambda data: _flipped(data, byte, bit))
         if isinstance(fault, LateReply):
-            return Delivery(() if whole is None else (whole,), after_s=fault.by_s)
+            self._late += 1
+            after_s = fault.by_s + fault.jitter_s * (self._late * _GOLDEN % 1.0)
+            return Delivery(() if whole is None else (whole,), after_s=after_s)
         if fault is not None:
             return _KINDS[_name(fault)](self, whole)
         if whole is None:
             return Delivery()
+        self.last = (*self.last[-1:], whole)
         late, self.withheld = self.withheld, []
         return Delivery((*late, whole))
 
@@ -208,6 +215,11 @@ def _stale(link: FaultyLink, reply: WireReply | None) -> Delivery:
     return Delivery()
 
 
+def _before_last(link: FaultyLink, reply: WireReply | None) -> Delivery:
+    """Return an earlier reply as it was sent, with its own number; the one that is due is lost."""
+    return Delivery(link.last[:-1])
+
+
 def _checksum(link: FaultyLink, reply: WireReply | None) -> Delivery:
     return _spoilt(reply, link.faults.dialect.checksum)
 
@@ -225,6 +237,8 @@ def _half_open(link: FaultyLink, reply: WireReply | None) -> Delivery:
     return Delivery()
 
 
+_GOLDEN = 0.6180339887498949
+"""Multiples of it, without their integer part, are spread evenly over 0 to 1 and never repeat."""
 _TURNED_OVER = bytes(byte ^ 0xA5 for byte in range(256))
 _KINDS: dict[str, Callable[[FaultyLink, WireReply | None], Delivery]] = {
     "silence": _silence,
@@ -232,6 +246,7 @@ _KINDS: dict[str, Callable[[FaultyLink, WireReply | None], Delivery]] = {
     "truncate": _truncate,
     "double": _double,
     "stale": _stale,
+    "before-last": _before_last,
     "checksum": _checksum,
     "close": _close,
     "reset": _reset,

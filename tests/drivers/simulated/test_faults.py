@@ -253,3 +253,29 @@ def test_a_late_reply_is_the_same_and_later() -> None:
     late, next_one = link.exchange(b"a1?", b"A1?\n"), link.exchange(b"a2?", b"A2?\n")
     assert late == Delivery((WireReply(b"A1?\n"),), after_s=0.3)
     assert next_one == Delivery((WireReply(b"A2?\n"),))
+
+
+def test_a_link_that_loses_every_third_reply() -> None:
+    faults = WireFaults(plan(kind="silence", at=2, count=0, every=3), "daq")
+    link = faults.link()
+    got = [bool(link.exchange(b"a?", b"A").replies) for _ in range(8)]
+    assert got == [True, False, True, True, False, True, True, False]
+
+
+def test_the_reply_before_the_last_comes_with_its_own_number() -> None:
+    link = WireFaults(plan(kind="before-last", at=3), "daq").link()
+    replies = [link.exchange(b"a?", b"A%d" % tag, tag).replies for tag in range(4)]
+    assert replies[2] == (WireReply(b"A0", 0),)
+    assert replies[3] == (WireReply(b"A3", 3),)
+    fresh = WireFaults(plan(kind="before-last"), "daq").link()
+    assert fresh.exchange(b"a?", b"A").replies == ()
+
+
+def test_jitter_adds_another_part_to_each_reply_and_the_same_in_every_run() -> None:
+    def delays() -> list[float]:
+        link = WireFaults(plan(kind="late", by_s=0.1, jitter_s=0.2, count=0), "daq").link()
+        return [link.exchange(b"a?", b"A").after_s for _ in range(50)]
+
+    assert delays() == delays()
+    assert len(set(delays())) == 50
+    assert all(0.1 <= delay <= 0.3 for delay in delays())

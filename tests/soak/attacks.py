@@ -1,0 +1,140 @@
+"""Attacks on the wire: one fault of one link at one moment of a trial, drawn from one seed.
+
+A soak draws every kind of fault, several at once, at any time. An attack is on one link, on every
+combination of stages, and at a moment in which something is pressed, moves or is recorded.
+"""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, get_args
+
+from drivers.simulated.faults.plan import (
+    DAQ,
+    FORCE_SENSOR,
+    FORCE_STREAM,
+    GENERATOR,
+    ROTARY,
+    STAGE_X,
+    STAGE_Z,
+    FlippedBit,
+    WireFault,
+    devices_by_fault,
+)
+
+from .invariants import PRESSED_N, Ran
+from .trials import Trial, world_of
+
+KINDS = tuple(
+    kind
+    for fault in (WireFault, FlippedBit)
+    for kind in get_args(fault.model_fields["kind"].annotation)
+)
+"""Faults of the wire that need no time to pass: a bench in virtual time stands still meanwhile."""
+STAGES = ("festo", "az", "festo-az", "az-festo")
+ON_A_LINE = {
+    "festo": (),
+    "az": (STAGE_Z, STAGE_X),
+    "festo-az": (STAGE_X,),
+    "az-festo": (STAGE_Z,),
+}
+LINKS = {
+    "sweep": (GENERATOR, DAQ, STAGE_Z, FORCE_SENSOR, FORCE_STREAM),
+    "slip-trial": (DAQ, STAGE_Z, STAGE_X, FORCE_SENSOR, FORCE_STREAM),
+    "roll-trial": (DAQ, STAGE_Z, STAGE_X, ROTARY, FORCE_SENSOR, FORCE_STREAM),
+}
+OPTIONS = {
+    "sweep": (
+        "--frequencies", "110,410", "--load", "1N", "--preload", "12N", "--longest-point", "3s",
+    ),
+    "slip-trial": (
+        "--distance", "0.3mm", "--speed", "1mm/s", "--rest", "100ms", "--normal-force", "3N",
+    ),
+    "roll-trial": (
+        "--angle", "2deg", "--start=-3mm", "--rest", "100ms", "--stay", "100ms",
+        "--normal-force", "3N",
+    ),
+}  # fmt: skip
+MOST_REQUESTS = 20
+"""Within how many requests of a moment an attack begins."""
+
+
+@dataclass(frozen=True)
+class Attack:
+    """One fault on one link."""
+
+    stages: str
+    trial: Trial
+
+    @property
+    def told(self) -> str:
+        """The attack in words."""
+        (fault,) = self.trial.faults
+        keys = " ".join(f"{k}={v}" for k, v in fault.items() if k not in ("device", "kind"))
+        return f"{self.trial.procedure} {self.stages} {fault['device']} {fault['kind']} {keys}"
+
+
+def attack(seed: int) -> Attack:
+    """The attack of a seed."""
+    chance = random.Random(f"attack {seed}")
+    procedure = chance.choice(("slip-trial", "slip-trial", "sweep", "roll-trial"))
+    stages = chance.choice(STAGES)
+    able = devices_by_fault(ON_A_LINE[stages])
+    device = chance.choice(LINKS[procedure])
+    kind = chance.choice([kind for kind in KINDS if device in able[kind]])
+    fault: dict[str, Any] = {"device": device, "kind": kind, **_moment(chance, procedure)}
+    fault["at"] = chance.randint(1, MOST_REQUESTS if fault else 1)
+    if chance.random() < 0.3:
+        fault["for_s"] = round(chance.uniform(0.05, 3), 2)
+    else:
+        fault["count"] = chance.choice((1, 1, 1, 2, 5, 0))
+    if chance.random() < 0.1:
+        fault |= {"every": 3, "count": 0}
+    if kind == "flip":
+        fault |= {"byte": chance.randint(-6, 20), "bit": chance.randint(0, 7)}
+    arguments = (procedure, *OPTIONS[procedure], "--stages", stages, "--seed", str(seed % 1000))
+    return Attack(stages, Trial(seed, arguments, world_of(procedure, [fault]), (fault,)))
+
+
+def _moment(chance: random.Random, procedure: str) -> dict[str, Any]:
+    """A moment while something goes down, presses, slides, turns, is recorded or is lifted."""
+    which = chance.random()
+    if procedure == "sweep" and which < 0.4:
+        return {"acquisition": chance.randint(1, 6), "after_s": round(chance.uniform(0, 0.3), 3)}
+    movers = {"sweep": (STAGE_Z,), "slip-trial": (STAGE_Z, STAGE_X)}.get(
+        procedure, (STAGE_Z, ROTARY)
+    )
+    mover = chance.choice(movers)
+    most = {STAGE_Z: 4, STAGE_X: 2, ROTARY: 2}[mover]
+    return {
+        "move": chance.randint(1, most),
+        "of": mover,
+        "after_s": round(chance.uniform(0, 1.5), 3),
+    }
+
+
+def left_pressed(ran: Ran) -> Iterator[str]:
+    """What is pressed at the end although the fault was over, or a new connection without it: said
+    or not, it could have been lifted."""
+    (fault,) = ran.trial.faults
+    lasts = fault.get("count") == 0 and "for_s" not in fault and fault["kind"] != "half-open"
+    for last_N in ran.values("last-force"):
+        if last_N > PRESSED_N and not lasts:
+            yield f"{last_N:.3g} N are pressed at the end, although z could be reached"
+
+
+def pressed_after_s(ran: Ran) -> float | None:
+    """Return how long the object was pressed after the fault, s of bench time; None where it was
+    not pressed then, or where the World saw no lift."""
+    injected = [x["t_us"] for x in ran.log if x["what"] == "injected"]
+    down = [x["value"]["at_us"] for x in ran.log if x["what"] == "touch-down"]
+    up = [x["value"]["at_us"] for x in ran.log if x["what"] == "lift-off"]
+    if not injected:
+        return None
+    at_us = injected[0]
+    lifted = [t for t in up if t >= at_us]
+    if not any(t <= at_us for t in down) or not lifted or any(at_us < t < lifted[0] for t in down):
+        return None
+    return (lifted[0] - at_us) * 1e-6
