@@ -322,6 +322,11 @@ class FestoAxis:
         """
         self._halt(rearm=True)
 
+    def fault(self) -> str | None:
+        """See `ReportsFault`."""
+        seen = self._read()
+        return self._fault_in_words(seen)[0] if Zsw1.FAULT in seen.zsw1 else None
+
     def acknowledge_timeout(self) -> bool:
         """See `LinearStage`. The next motion opens a new connection, which sets the time-out again,
         takes charge of the drive anew and acknowledges the fault on the way."""
@@ -676,10 +681,14 @@ class FestoAxis:
 
     def _fault(self, seen: Inputs) -> InstrumentError:
         self._motion = None
+        return self._error("drive fault", *self._fault_in_words(seen))
+
+    def _fault_in_words(self, seen: Inputs) -> tuple[str, str]:
+        """Return number with meaning, and remedy, of the fault that the drive shows."""
         known = FAULTS.get(seen.fault)
         meaning = known.meaning if known else "see the drive's manual"
         remedy = known.remedy if known else "look the number up in the vendor's software"
-        return self._error("drive fault", f"{seen.fault} ({meaning})", remedy)
+        return f"{seen.fault} ({meaning})", remedy
 
     def _error(self, command: str, cause: str, hint: str) -> InstrumentError:
         return InstrumentError(self._device, command, cause, hint)

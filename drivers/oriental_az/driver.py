@@ -385,6 +385,11 @@ class AzAxis:
         """
         self._halt(rearm=True)
 
+    def fault(self) -> str | None:
+        """See `ReportsFault`."""
+        alarm = self._read_state().alarm
+        return self._alarm_in_words(alarm)[0] if alarm else None
+
     def acknowledge_timeout(self) -> bool:
         """See `LinearStage`. The line stays open, since the other axis may use it; the next motion
         takes charge of the drive anew and resets the alarm on the way."""
@@ -748,10 +753,14 @@ class AzAxis:
 
     def _alarmed(self, code: int) -> InstrumentError:
         self._motion, self._abspen_seen = None, -1
+        return self._error("drive alarm", *self._alarm_in_words(code))
+
+    def _alarm_in_words(self, code: int) -> tuple[str, str]:
+        """Return number with meaning, and remedy, of an alarm."""
         known = ALARMS.get(code)
         meaning = known.meaning if known else "see the drive's manual"
         remedy = known.remedy if known else "look the number up in the vendor's software"
-        return self._error("drive alarm", f"{code:02X}h ({meaning})", remedy)
+        return f"{code:02X}h ({meaning})", remedy
 
     def _error(self, command: str, cause: str, hint: str) -> InstrumentError:
         return InstrumentError(self._device, command, cause, hint)

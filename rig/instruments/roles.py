@@ -133,6 +133,19 @@ class ReadsTorque(Protocol):
         ...
 
 
+@runtime_checkable
+class ReportsFault(Protocol):
+    """The interface of a stage whose driver can say whether its drive has a fault.
+
+    Optional: without it the guard of a run that has died does not lift what is pressed.
+    """
+
+    def fault(self) -> str | None:
+        """Return the drive's present fault, its own communication time-out included, by number and
+        meaning; None if it has none. Raises InstrumentError if it does not answer."""
+        ...
+
+
 class SignalGenerator(Instrument, Protocol):
     """One channel that drives the vibrator's amplifier (high impedance)."""
 

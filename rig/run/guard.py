@@ -4,9 +4,10 @@ It runs in a session of its own and listens on a pipe. The run sends it the benc
 and a message when the bench is safe and when the run is done. If the pipe closes before that, the
 run has died: the guard acts. If a heartbeat is late, the run hangs (or was suspended): the guard
 kills it, then acts. To act, it connects to every instrument of the bench and calls its driver's
-`make_safe`, each isolated from the others' failures, measures what is still pressed, compiles the
-journal, and writes a report of what was done. On a bench that others use it leaves a mark
-(`rig.run.bench_mark`), which the next command reports; that of an unsafe bench refuses it.
+`make_safe`, each isolated from the others' failures, measures what is still pressed, lifts z off it
+where nothing speaks against that (`rig.run.lift`), compiles the journal, and writes a report of
+what was done. On a bench that others use it leaves a mark (`rig.run.bench_mark`), which the next
+command reports; that of an unsafe bench refuses it.
 
 This module is the program as well (``python -m rig.run.guard``); it imports the rest of the project
 only when it has to act, so a guard costs a few milliseconds.
@@ -42,13 +43,13 @@ if TYPE_CHECKING:
 
 GUARD_SUFFIX = ".guard.json"
 """Suffix of a report next to its run file, for a bench that ended with the run."""
-TAKE_OVER_S = 30.0
+TAKE_OVER_S = 45.0
 """Longest time in s that a run waits for its guard's second try: several time-outs of the links."""
 SILENT_S = 5.0
 """Longest time in s for which a guard may leave heartbeats unread. After it the run reports that
 the guard is stopped or gets no processor time, since it normally reads each at once."""
-PRESSED_S = 10.0
-"""Longest time in s that it may take to measure what is still pressed."""
+PRESSED_S = 25.0
+"""Longest time in s that it may take to measure what is still pressed, and to lift z off it."""
 FAILED_TO_MEASURE = "the instruments gave no answer"
 MOST_UNREAD_BYTES = 4096
 """Number of unread bytes from which no further heartbeats are sent. A pipe holds 65536 bytes, and a
@@ -302,8 +303,8 @@ def act(order: dict[str, Any], cause: str, already_safe: bool = False) -> dict[s
 
 
 def _add_what_is_pressed(order: dict[str, Any], report: dict[str, Any]) -> None:
-    """Measure what is still pressed. A force over its limit makes the bench unsafe, since only a
-    person can release it."""
+    """Measure what is still pressed, and lift z off it where that may be done. A force over its
+    limit that remains makes the bench unsafe, since only a person can release it."""
     found: list[PressedState] = []
 
     def measure() -> None:
@@ -311,7 +312,12 @@ def _add_what_is_pressed(order: dict[str, Any], report: dict[str, Any]) -> None:
 
         zero = order.get("zero")
         found.append(
-            pressed_state(order["bench_toml"], order["bench_source"], zero and tuple(zero))
+            pressed_state(
+                order["bench_toml"],
+                order["bench_source"],
+                zero and tuple(zero),
+                lasting=bool(order["marks"]),
+            )
         )
 
     # An instrument that hangs must not prevent the compilation of the data.

@@ -53,19 +53,30 @@ def test_a_killed_run_is_made_safe_compiled_and_can_be_resumed(rig):
     assert verify(file) == []
 
 
-def test_what_a_killed_run_leaves_pressed_is_measured_and_said_first_by_the_next_command(rig):
-    """The film is under a preload of 25 N; the guard stops everything and does not lift."""
+LIFTED = (
+    r"was pressed at (\d+\.\d\d) mm, (\d+\.\d) N; stage_z was lifted: "
+    r"nothing is pressed at (\d+\.\d\d) mm, 0\.\d N"
+)
+
+
+def test_what_a_killed_run_leaves_pressed_is_lifted_and_said_first_by_the_next_command(rig):
+    """The film is under a preload of 25 N; the guard stops everything, measures, and lifts."""
     running = rig.start_sweep(*SIXTY_POINTS)
     running.wait_for(r"^5/60 ")
     running.send(signal.SIGKILL)
     running.process.wait()
     report = rig.guard_report()
     assert report is not None, "the guard never reported"
-    pressed = re.fullmatch(r"still pressed at (\d+\.\d\d) mm, (\d+\.\d) N", report["pressed"])
+    pressed = re.fullmatch(LIFTED, report["pressed"])
     assert pressed, report
-    rest_mm = [e["value"] for e in rig.log() if e["what"] == "at-rest"][-1]
-    assert float(pressed[1]) == pytest.approx(rest_mm, abs=0.05)
+    assert report["safe"] is True
+    stage = [e for e in rig.log() if e["device"] == "stage_z"]
+    *_, lifted_mm = (e["value"] for e in stage if e["what"] == "at-rest")
     assert float(pressed[2]) == pytest.approx(25.0, abs=1.0)
+    assert float(pressed[3]) == pytest.approx(lifted_mm, abs=0.02)
+    assert lifted_mm < float(pressed[1]) - 0.3, "away from contact"
+    lift = [e["value"] for e in stage if e["what"] == "move"][-1]
+    assert lift == {"target_mm": pytest.approx(11.7), "speed_mm_s": pytest.approx(1.0)}
 
     again = rig.run("sweep", "--json", "--no-figures", "--frequencies", "210")
     first = again.stderr.splitlines()[:3]

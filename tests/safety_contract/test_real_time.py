@@ -152,7 +152,8 @@ def test_a_second_run_on_the_bench_is_refused_and_disturbs_nothing(rig, bench_fi
     assert ended.code == 0, ended.stderr
     (told,) = [line for line in ended.stderr.splitlines() if "guard of an earlier run" in line]
     assert "the run ended without saying so; everything was stopped and switched off, " in told
-    assert re.search(r"still pressed at \d+\.\d\d mm, 2\d\.\d N; data: ", told), told
+    lifted = r"stage_z was lifted: nothing is pressed at \d+\.\d\d mm, 0\.\d N; data: "
+    assert re.search(r"was pressed at \d+\.\d\d mm, 2\d\.\d N; " + lifted, told), told
     assert f"rig resume {rig.only('*_r001.rigj')}" in told
     again = rig.run(*two_points(bench_file))
     assert "guard of an earlier run" not in again.stderr
