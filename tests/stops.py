@@ -4,11 +4,16 @@ Every cause is marked in the World's log at the instant at which it happens: an 
 push on the probe are entries of a fault plan; for a signal a spare contact is disturbed, and the
 run's own process sends itself the signal as soon as the log has that entry. All is in virtual time,
 so the times are those of the program, of braking and of the way up, not those of the computer.
+
+What a batch does needs signals between processes: `stopped_in_real_time` measures that on a served
+bench, the computer's own delays included.
 """
 
 from __future__ import annotations
 
 import itertools
+import signal
+import time
 from dataclasses import dataclass
 from typing import Any
 
@@ -29,6 +34,8 @@ class State:
     command: tuple[str, ...]
     moment: str
     after_s: float
+    paused_s: float | None = None
+    """Time in s before the cause at which the run is paused, by Ctrl-Z; None: it is not."""
 
 
 STATES = {
@@ -40,22 +47,42 @@ STATES = {
     "roll": State(ROLL, 'move = 3\nof = "stage_x"\n', 0.2),
     "sweep, settling": State(SWEEP, "acquisition = 2\n", 0.8),
     "sweep, recording": State(SWEEP, "acquisition = 6\n", 0.5),
+    "paused": State(SWEEP, "acquisition = 6\n", 2.5, paused_s=2.0),
+}
+NIGHT = """
+[batch]
+name = "night"
+figures = false
+detect = false
+rest_s = 120
+
+[[experiment]]
+procedure = "sweep"
+settings = { frequencies_Hz = [300, 600] }
+repeat = 2
+"""
+BATCH = ("batch", "run", "night.toml")
+REAL_STATES = {
+    "in a batch, sweep recording": State(BATCH, "acquisition = 5\n", 0.02),
+    "between two runs of a batch": State(BATCH, 'move = 4\nof = "stage_z"\n', 12.0),
 }
 SIGNALS = {"SIGTERM": 15, "Ctrl-C": 2}
 CAUSES = (*SIGNALS, "interlock", "force limit")
+NOTHING_FOLLOWS = ("paused", "force limit")
+"""A push while nothing is armed: the run stays paused."""
 SIGNAL_AT_MARK = """
 import os, rig.core.clock as clock
-plain, seen = clock.SlavedClock._advance, [0]
+plain, seen, numbers = clock.SlavedClock._advance, [0], {numbers}
 def advance(self, step_us):
     plain(self, step_us)
-    if seen[0] is None:
+    if not numbers:
         return
     with open({log!r}) as log:
         log.seek(seen[0])
         new = log.read()
-        seen[0] = None if '"injected"' in new else log.tell()
-    if seen[0] is None:
-        os.kill(os.getpid(), {number})
+        seen[0] = log.tell()
+    if '"injected"' in new:
+        os.kill(os.getpid(), numbers.pop(0))
 clock.SlavedClock._advance = advance
 """
 
@@ -79,20 +106,26 @@ class Stop:
 def plan(state: State, cause: str, later_s: float = 0.0) -> str:
     """Return the fault plan that marks or makes the cause."""
     at = f"{state.moment}after_s = {state.after_s + later_s:.4f}\n"
+    mark = '[[fault]]\ndevice = "interlock"\nname = "spare"\nkind = "closed"\n'
+    before = ""
+    if state.paused_s is not None:
+        before = f"{mark}{state.moment}after_s = {state.after_s - state.paused_s:.4f}\n"
     if cause == "interlock":
-        return f'[[fault]]\ndevice = "interlock"\nname = "door"\nkind = "opened"\n{at}'
+        return f'{before}[[fault]]\ndevice = "interlock"\nname = "door"\nkind = "opened"\n{at}'
     if cause == "force limit":
         push = "force_N = 60.0\nfor_s = 0.05\n"
-        return f'[[fault]]\ndevice = "force_sensor"\nkind = "spike"\n{push}{at}'
-    return f'[[fault]]\ndevice = "interlock"\nname = "spare"\nkind = "closed"\n{at}'
+        return f'{before}[[fault]]\ndevice = "force_sensor"\nkind = "spike"\n{push}{at}'
+    return f"{before}{mark}{at}"
 
 
 def stopped(rig: Any, state: State, cause: str, later_s: float = 0.0) -> tuple[Any, Stop]:
     """Run to the cause and to the end; return how the command ended, and its stop."""
     rig.world_log.unlink(missing_ok=True)
     before = ""
-    if cause in SIGNALS:
-        before = SIGNAL_AT_MARK.format(log=str(rig.world_log), number=SIGNALS[cause])
+    numbers = [] if state.paused_s is None else [int(signal.SIGTSTP)]
+    numbers += [SIGNALS[cause]] if cause in SIGNALS else []
+    if numbers:
+        before = SIGNAL_AT_MARK.format(log=str(rig.world_log), numbers=numbers)
     running = rig.start(
         *state.command, "--json", "--no-figures", "--stages", "festo",
         "--world", rig.world(WORLD), "--world-log", str(rig.world_log),
@@ -102,9 +135,52 @@ def stopped(rig: Any, state: State, cause: str, later_s: float = 0.0) -> tuple[A
     return ended, read_stop(rig.log())
 
 
+@dataclass(frozen=True)
+class RealStop:
+    """A stop on a bench in real time."""
+
+    stop: Stop
+    driven: int
+    """Number of motions that were begun, and outputs that were switched on, after the cause."""
+    ended_s: float
+    """From the cause to the end of the command, whose file is compiled by then."""
+    code: int
+
+
+def stopped_in_real_time(rig: Any, state: State, cause: str, later_s: float) -> RealStop:
+    """Run a command against a served bench to the cause and to the end."""
+    (rig.folder / "night.toml").write_text(NIGHT)
+    serving = rig.start(
+        "simulate", "--write", str(rig.folder / "bench.toml"), "--stages", "festo",
+        "--world", rig.world(WORLD), "--world-log", str(rig.world_log),
+        "--fault", rig.fault(plan(state, cause, later_s)),
+    )  # fmt: skip
+    serving.wait_for("Ctrl-C ends it")
+    running = rig.start(*state.command, "--bench", "bench.toml")
+    while not marked(rig):
+        assert running.process.poll() is None, "the run ended before the cause"
+        time.sleep(0.005)
+    marked_s = time.monotonic()
+    if cause in SIGNALS:
+        running.send(signal.Signals(SIGNALS[cause]))
+    ended = running.finish()
+    ended_s = time.monotonic() - marked_s
+    serving.send(signal.SIGINT)
+    serving.finish()
+    log = rig.log()
+    after = log[next(k for k, x in enumerate(log) if x["what"] == "injected") :]
+    driven = sum(x["what"] in ("move", "homing") or x["value"] is True for x in after)
+    return RealStop(read_stop(log), driven, ended_s, ended.code)
+
+
+def marked(rig: Any) -> bool:
+    """Return whether the World's log has the cause."""
+    return '"injected"' in rig.world_log.read_text()
+
+
 def read_stop(log: list[dict[str, Any]]) -> Stop:
     """Read a stop from the World's log."""
-    cause = next(k for k, x in enumerate(log) if x["what"] == "injected")
+    cause = max(k for k, x in enumerate(log) if x["what"] == "injected")
     before, after, cause_us = log[:cause], log[cause:], log[cause]["t_us"]
 
     def since(entry: dict[str, Any]) -> float:
