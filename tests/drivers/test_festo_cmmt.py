@@ -344,6 +344,15 @@ def test_a_parameter_that_another_client_has_chosen_is_not_taken_for_the_torque(
         assert axis.torque_percent() == pytest.approx(0.0, abs=1e-6), "and not 30"
 
 
+def test_a_fault_is_told_by_number_and_meaning_before_anything_acknowledges_it() -> None:
+    with service() as it:
+        axis = it.connect()
+        assert axis.fault() is None
+        it.drive.trip(126)
+        assert axis.fault() == "126 (following error: the axis did not follow)"
+        assert it.drive.fault == 126
+
+
 def test_a_drive_that_reports_no_torque_has_none_to_watch() -> None:
     with service() as it:
         del it.drive._parameters[11704]

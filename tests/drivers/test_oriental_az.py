@@ -178,6 +178,17 @@ def test_the_torque_shows_what_is_pressed_and_a_drive_without_it_is_asked_once()
         assert len(bench.line.said) == asked + 1
 
 
+def test_an_alarm_is_told_by_number_and_meaning_before_anything_resets_it() -> None:
+    with service() as bench:
+        axis = bench.connect("z")
+        assert axis.fault() is None
+        bench.z._fail(0x30, bench.z._port.now_us)
+        told = axis.fault()
+        assert told is not None
+        assert told.startswith("30h (overload")
+        assert bench.z.alarm == 0x30
+
+
 def _without_torque(read: Any) -> Any:
     def refused(address: int, count: int, by: str) -> Any:
         if address + count > 0xD6:
