@@ -688,6 +688,9 @@ class FestoAxis:
         known = FAULTS.get(seen.fault)
         meaning = known.meaning if known else "see the drive's manual"
         remedy = known.remedy if known else "look the number up in the vendor's software"
+        if seen.fault == COMMUNICATION_FAULT:
+            timeout_s = self._settings.communication_timeout_ms * 1e-3
+            meaning += f"; {self._link.requests.whose_silence(timeout_s)}"
         return f"{seen.fault} ({meaning})", remedy
 
     def _error(self, command: str, cause: str, hint: str) -> InstrumentError:

@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Any
 
 from pymodbus.client import ModbusTcpClient
 
+from drivers.shared.request_log import RequestLog
 from rig.core.errors import InstrumentError, InstrumentTimeoutError, RigError
 
 if TYPE_CHECKING:
@@ -63,6 +64,8 @@ class CmmtLink:
         self._host, self._port, self._unit_id = host, port, unit_id
         self._timeout_s = timeout_s
         self._clock = clock
+        self.requests = RequestLog(clock)
+        """When the drive was asked something."""
         self._lock = threading.RLock()
         self._client: Any = None
         self._selected = (0, 0)
@@ -236,8 +239,9 @@ class CmmtLink:
         """Make one transaction, which is sent once; every failure closes the link and names its
         cause."""
         failed: Exception | None = None
-        with self._clock.answer_within(WAITS * self._timeout_s), self._lock:
+        with self._clock.answer_within(WAITS * self._timeout_s, self.device), self._lock:
             permit()
+            self.requests.note()
             begun = time.monotonic()
             try:
                 reply = request(self._opened(what))

@@ -375,7 +375,7 @@ class GsvLink:
         """Turn failures into InstrumentErrors; a port that failed is closed and opened anew."""
         name = command.name if command is not None else "stream"
         try:
-            with self._clock.answer_within(WAITS * self._settings.timeout_s):
+            with self._clock.answer_within(WAITS * self._settings.timeout_s, DEVICE):
                 yield
         except InstrumentTimeoutError:
             with contextlib.suppress(InstrumentError):  # the time-out itself is the news

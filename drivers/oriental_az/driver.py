@@ -760,6 +760,9 @@ class AzAxis:
         known = ALARMS.get(code)
         meaning = known.meaning if known else "see the drive's manual"
         remedy = known.remedy if known else "look the number up in the vendor's software"
+        if code == COMMUNICATION_ALARM:
+            timeout_s = self._settings.communication_timeout_ms * 1e-3
+            meaning += f"; {self._line.requests.whose_silence(timeout_s)}"
         return f"{code:02X}h ({meaning})", remedy
 
     def _error(self, command: str, cause: str, hint: str) -> InstrumentError:

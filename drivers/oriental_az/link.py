@@ -31,6 +31,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
+from drivers.shared.request_log import RequestLog
 from rig.core.errors import InstrumentError, InstrumentTimeoutError, RigError
 
 if TYPE_CHECKING:
@@ -145,6 +146,8 @@ class AzLine:
         self.path = path
         self._waits: dict[object, float] = {}
         """Callers that wait for the line, and since when."""
+        self.requests = RequestLog(clock)
+        """When something was asked on the line."""
         self._baudrate, self._parity = baudrate, parity
         self._clock = clock
         self._gap_s = GAP_S if baudrate >= 19_200 else SLOW_GAP_S
@@ -314,6 +317,7 @@ class AzLine:
         self._sent_at_s = self._clock.now()
         self._free_at_s = self._sent_at_s + self._wire_s(request) + self._gap_s
         sent = time.monotonic()
+        self.requests.note()
         self._port.write(request.frame)
         return sent
 
@@ -483,7 +487,7 @@ class AzLink:
         trusting: bool = False,
         permit: Callable[[], None] = lambda: None,
     ) -> bytes:
-        waiting = self._clock.answer_within(WAITS * self._timeout_s)
+        waiting = self._clock.answer_within(WAITS * self._timeout_s, self.device)
         with self._line_errors(what, charge), waiting:
             pdu = self.line.exchange(request, self._timeout_s, trusting, permit)
         if pdu[0] & 0x80:

@@ -73,7 +73,7 @@ class LineLink:
         does not match or the connection fails.
         """
         try:
-            with self._clock.answer_within(WAITS * self._timeout_s), self._lock:
+            with self._clock.answer_within(WAITS * self._timeout_s, self._device), self._lock:
                 permit()
                 try:
                     return self._exchange(command, re.compile(answer))

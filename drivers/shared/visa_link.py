@@ -115,7 +115,7 @@ class VisaLink:
         """Give the block an open session; any failure closes it and becomes an InstrumentError."""
         with self._talking:
             try:
-                with self._clock.answer_within(WAITS * self._timeout_s):
+                with self._clock.answer_within(WAITS * self._timeout_s, self.device):
                     if self._session is None:
                         self._session = self._open(message)
                     yield self._session

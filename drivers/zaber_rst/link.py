@@ -65,7 +65,7 @@ class ZaberLink:
         """
         what = words or "status"
         try:
-            with self._clock.answer_within(WAITS * self._timeout_s), self._lock:
+            with self._clock.answer_within(WAITS * self._timeout_s, self.name), self._lock:
                 permit()
                 try:
                     return self._transact(axis, words)

@@ -75,6 +75,9 @@ class Clock(ABC):
         self._callbacks: list[Callable[[], None]] = []
         self._background = threading.local()
         self._alive_until = time.monotonic() + SIGN_OF_LIFE_S
+        self.overdue: tuple[str, float] | None = None
+        """The instrument for whose answer the procedure has waited longer than it may take, and
+        for how long; the latest such wait."""
 
     @abstractmethod
     def now(self) -> float:
@@ -110,18 +113,23 @@ class Clock(ABC):
             self._alive_until = time.monotonic() + SIGN_OF_LIFE_S
 
     @contextlib.contextmanager
-    def answer_within(self, seconds: float) -> Iterator[None]:
-        """Mark the block as a wait for an instrument's answer of at most `seconds` of wall time;
-        for that time the procedure is not considered to hang.
+    def answer_within(self, seconds: float, instrument: str = "") -> Iterator[None]:
+        """Mark the block as a wait for an answer of this instrument of at most `seconds` of wall
+        time; for that time the procedure is not considered to hang.
 
         Every link encloses its transactions in it. Does nothing in a background thread.
         """
-        if not getattr(self._background, "here", False):
-            self._alive_until = time.monotonic() + seconds + SIGN_OF_LIFE_S
+        background = getattr(self._background, "here", False)
+        begun_s = time.monotonic()
+        if not background:
+            self._alive_until = begun_s + seconds + SIGN_OF_LIFE_S
         try:
             yield
         finally:
             self.sign_of_life()
+            waited_s = time.monotonic() - begun_s
+            if not background and waited_s > seconds + SIGN_OF_LIFE_S:
+                self.overdue = instrument, waited_s
 
     @property
     def procedure_alive(self) -> bool:

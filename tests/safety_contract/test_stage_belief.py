@@ -53,7 +53,7 @@ def test_a_stage_that_answers_and_does_not_act_ends_the_run_without_more_force(r
 @pytest.mark.thorough
 @pytest.mark.stages("festo", because="a flipped bit does not pass the checksum of the other's line")
 def test_one_flipped_bit_of_a_position_is_asked_for_again_and_counted_in_the_file(rig):
-    """2 ** 16 steps of 0.001 mm: 77 mm on an axis of 14 mm."""
+    """Bit 16 of the position is 6.6 mm."""
     plan = rig.fault(
         '[[fault]]\ndevice = "stage_z"\nkind = "flip"\ncommand = "FC3 100"\nbyte = 22\nbit = 0\n'
         f"{SLIDING}"
