@@ -14,7 +14,7 @@ from .trials import Trial
 PATIENCE_S = 120.0
 
 
-def run(server: Server, trial: Trial, folder: Path) -> Ran:
+def run(server: Server, trial: Trial, folder: Path, patience_s: float = PATIENCE_S) -> Ran:
     """Run a trial to its end; one that does not end by itself is killed."""
     folder.mkdir(parents=True)
     (folder / "world.toml").write_text(trial.world)
@@ -27,7 +27,7 @@ def run(server: Server, trial: Trial, folder: Path) -> Ran:
     with process.stdout, process.stderr, ThreadPoolExecutor(2) as readers:
         said = [readers.submit(pipe.read) for pipe in (process.stdout, process.stderr)]
         try:
-            code = process.wait(PATIENCE_S)
+            code = process.wait(patience_s)
         except subprocess.TimeoutExpired:
             process.kill()
             code = process.wait()
