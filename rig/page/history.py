@@ -54,7 +54,14 @@ class RunIndex:
 
     def update(self) -> bool:
         """Read some of the files that are new or have changed; return whether more are left."""
-        files = self._folder.find(RUN_SUFFIX) + self._folder.find(JOURNAL_SUFFIX)
+        files = self._folder.find(RUN_SUFFIX)
+        compiled = {file.path.with_suffix("") for file in files}
+        # The journal of a run that can be resumed lies beside its run file: it is one run.
+        files += [
+            file
+            for file in self._folder.find(JOURNAL_SUFFIX)
+            if file.path.with_suffix("") not in compiled
+        ]
         files = files[:MOST_RUNS]
         there = {file.path for file in files}
         for path in [path for path in self._runs if path not in there]:
@@ -98,7 +105,7 @@ class RunIndex:
             and sample.lower() in str(run.fields["sample"]).lower()
             and outcome in ("", run.fields["status"])
         ]
-        found.sort(key=lambda fields: str(fields["start"] or fields["name"]), reverse=True)
+        found.sort(key=lambda fields: str(fields["name"]), reverse=True)
         procedures = sorted({str(run.fields["procedure"]) for run in runs})
         return {
             "runs": found[:most],

@@ -6,7 +6,7 @@ const BIN_S = 0.05, KEPT = 3600, LOST_MS = 2500;
 const $ = id => document.getElementById(id);
 const token = takeToken();
 let series = {}, curve = [], events = [], spectrum = null, generation = -1, charts = {};
-let last = null, lastFrameAt = performance.now(), paused = false, night = {}, tab = "now", made = null;
+let last = null, lastFrameAt = performance.now(), paused = false, night = {}, tab = "now", made = null, listed = "";
 
 function takeToken() {
   const given = new URLSearchParams(location.hash.slice(1)).get("token");
@@ -143,7 +143,7 @@ function showFacts(run) {
   if (run.procedure) {
     facts.push(["run", run.procedure + (run.end ? ` (${run.end.status}, exit ${run.end.exit})` : "")]);
     facts.push(["point", `${run.n} of ${run.planned}`], ["open", run.point || "none"]);
-    facts.push(["time left", run.end ? "ended" : span(run.left_s)], ["time in the run", span(run.last_s)]);
+    facts.push(["time left at this pace", run.end ? "ended" : span(run.left_s)], ["time in the run", span(run.last_s)]);
     facts.push(["sample", run.sample || "not named"], ["started", (run.start || "").slice(0, 19).replace("T", " ")]);
     facts.push(["process", last.holder ? `${last.holder.pid} (${last.holder.user})` : "none"]);
     if (run.set_point_N !== null) facts.push(["set point", run.set_point_N + " N"]);
@@ -221,6 +221,8 @@ function chart(id, title, labels, scales, axes, opts = {}) {
 function drawEvents(plot) {
   const context = plot.ctx, {left, top, width, height} = plot.bbox;
   context.save();
+  context.textAlign = "left";
+  let line = 0;
   for (const event of events) {
     if (event.code === "discarded" || event.t < plot.scales.x.min || event.t > plot.scales.x.max) continue;
     const x = plot.valToPos(event.t, "x", true);
@@ -229,7 +231,7 @@ function drawEvents(plot) {
     context.setLineDash([4, 3]);
     context.beginPath(); context.moveTo(x, top); context.lineTo(x, top + height); context.stroke();
     context.font = `${10 * devicePixelRatio}px sans-serif`;
-    context.fillText(event.code.slice(0, 14), x + 3, top + 11 * devicePixelRatio);
+    context.fillText(event.code.slice(0, 14), x + 3, top + (11 + 11 * (line++ % 3)) * devicePixelRatio);
   }
   context.restore();
 }
@@ -400,7 +402,10 @@ async function readHistory() {
   try {
     const answer = await ask("/api/runs?" + new URLSearchParams(form));
     if (!answer.ok) return;
-    found = await answer.json();
+    const text = await answer.text();
+    if (text === listed) return; // the rows stay, and with them what has the keyboard's focus
+    listed = text;
+    found = JSON.parse(text);
   } catch (error) { return; }
   $("count").textContent = `${found.matching} of ${found.of} runs${found.complete ? "" : ", still reading …"}${found.matching > found.runs.length ? `, the latest ${found.runs.length} shown` : ""}`;
   const select = $("filters").elements.procedure;

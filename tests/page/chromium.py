@@ -1,0 +1,54 @@
+"""Debian's headless Chromium, without anything that goes to a network."""
+
+from __future__ import annotations
+
+import shutil
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from selenium import webdriver
+from selenium.webdriver.chrome.service import Service
+
+DRIVER = shutil.which("chromedriver")
+PATIENCE_S = 90.0
+ARGUMENTS = (
+    "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
+    "--disable-background-networking", "--disable-component-update", "--disable-sync",
+    "--disable-dev-shm-usage",
+)  # fmt: skip
+
+
+@contextmanager
+def chromium(
+    profile: Path, width: int = 1280, height: int = 900, *, dark: bool = False
+) -> Iterator[Any]:
+    """Give a browser with a window of this size, and end it."""
+    options = webdriver.ChromeOptions()
+    options.binary_location = shutil.which("chromium") or ""
+    for argument in (*ARGUMENTS, f"--user-data-dir={profile}", f"--window-size={width},{height}"):
+        options.add_argument(argument)
+    options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
+    browser = webdriver.Chrome(options=options, service=Service(DRIVER))
+    try:
+        size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": width < 600}
+        browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+        scheme = {"name": "prefers-color-scheme", "value": "dark" if dark else "light"}
+        browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": [scheme]})
+        yield browser
+    finally:
+        browser.quit()
+
+
+def wait_for(browser: Any, what: str, until: Callable[[str], bool]) -> str:
+    """Wait until the text of an element suits; the text."""
+    give_up = time.monotonic() + PATIENCE_S
+    text = ""
+    while time.monotonic() < give_up:
+        text = browser.find_element("css selector", what).text
+        if until(text):
+            return text
+        time.sleep(0.05)
+    raise AssertionError(f"{what} still shows {text!r}")

@@ -1,0 +1,167 @@
+"""The page in a browser: a run from its approach to its end, and STOP wherever it is pressed."""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+from chromium import DRIVER, chromium, wait_for
+from selenium.webdriver.common.keys import Keys
+from test_server import Page, serve
+
+from rig.files.runfile.reader import RunFile
+
+pytestmark = [
+    pytest.mark.browser,
+    pytest.mark.skipif(DRIVER is None, reason="chromedriver is not there"),
+]
+RED = "rgba(192, 0, 24, 1)"
+SLIP = ("slip-trial", "--json", "--no-figures")
+LONG = (
+    *("sweep", "--json", "--no-figures", "--settling", "5s"),
+    *("--frequencies", "160,180,200,220,240"),
+)
+
+
+@pytest.fixture
+def page(rig) -> Iterator[Page]:
+    rig.results.mkdir()
+    process, served = serve(rig.results)
+    yield served
+    process.send_signal(signal.SIGINT)
+    process.wait(60)
+
+
+@pytest.fixture
+def browser(page, tmp_path) -> Iterator[Any]:
+    with chromium(tmp_path / "profile") as opened:
+        opened.get(f"http://127.0.0.1:{page.port}/#token={page.stop_token}")
+        wait_for(opened, "#word", lambda text: "no run in this folder" in text)
+        yield opened
+        severe = [line for line in opened.get_log("browser") if line["level"] == "SEVERE"]
+        assert [line["message"] for line in severe if "/api/" not in line["message"]] == []
+
+
+def word(browser: Any, *wanted: str) -> str:
+    return wait_for(browser, "#word-text", lambda text: text in wanted)
+
+
+def course(browser: Any, *wanted: str) -> str:
+    return wait_for(browser, "#course", lambda text: text.startswith(wanted))
+
+
+def colour(browser: Any, what: str) -> str:
+    return browser.find_element("css selector", what).value_of_css_property("background-color")
+
+
+def test_a_slip_trial_is_watched_to_its_end_and_the_values_are_those_of_its_file(rig, browser):
+    running = rig.start(*SLIP)
+    word(browser, "running", "pressed")
+    assert "SIMULATED" in browser.title
+    assert "SIMULATED" in browser.find_element("id", "mark").text
+    word(browser, "pressed")
+    ended = running.finish()
+    assert ended.code == 0, ended.stderr
+    wait_for(browser, "#facts", lambda text: "complete, exit 0" in text)
+    word(browser, "safe")
+    with RunFile.open(rig.only("*.h5")) as run:
+        waves = list(run.waveforms(stream="force"))
+        for channel in ("F_n", "F_t"):
+            latest = waves[-1].values(channel)[-1]
+            shown = browser.find_element("css selector", f'[data-channel="force.{channel}"] b').text
+            assert float(shown) == pytest.approx(latest, abs=5.1e-4)
+        facts = browser.find_element("id", "facts").text
+        assert f"{len(run.point_ids())} of {run.outcome.points_planned}" in facts
+    assert browser.find_elements("css selector", "#charts canvas")
+
+
+def test_stop_by_key_in_a_slide_is_red_until_the_end_record_and_a_second_press_says_so(
+    rig, browser
+):
+    running = rig.start(*SLIP, "--trials", "9")
+    word(browser, "pressed")
+    body = browser.find_element("tag name", "body")
+    body.send_keys("s")
+    course(browser, "asked", "switching off")
+    body.send_keys("s")
+    assert colour(browser, "#course") == RED
+    wait_for(browser, "#course", lambda text: "Pressed 2 times" in text or text.startswith("ended"))
+    course(browser, "ended")
+    assert colour(browser, "#course") != RED
+    ended = running.finish()
+    assert ended.code == 143, ended.stderr
+    assert rig.only("*.h5").exists()
+
+
+def test_stop_is_in_reach_on_a_phone_and_a_viewer_without_the_right_cannot_press_it(
+    rig, page, tmp_path
+):
+    with chromium(tmp_path / "narrow", 390, 844) as phone:
+        phone.get(f"http://127.0.0.1:{page.port}/#token={page.stop_token}")
+        wait_for(phone, "#word", lambda text: "no run" in text)
+        assert page.stop_token not in phone.current_url
+        for down in (0, 2000):
+            phone.execute_script(f"scrollTo(0, {down})")
+            box = phone.find_element("id", "stop").rect
+            top = box["y"] - phone.execute_script("return scrollY")
+            assert 0 <= top <= 844 - box["height"]
+            assert box["width"] >= 350
+        assert phone.execute_script("return document.documentElement.scrollWidth") <= 390
+        phone.find_element("tag name", "body").send_keys(Keys.TAB)
+        assert phone.switch_to.active_element.get_attribute("id") == "stop"
+        phone.get("about:blank")
+        phone.get(f"http://127.0.0.1:{page.port}/#token={page.watch_token}")
+        wait_for(phone, "#word", lambda text: "no run" in text)
+        assert not phone.find_element("id", "stop").is_enabled()
+
+
+def test_a_run_that_hangs_is_told_as_hanging_and_its_guard_has_the_last_word(rig, browser):
+    running = rig.start(*LONG, fresh=True)
+    running.wait_for("^1/5 ")
+    os.kill(running.process.pid, signal.SIGSTOP)
+    browser.find_element("id", "stop").click()
+    told = course(browser, "hanging")
+    assert "kills it after 5 s" in told
+    assert colour(browser, "#course") == RED
+    told = wait_for(browser, "#course", lambda text: "had to act" in text)
+    assert "no sign of life" in told
+    assert running.finish().code == -signal.SIGKILL
+
+
+def test_a_killed_run_is_never_green_before_its_guard_has_reported(rig, browser):
+    running = rig.start(*LONG, fresh=True)
+    running.wait_for("^1/5 ")
+    word(browser, "running", "pressed")
+    browser.execute_script(
+        "window.seen = []; new MutationObserver(() => seen.push(document.getElementById('word')"
+        ".textContent)).observe(document.getElementById('word'), {subtree: true, childList: true})"
+    )
+    running.send(signal.SIGKILL)
+    word(browser, "UNSAFE")
+    wait_for(browser, "#word", lambda text: "guard reported" in text or "pressed" in text)
+    seen = browser.execute_script("return window.seen")
+    first_safe = next((n for n, text in enumerate(seen) if text.startswith("safe")), len(seen))
+    assert any(text.startswith("UNSAFE") for text in seen[:first_safe])
+
+
+def test_a_page_that_is_killed_costs_its_run_nothing_and_a_late_one_shows_all_of_it(
+    rig, page, tmp_path
+):
+    killed, _ = serve(rig.results)
+    running = rig.start(*LONG, fresh=True)
+    running.wait_for("^1/5 ")
+    killed.kill()
+    killed.wait()
+    late, served = serve(rig.results)
+    try:
+        with chromium(tmp_path / "late") as browser:
+            browser.get(f"http://127.0.0.1:{served.port}/#token={served.watch_token}")
+            wait_for(browser, "#facts", lambda text: "sweep" in text)
+            assert running.finish().code == 0
+            wait_for(browser, "#facts", lambda text: "5 of 5" in text)
+    finally:
+        late.kill()
+        late.wait()
