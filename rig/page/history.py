@@ -105,7 +105,7 @@ class RunIndex:
             and sample.lower() in str(run.fields["sample"]).lower()
             and outcome in ("", run.fields["status"])
         ]
-        found.sort(key=lambda fields: str(fields["name"]), reverse=True)
+        found.sort(key=_begun, reverse=True)
         procedures = sorted({str(run.fields["procedure"]) for run in runs})
         return {
             "runs": found[:most],
@@ -163,6 +163,11 @@ class RunIndex:
                 if own and path.suffix in KINDS and path.is_file() and not path.is_symlink():
                     found[path.name] = path
         return found
+
+
+def _begun(fields: dict[str, Any]) -> str:
+    """Return the begin of a run as its file's name has it, for sorting."""
+    return str(fields["start"] or "")[:19].replace(":", "-") or str(fields["name"])
 
 
 def _processed(files: dict[str, Path]) -> list[dict[str, Any]]:
