@@ -1,0 +1,102 @@
+"""In real time each link falls silent at each kind of request of a trial, for longer than a drive
+waits to be fed: every other drive is fed meanwhile, and what is pressed is lifted.
+
+A drive waits for 5 s, and a call on a silent instrument takes 7 s or more. So a drive that were fed
+by whoever waits for that instrument would stop where it presses. A busy computer stalls for less.
+Rolls are walked in virtual time alone (tests/soak/test_nightly_walk.py): what a simulated head
+presses may take a busy computer longer to compute than it lasts.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import re
+import signal
+
+import pytest
+
+pytestmark = [
+    pytest.mark.thorough,
+    pytest.mark.stages("festo", because="a line that two drives share is held up by either"),
+]
+PARKED_mm = 5.0
+PRESSED_mm = 12.0
+FOR_EVER = "count = 0\n"
+SLIDE = 'move = 2\nof = "stage_x"\n'
+FIRST_RECORD = "acquisition = 1\nafter_s = 0.5\n"
+LATER = "acquisition = 8\n"
+"""When the film vibrates under its preload."""
+SLIP = ("slip-trial", "plate", "--distance", "1mm", "--speed", "0.5mm/s")
+SWEEP = ("sweep", "film-clamp", "--frequencies", "210,310,410")
+STALLS = {
+    "slip: daq, a block in the slide": (SLIP, "daq", "WAV", SLIDE, FOR_EVER),
+    "slip: daq, the end of the record": (SLIP, "daq", "STOP", FIRST_RECORD, FOR_EVER),
+    "slip: x, a look in the slide": (SLIP, "stage_x", "FC3 100", SLIDE, FOR_EVER),
+    "slip: x, its stop": (SLIP, "stage_x", "FC16", f"{SLIDE}after_s = 0.5\n", FOR_EVER),
+    "slip: z, one look": (SLIP, "stage_z", "FC3 100", SLIDE, ""),
+    "slip: z, one target": (SLIP, "stage_z", "FC16", SLIDE, ""),
+    "slip: force, its frames": (SLIP, "force_sensor.stream", "", SLIDE, "for_s = 8.0\n"),
+    "slip: force, a command": (SLIP, "force_sensor", "", FIRST_RECORD, FOR_EVER),
+    "sweep: generator, a frequency": (SWEEP, "generator", "SOUR1:FREQ", LATER, FOR_EVER),
+    "sweep: generator, an amplitude": (SWEEP, "generator", "SOUR1:VOLT", LATER, FOR_EVER),
+    "sweep: generator, its output": (SWEEP, "generator", "OUTP1", LATER, FOR_EVER),
+    "sweep: daq, a record": (SWEEP, "daq", "DIG", LATER, FOR_EVER),
+    "sweep: daq, a look": (SWEEP, "daq", "WAV", LATER, FOR_EVER),
+    "sweep: z, one look": (SWEEP, "stage_z", "FC3 100", LATER, ""),
+}
+"""Procedure, device, command, moment, and for how long its answers are lost."""
+
+
+@pytest.fixture
+def serve(rig):
+    """Starts a simulated bench in real time; its bench file."""
+    with contextlib.ExitStack() as stack:
+
+        def start(fixture, plan):
+            path = rig.folder / "a-bench.toml"
+            serving = rig.start(
+                "simulate", "--fixture", fixture, "--write", str(path), "--fault", plan,
+                "--world-log", str(rig.world_log),
+            )  # fmt: skip
+            stack.callback(serving.finish)
+            stack.callback(serving.send, signal.SIGINT)
+            serving.wait_for("Ctrl-C ends it")
+            text = re.sub(r"(timeout_ms =) \d+", r"\1 5000", path.read_text())
+            text = re.sub(r"timeout_s = [0-9.]+", "timeout_s = 7.0", text)
+            stages = r"(\[stage_[zx]\][^[]*\ntimeout_s =) 7\.0"
+            path.write_text("heartbeat_timeout_s = 60.0\n" + re.sub(stages, r"\1 2.0", text))
+            return path
+
+        yield start
+
+
+@pytest.mark.parametrize("what", STALLS)
+def test_no_link_that_falls_silent_starves_another_drive_or_keeps_anything_pressed(
+    rig, serve, what
+):
+    (procedure, fixture, *given), device, command, moment, lasting = STALLS[what]
+    plan = rig.fault(
+        f'[[fault]]\ndevice = "{device}"\nkind = "silence"\ncommand = "{command}"\n'
+        f"{moment}{lasting}"
+    )
+    path = serve(fixture, plan)
+    ticks = () if procedure == "sweep" else ("--tick", "20Hz")
+    arguments = (procedure, "--bench", str(path), "--json", "--no-figures", *ticks, *given)
+    ended = rig.run(*arguments)
+    assert ended.code in (0, 3, 5, 7), ended.stderr
+    seen = [e for e in rig.log() if e["what"] in ("fault", "at-rest", "move", "injected")]
+    injected = [n for n, e in enumerate(seen) if e["what"] == "injected"]
+    busy = "cannot keep" in ended.stderr or "is silent" in ended.stderr
+    if busy and not injected:
+        pytest.skip("the computer was too busy for the trial to come to that request")
+    assert injected, "the link never fell silent"
+    rested = [n for n, e in enumerate(seen) if (e["device"], e["what"]) == ("stage_z", "at-rest")]
+    lifted = next(
+        (n for n in rested if n > injected[0] and seen[n]["value"] < PRESSED_mm - 1.0), None
+    )
+    assert lifted is not None, "it is still pressed"
+    assert seen[rested[-1]]["value"] == pytest.approx(PARKED_mm, abs=0.02)
+    starved = [e["device"] for e in seen[:lifted] if e["what"] == "fault"]
+    assert [name for name in starved if name != device] == []
+    if ended.code in (3, 7) and not busy:
+        assert device.partition(".")[0] in ended.errors[0], ended.errors
