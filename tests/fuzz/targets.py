@@ -93,6 +93,7 @@ def lvm_import(data: bytes) -> None:
 
 
 HEADER = json.loads((CORPUS / "header.json").read_text())
+RUN_HEADER = RunHeader.model_validate(HEADER)
 
 
 def journal(data: bytes) -> None:
@@ -108,7 +109,7 @@ def journal_record(data: bytes) -> None:
     if not data:
         return  # no record is empty
     with contextlib.suppress(BadRecord):
-        decode(data, RunHeader.model_validate(HEADER))
+        decode(data, RUN_HEADER)
 
 
 TARGETS: dict[str, Callable[[bytes], None]] = {
