@@ -54,12 +54,12 @@ NIGHT = """
 name = "night"
 figures = false
 detect = false
-rest_s = 120
 
 [[experiment]]
 procedure = "sweep"
 settings = { frequencies_Hz = [300, 600] }
 repeat = 2
+rest_s = 120
 """
 BATCH = ("batch", "run", "night.toml")
 REAL_STATES = {
