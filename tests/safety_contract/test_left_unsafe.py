@@ -9,7 +9,9 @@ import time
 import pytest
 from processes import children_named
 
+from rig.bench.plan import read_bench
 from rig.run.bench_mark import ProcessStamp
+from rig.run.lock import address_names
 
 PATIENCE_S = 30.0
 MANY = ",".join(str(f) for f in range(300, 6300, 100))
@@ -55,7 +57,9 @@ def test_a_run_and_its_guard_killed_together_are_reported_and_refuse_the_bench(r
     running.wait_for("^2/60 ")
     kill_together(running)
     assert rig.outputs() == [True]
-    assert len(rig.marks()) == 4, "one for each instrument"
+    names = set(address_names(read_bench(bench_file)))
+    assert len(names) >= 4, "each instrument has an address"
+    assert {path.stem for path in rig.shared.glob("*.mark")} == names, "one for each address"
 
     elsewhere = rig.run(*sweep(bench_file, "210", "--results", "elsewhere"))
     assert elsewhere.code == 7, elsewhere.stderr
