@@ -26,7 +26,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from benchmarks.measured import machine
 from nights import ask, folder_of, taken
-from soak.trials import SWEEP_WORLD, as_toml, fault
+from soak.trials import DOOR, as_toml, fault
 
 from drivers.simulated.faults.plan import ROTARY, STAGE_X
 from rig.batch.plan.read import parse_batch
@@ -46,7 +46,7 @@ ABSENT = {
 }
 PRESSED_WORLD = "[watch]\nforce_limit_N = 15.0\nreaction_s = 0.06\n"
 WORLDS = {
-    "sweep": SWEEP_WORLD + "reaction_s = 0.06\n",
+    "sweep": f"{DOOR}[watch]\nforce_limit_N = 40.0\nreaction_s = 0.06\n",
     "slip-trial": PRESSED_WORLD,
     "roll-trial": PRESSED_WORLD,
 }

