@@ -39,6 +39,7 @@ def write(rig: Any, text: str) -> str:
     return "night.toml"
 
 
+@pytest.mark.thorough
 def test_a_plan_lists_every_run_and_foretells_the_night(rig: Any) -> None:
     ended = rig.run("batch", "plan", write(rig, SWEEPS))
     assert ended.code == 0, ended.stderr

@@ -64,6 +64,7 @@ def test_a_command_that_fails_is_a_warning_and_in_the_log(caplog) -> None:
     assert notifier.poll() == [], "each is reported once"
 
 
+@pytest.mark.thorough
 def test_a_command_that_hangs_is_killed_with_what_it_has_started(tmp_path: Path) -> None:
     pid_file = tmp_path / "pid"
     program = (

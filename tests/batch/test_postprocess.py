@@ -157,6 +157,7 @@ def queue(log: IO[bytes]) -> Iterator[PostprocessQueue]:
     queue.close(0.0)
 
 
+@pytest.mark.thorough
 def test_runs_are_worked_on_in_turn_and_one_that_fails_does_not_end_the_others(
     queue: PostprocessQueue, tmp_path: Path
 ) -> None:

@@ -191,6 +191,7 @@ def _pages(queue: Queue) -> int:
     return int(pages)
 
 
+@pytest.mark.thorough
 @settings(max_examples=20, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     kills=st.lists(st.integers(0, 60), max_size=8),

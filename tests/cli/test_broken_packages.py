@@ -134,6 +134,7 @@ def test_the_procedure_itself_is_refused_in_one_line(rig: Any, broken: str) -> N
     assert not rig.results.exists()
 
 
+@pytest.mark.thorough
 def test_a_complete_procedure_of_another_package_is_listed_and_runs(
     rig: Any, tmp_path: Path
 ) -> None:

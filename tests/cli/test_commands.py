@@ -149,6 +149,7 @@ def test_verify_tells_every_file_and_counts_the_wrong_ones(rig: Any, run_file: P
     assert ended.errors == ["error: 1 of 2 files failed verification"]
 
 
+@pytest.mark.thorough
 def test_a_dry_run_writes_nothing_and_tells_the_true_duration(rig: Any) -> None:
     rehearsed = rig.run("sweep", *SHORT, "--dry-run")
     assert rehearsed.code == 0, rehearsed.stderr

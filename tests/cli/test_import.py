@@ -21,6 +21,7 @@ def left_behind(folder: Path) -> list[str]:
     ]
 
 
+@pytest.mark.thorough
 def test_an_import_can_be_verified_and_shown_like_any_run(rig: Any) -> None:
     (rig.folder / "finger $7$.csv").write_text(EXPORT)
     ended = rig.run(

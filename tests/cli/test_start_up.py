@@ -148,6 +148,7 @@ def test_every_command_and_group_is_listed_with_its_description() -> None:
         assert f" {name} {text[:30]}" in listed
 
 
+@pytest.mark.thorough
 def test_processes_that_are_started_take_no_modules_from_where_they_are_started(
     tmp_path: Path,
 ) -> None:

@@ -61,6 +61,7 @@ def test_a_crash_names_the_signal(module: str) -> None:
     assert not raised.value.timed_out
 
 
+@pytest.mark.thorough
 def test_a_child_that_hangs_is_killed(module: str, tmp_path: Path) -> None:
     begun = time.monotonic()
     with pytest.raises(ChildError, match="did not finish within 3 s") as raised:

@@ -110,6 +110,7 @@ def passed(ended: subprocess.CompletedProcess[str]) -> int:
     return int(found[1])
 
 
+@pytest.mark.thorough
 def test_the_driver_of_the_page_fulfils_the_contract(site: Path) -> None:
     """Without the walk of all faults, which takes as long as everything else together."""
     assert passed(run_contract(site, "-k", "not one_fault_anywhere")) >= 13

@@ -220,6 +220,7 @@ def test_a_child_that_dies_is_a_warning(lab: Laboratory, monkeypatch: pytest.Mon
     )
 
 
+@pytest.mark.thorough
 def test_a_child_that_does_not_end_is_ended(
     lab: Laboratory, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -149,6 +149,7 @@ def test_a_guard_that_is_stopped_never_blocks_its_run_is_reported_and_ends_with_
     assert [on for on, _ in bench.outputs()] == [True]
 
 
+@pytest.mark.thorough
 def test_a_guard_that_is_stopped_is_continued_when_it_is_needed(bench: Bench) -> None:
     link = GuardLink(bench.plan, bench.journal, bench.report)
     link.beat()
@@ -159,6 +160,7 @@ def test_a_guard_that_is_stopped_is_continued_when_it_is_needed(bench: Bench) ->
     assert [on for on, _ in bench.outputs()] == [True, False]
 
 
+@pytest.mark.thorough
 def test_a_closed_pipe_makes_the_guard_act_on_a_connection_of_its_own(bench: Bench) -> None:
     link = GuardLink(bench.plan, bench.journal, bench.report)
     link.beat()
@@ -182,6 +184,7 @@ def test_a_run_that_died_after_it_was_safe_is_compiled_only(bench: Bench, guard:
     assert [on for on, _ in bench.outputs()] == [True], "the guard did not touch the bench"
 
 
+@pytest.mark.thorough
 def test_a_late_beat_ends_the_run_and_then_makes_the_bench_safe(
     bench: Bench, guard: Guard, run: subprocess.Popen[bytes]
 ) -> None:
@@ -198,6 +201,7 @@ def test_a_late_beat_ends_the_run_and_then_makes_the_bench_safe(
     assert [on for on, _ in bench.outputs()] == [True, False]
 
 
+@pytest.mark.thorough
 def test_signals_do_not_keep_the_guard_from_its_work(bench: Bench, guard: Guard) -> None:
     guard.tell(json.dumps(bench.order(heartbeat_timeout_s=1.0)))
     guard.tell("beat")
@@ -300,6 +304,7 @@ def test_an_earlier_guards_report_is_not_taken_for_this_ones(bench: Bench) -> No
     assert link.take_over() == (False, "the guard did not report: it ended with code -9")
 
 
+@pytest.mark.thorough
 def test_a_report_that_cannot_be_written_keeps_no_data_back(bench: Bench) -> None:
     report = act(bench.order(report=str(bench.report / "no" / "such" / "folder.json")), "a test")
     assert report["safe"] is True

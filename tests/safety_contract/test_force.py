@@ -66,6 +66,7 @@ def test_a_push_in_free_air_is_no_contact_and_the_stage_does_not_hunt_for_the_pr
     assert len(stood) < 25
 
 
+@pytest.mark.thorough
 def test_a_force_over_its_limit_trips_and_the_point_is_retaken_once(rig):
     ended = rig.sweep(*SHORT, "--fault", rig.fault(spikes(LISTENING + 2)))
     assert ended.code == 0, ended.stderr
@@ -294,6 +295,7 @@ def test_a_force_sensor_that_is_silent_while_the_stage_is_homed_is_a_hold(rig):
         assert held(run) == 1
 
 
+@pytest.mark.thorough
 def test_a_force_sensor_that_stays_silent_ends_the_run(rig):
     asked = ("--frequencies", "2,3,300", "--order", "descending")
     ended = rig.sweep(*asked, "--fault", rig.fault(silence(MEASURING, 60.0)))

@@ -323,6 +323,7 @@ def test_a_batch_ends_at_an_opened_door_and_continues_only_after_reset_and_resum
 # --- by hand ------------------------------------------------------------------------------------
 
 
+@pytest.mark.thorough
 def test_an_opened_door_ends_jogging_and_nothing_can_be_jogged_until_the_reset(rig):
     """On the command's own bench; bench time passes no faster than real time."""
     plan = rig.fault(contact("opened", more="after_s = 2.0\n"))

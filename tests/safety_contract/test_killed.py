@@ -59,6 +59,7 @@ LIFTED = (
 )
 
 
+@pytest.mark.thorough
 def test_what_a_killed_run_leaves_pressed_is_lifted_and_said_first_by_the_next_command(rig):
     """The film is under a preload of 25 N; the guard stops everything, measures, and lifts."""
     running = rig.start_sweep(*SIXTY_POINTS)
@@ -83,6 +84,7 @@ def test_what_a_killed_run_leaves_pressed_is_lifted_and_said_first_by_the_next_c
     assert any(report["pressed"] in line for line in first), first
 
 
+@pytest.mark.thorough
 def test_a_run_that_hangs_is_ended_and_made_safe_by_the_guard(rig):
     running = rig.start_sweep(*SIXTY_POINTS)
     running.wait_for(r"^20/60 ")

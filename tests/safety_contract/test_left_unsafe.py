@@ -51,6 +51,7 @@ def test_a_run_whose_mark_cannot_be_written_is_refused_before_anything_is_switch
     assert rig.marks() == []
 
 
+@pytest.mark.thorough
 def test_a_run_and_its_guard_killed_together_are_reported_and_refuse_the_bench(rig, bench_file):
     """As a log-out or a computer without memory does; the generator stays on."""
     running = rig.start(*sweep(bench_file, MANY))

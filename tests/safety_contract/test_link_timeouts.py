@@ -28,6 +28,7 @@ def deepest_mm(rig, since):
     return max(e["value"]["target_mm"] for e in moves)
 
 
+@pytest.mark.thorough
 def test_one_lost_answer_of_a_stage_that_presses_does_not_stop_its_drive(rig):
     lost = rig.fault(f'[[fault]]\ndevice = "stage_z"\nkind = "silence"\n{PRESSED["sweep"]}')
     ended = rig.sweep("--frequencies", "300,600", "--fault", lost)
@@ -58,6 +59,7 @@ def test_a_drive_that_its_own_time_out_has_stopped_is_acknowledged_and_lifted(ri
     assert stands_mm(rig) == pytest.approx(PARKED_mm, abs=0.02)
 
 
+@pytest.mark.thorough
 def test_a_drive_that_times_out_and_cannot_be_lifted_is_reported_with_place_and_force(rig):
     """The same, and something holds the axis."""
     code = rig.bench.z.silence_fault

@@ -89,6 +89,7 @@ def test_a_complete_run_is_not_resumed(rig):
     assert "complete" in again.errors[0]
 
 
+@pytest.mark.thorough
 def test_a_journal_that_was_edited_is_not_resumed(rig):
     running = rig.start_sweep(*SIXTY_POINTS)
     running.wait_for(r"^5/60 ")

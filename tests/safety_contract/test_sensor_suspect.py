@@ -71,6 +71,7 @@ def test_noise_alone_is_not_taken_for_a_contact_that_is_pressed(rig, after_s, la
     assert largest_N(rig) <= largest
 
 
+@pytest.mark.thorough
 def test_the_servo_orders_nothing_deeper_than_the_latest_contact(rig):
     """The sensor reads less and less of a force that is held: z would follow it for ever."""
     drift = f'kind = "drift"\nrate_N_s = -1.0\n{APPROACH}after_s = 4.0'
@@ -111,6 +112,7 @@ HELD = 'move = 4\nof = "stage_z"\nafter_s = 2.5\n'
 """While the force is held, on every model of stage."""
 
 
+@pytest.mark.thorough
 def test_one_axis_that_is_stuck_ends_the_run_and_is_named(rig):
     ended = run(rig, "slip-trial", f'kind = "one-axis-stuck"\naxis = "y"\n{HELD}', "--rest", "3s")
     assert ended.code == 3, ended.stderr
@@ -139,6 +141,7 @@ def test_a_sensor_that_dies_while_the_force_is_held_ends_the_run_before_the_serv
     assert largest_N(rig) < 15.0
 
 
+@pytest.mark.thorough
 def test_a_drift_under_a_held_force_is_ended_by_the_torque(rig):
     """The servo would follow the drift by 2 N/s to the torque limit, far over the force limit."""
     drift = f'kind = "drift"\nrate_N_s = -2.0\n{HELD}'
@@ -155,6 +158,7 @@ def test_a_zero_that_drifts_in_free_air_ends_the_run_before_anything_is_pressed(
     assert largest_N(rig) == 0.0
 
 
+@pytest.mark.thorough
 def test_a_zero_that_has_moved_while_the_force_was_held_makes_the_trial_invalid(rig):
     ended = run(rig, "slip-trial", f'kind = "drift"\naxis = "x"\nrate_N_s = 0.2\n{HELD}')
     assert ended.code == 5, ended.stderr
@@ -195,6 +199,7 @@ def test_a_strip_whose_touch_gain_is_not_what_it_was_ends_the_run(rig):
     assert [e["value"] for e in rig.log() if e["what"] == "last-force"] == [0.0]
 
 
+@pytest.mark.thorough
 def test_a_run_that_does_not_fit_is_accepted_with_a_reason_that_the_file_keeps(rig):
     reads_more = 'kind = "wrong-scale"\nfactor = 4.0'
     assert run(rig, "sweep", 'kind = "wrong-scale"\nfactor = 1.0').code == 0

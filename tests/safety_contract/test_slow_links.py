@@ -127,6 +127,7 @@ def await_slide(rig) -> None:
     raise AssertionError("x never slid")
 
 
+@pytest.mark.thorough
 def test_a_daq_that_answers_late_starves_no_drive_and_the_skin_is_lifted(rig, serve):
     path = serve("--fixture", "plate")
     text = path.read_text()

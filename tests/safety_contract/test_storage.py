@@ -20,6 +20,7 @@ LONG_RECORDS = ("--shortest-record", "0.5s")
 """Several of them do not fit."""
 
 
+@pytest.mark.thorough
 def test_a_disk_that_fills_up_ends_the_run_safely(rig):
     """A file-size limit of the process stands for a full disk: the write fails in the same way."""
 
@@ -123,6 +124,7 @@ def test_a_bench_that_others_record_from_has_no_disk_to_fail(rig):
     assert "device = 'disk': no such device on this bench" in ended.stderr
 
 
+@pytest.mark.thorough
 def test_a_run_whose_results_are_deleted_ends_safely_and_keeps_everything(rig):
     running = rig.start_sweep("--frequencies", FORTY_POINTS)
     running.wait_for(r"^3/40 ")

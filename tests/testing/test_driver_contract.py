@@ -51,6 +51,7 @@ def passed(ended: subprocess.CompletedProcess[str]) -> int:
     return int(found[1])
 
 
+@pytest.mark.thorough
 def test_one_line_puts_an_instrument_of_every_role_through_its_experiment(tmp_path: Path) -> None:
     ended = contract(installed(tmp_path / "site"), "-k", "whole_experiment")
     assert passed(ended) == len(CORES)
