@@ -264,8 +264,9 @@ def test_a_run_does_not_continue_after_a_hold_that_left_the_film_pressed(rig):
 
 @pytest.mark.thorough
 def test_a_contact_that_stays_loose_ends_the_run_with_its_counts(rig):
-    """Every 3 s the force sensor is silent for half a second: no trial is ever completed."""
-    gaps = "".join(silence(f"after_s = {seconds}\n", 0.5) for seconds in range(6, 200, 3))
+    """The force sensor is silent for half a second again and again, each time while the skin is
+    pressed (12 s after the run's begin, then 7 to 10 s after a gap): no trial is completed."""
+    gaps = "".join(silence(f"after_s = {seconds}\n", 0.5) for seconds in range(14, 300, 8))
     ended = rig.run(
         *("slip-trial", "--json", "--no-figures", "--fault", rig.fault(gaps)),
         *("--world-log", str(rig.world_log)),
