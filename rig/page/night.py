@@ -10,6 +10,7 @@ from rig.batch.queue import Queue, RunRow
 from rig.batch.report.heartbeat import read_heartbeat
 from rig.batch.report.status import status_of
 from rig.core.errors import ConfigurationError, RigError
+from rig.run.lock_holder import holder_of
 
 MOST_RUNS = 200
 """Runs of the queue that are listed of each state."""
@@ -17,14 +18,34 @@ MOST_FIGURES = 500
 
 
 def latest_batch(results: Path) -> BatchFolder | None:
-    """Return the latest batch of a results folder, None if there is none."""
-    found: list[tuple[float, Path]] = []
+    """Return the batch of a results folder that runs, or the latest where none does; None if there
+    is none."""
+    found: list[tuple[bool, float, Path]] = []
     for queue in results.glob(f"*/{QUEUE}"):
         try:
-            found.append((queue.stat().st_ctime, queue.parent))
+            found.append(
+                (is_running(BatchFolder(queue.parent)), queue.stat().st_ctime, queue.parent)
+            )
         except OSError:
             continue
-    return BatchFolder(max(found)[1]) if found else None
+    return BatchFolder(max(found)[2]) if found else None
+
+
+def running_batch(results: Path) -> BatchFolder | None:
+    """Return the batch of a results folder that a supervisor runs now, None if there is none."""
+    folder = latest_batch(results)
+    return folder if folder is not None and is_running(folder) else None
+
+
+def batch_of(journal: Path) -> BatchFolder | None:
+    """Return the batch that runs now and takes the run of this journal; None if there is none."""
+    folder = BatchFolder(journal.parent.parent)
+    return folder if folder.queue.exists() and is_running(folder) else None
+
+
+def is_running(folder: BatchFolder) -> bool:
+    """Return whether the kernel knows a supervisor of the batch; no lock is taken for it."""
+    return holder_of(folder.path / "supervisor.lock") is not None
 
 
 def night(results: Path) -> dict[str, Any]:
@@ -58,12 +79,11 @@ def night(results: Path) -> dict[str, Any]:
     }
 
 
-def ask_batch(results: Path, request: str) -> str:
-    """Leave a request for the supervisor of the batch that is running; return the batch's name.
-    Raises ConfigurationError if none runs."""
-    folder = latest_batch(results)
-    if folder is None or not folder.is_held("supervisor"):
-        raise ConfigurationError("no batch is running", "stop the run itself")
+def ask_batch(folder: BatchFolder, request: str) -> str:
+    """Leave a request for the supervisor of a batch; return the batch's name. Raises
+    ConfigurationError if it does not run."""
+    if not is_running(folder):
+        raise ConfigurationError(f"the batch {folder.path.name} is not running", "stop the run")
     with Queue.open(folder.queue) as queue:
         queue.add_request(request)
         return queue.meta("name")

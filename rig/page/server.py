@@ -40,7 +40,7 @@ from rig.core.threads import start_thread
 from rig.page.access import HEADERS, Access, RefusedError
 from rig.page.frames import Cursor, as_event, next_frame
 from rig.page.history import RunIndex
-from rig.page.night import ask_batch, latest_batch, night
+from rig.page.night import ask_batch, batch_of, night, running_batch
 from rig.page.watch import BenchWatch
 from rig.run.lock_holder import LockHolder, NotStoppedError, holder_of
 
@@ -240,26 +240,31 @@ def _changing(state: PageState, change: Change) -> Callable[[Request], Any]:
 
 
 def _stop(state: PageState, wanted: dict[str, Any]) -> tuple[int, dict[str, Any]]:
-    what = wanted.get("what", "run")
-    if what not in ("run", "night"):
+    """Stop the run or the night. A page that may not know of the batch yet makes no choice: where
+    the run is one of a batch, that is the night, since otherwise the next run would follow."""
+    what = wanted.get("what")
+    if what not in (None, "run", "night"):
         return 400, {"problem": f"stop what: run or night, not {what!r}"}
-    results = state.watch.results
-    batch = latest_batch(results)
-    in_batch = batch is not None and holder_of(batch.path / "supervisor.lock") is not None
+    journal = state.watch.path
+    recording = journal is not None and holder_of(journal) is not None
+    own = batch_of(journal) if journal is not None and recording else None
+    batch = own or running_batch(state.watch.results)
+    if what is None:
+        what = "run" if recording and own is None else "night"
 
     def ask_for_this_run(path: Path) -> LockHolder:
-        """Have the batch end the run: it has to know that it continues."""
+        """Have the batch end its run: it has to know that it continues."""
         holder = holder_of(path)
-        if holder is None:
+        if holder is None or own is None:
             raise NotStoppedError("the run has ended already")
-        ask_batch(results, "stop-run")
+        ask_batch(own, "stop-run")
         return holder
 
     try:
-        if what == "run" and in_batch:
+        if what == "run" and own is not None:
             stop = state.watch.ask_to_stop(ask_for_this_run)
         else:
-            asked = ask_batch(results, "stop-now") if in_batch else ""
+            asked = ask_batch(batch, "stop-now") if what == "night" and batch is not None else ""
             try:
                 stop = state.watch.ask_to_stop()
             except NotStoppedError:

@@ -309,7 +309,7 @@ async function change(path, body) {
 function pressStop() {
   if ($("stop").disabled) return;
   if (night.running && !(last && last.stop && !last.stop.over)) $("ask").showModal();
-  else change("/api/stop", {what: "run"});
+  else change("/api/stop", {}); // no choice: the server knows whether the run is one of a batch
 }
 
 $("stop").addEventListener("click", pressStop);

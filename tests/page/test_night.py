@@ -1,0 +1,125 @@
+"""Which batch a STOP on the page is for: the one that the kernel knows to run."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from rig.batch.folder import QUEUE, BatchFolder
+from rig.page import server
+from rig.page.night import batch_of, latest_batch, running_batch
+
+HOLD = """
+import fcntl, os, sys
+files = [os.open(path, os.O_RDWR | os.O_CREAT) for path in sys.argv[1:]]
+for file in files:
+    fcntl.flock(file, fcntl.LOCK_EX)
+print("held", flush=True)
+sys.stdin.read()
+"""
+
+
+@contextmanager
+def held(*paths: Path) -> Iterator[None]:
+    """Have another process hold the locks of these files."""
+    process = subprocess.Popen(
+        [sys.executable, "-c", HOLD, *map(str, paths)],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+    )
+    assert process.stdout is not None
+    process.stdout.readline()
+    try:
+        yield
+    finally:
+        process.communicate()
+
+
+def batch(results: Path, name: str, ctime_order: int) -> BatchFolder:
+    folder = BatchFolder(results / name)
+    (folder.path / "runs").mkdir(parents=True)
+    (folder.path / QUEUE).write_text("")
+    (folder.path / "supervisor.lock").write_text("")
+    os.utime(folder.path / QUEUE, (ctime_order, ctime_order))
+    return folder
+
+
+@pytest.fixture
+def asked(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
+    """What batches were asked for, by the page's server."""
+    requests: list[Any] = []
+
+    def ask_batch(folder: BatchFolder, request: str) -> str:
+        requests.append((folder.path.name, request))
+        return folder.path.name
+
+    monkeypatch.setattr(server, "ask_batch", ask_batch)
+    return requests
+
+
+def stop(results: Path, journal: Path | None, wanted: dict[str, Any], signalled: list[Path]) -> Any:
+    """Press STOP with this choice, while the page shows the run of `journal`."""
+
+    def ask_to_stop(ask: Any = None) -> Any:
+        if journal is None:
+            raise server.NotStoppedError("no run holds the bench")
+        holder = SimpleNamespace(pid=1) if ask is None else ask(journal)
+        if ask is None:
+            signalled.append(journal)
+        return SimpleNamespace(presses=1, holder=holder)
+
+    watch = SimpleNamespace(path=journal, results=results, ask_to_stop=ask_to_stop)
+    return server._stop(SimpleNamespace(watch=watch), wanted)  # type: ignore[arg-type]
+
+
+def test_the_batch_that_runs_is_shown_before_a_later_one_that_does_not(tmp_path: Path) -> None:
+    runs = batch(tmp_path, "a", 1)
+    batch(tmp_path, "b", 2)
+    assert running_batch(tmp_path) is None
+    with held(runs.path / "supervisor.lock"):
+        assert latest_batch(tmp_path) == running_batch(tmp_path) == runs
+
+
+def test_a_stop_without_a_choice_in_a_run_of_a_batch_is_for_the_whole_night(
+    tmp_path: Path, asked: list[Any]
+) -> None:
+    night = batch(tmp_path, "night", 1)
+    journal = night.journal(1, "sweep")
+    signalled: list[Path] = []
+    with held(night.path / "supervisor.lock", journal):
+        assert batch_of(journal) == night
+        assert stop(tmp_path, journal, {}, signalled)[0] == 200
+        assert (asked, signalled) == ([("night", "stop-now")], [journal])
+        assert stop(tmp_path, journal, {"what": "run"}, signalled)[0] == 200
+    assert asked[1:] == [("night", "stop-run")]
+    assert signalled == [journal], "the batch ends its run itself"
+
+
+@pytest.mark.parametrize("wanted", [{}, {"what": "run"}], ids=json.dumps)
+def test_a_run_beside_a_batch_is_stopped_itself_and_the_batch_is_not_asked(
+    tmp_path: Path, asked: list[Any], wanted: dict[str, Any]
+) -> None:
+    night = batch(tmp_path, "night", 1)
+    journal = tmp_path / "2026-11-25" / "x_sweep_r001.rigj"
+    journal.parent.mkdir()
+    signalled: list[Path] = []
+    with held(night.path / "supervisor.lock", journal):
+        assert stop(tmp_path, journal, wanted, signalled)[0] == 200
+    assert (asked, signalled) == ([], [journal])
+
+
+def test_a_stop_while_a_batch_rests_is_for_the_night(tmp_path: Path, asked: list[Any]) -> None:
+    night = batch(tmp_path, "night", 1)
+    with held(night.path / "supervisor.lock"):
+        status, said = stop(tmp_path, None, {}, [])
+    assert (status, asked) == (200, [("night", "stop-now")])
+    assert said["text"] == "batch night was asked to stop"
