@@ -39,7 +39,7 @@ class EarlierPress:
     """The reference for presses of one kind with one force, if there is one."""
 
     def __init__(self, run: Run, force_N: float, what: str = ""):
-        """`what` is pressed, where the settings name it."""
+        """`what` tells presses with the same force apart, see `PressedSettings.kind_of_press`."""
         self._run, self._force_N = run, force_N
         self._kind = f"{force_N:g} N {what}"
         self._reference = run.references.of(self._kind)

@@ -65,8 +65,8 @@ class ForceHold:
         like it."""
         self._servo.slide_begins(expected)
 
-    def step(self, force_N: float) -> None:
-        """Give z a new target.
+    def step(self, force_N: float, torque_too: bool) -> None:
+        """Give z a new target, and read its torque if it is due and `torque_too`.
 
         Nothing is asked of a link that is not done with what it was asked before: a target that
         waits there would come later than the servo takes for granted, and the force would ring.
@@ -91,7 +91,7 @@ class ForceHold:
         step = self._servo.step(force_N, passed, self._z.target_late_s, force.older_s)
         self._stepped_at = self._ticks.begun
         self._z.start_move(self._z.commanded_mm + step.increment_mm, step.speed_mm_s)
-        if self._torque.is_due():
+        if torque_too and self._torque.is_due():
             self._z.ask_torque(self._torque)
             self._torque_asked = True
 

@@ -232,7 +232,7 @@ def _touch_down(run: Run, record: TrialRecord, force: npt.NDArray[np.float64]) -
         reading[f"touch_gain_{number}_V_s_N"] = gain.value
         reading[f"touch_gain_{number}_error_V_s_N"] = gain.standard_error
     settings: PressedSettings = run.settings
-    EarlierPress(run, settings.normal_force_N, settings.object).judge_gains(
+    EarlierPress(run, settings.normal_force_N, settings.kind_of_press).judge_gains(
         {
             strip: TouchGain(value_V_s_N=gain.value, error_V_s_N=gain.standard_error)
             for strip, gain in zip(STRIPS, gains, strict=True)
@@ -268,7 +268,7 @@ def _doubts(
         if unseen_s > oldest_s:
             doubts.append(
                 f"{axis} was not seen for {unseen_s:.2g} s of its motion, more than {oldest_s:.2g} "
-                f"s ({OLDEST_LOOK} looks): its answers came late"
+                f"s ({OLDEST_LOOK} looks): its answers, or the computer's ticks, came late"
             )
     span_s = record.motion_to_s + AFTER_S
     for name, rate in (("samples", settings.rate_S_s), ("frames", record.force_rate_S_s)):

@@ -35,6 +35,8 @@ class PollSchedule:
         """Ticks of the loop under way from one poll to the next."""
         self._latest = -1
         """Number of the latest poll in the loop under way."""
+        self._due = False
+        """Whether the tick under way polls."""
         self.interval_s = math.inf
         """Time in s from one poll to the next."""
 
@@ -46,8 +48,14 @@ class PollSchedule:
     def is_due(self, tick: Tick) -> bool:
         """Return whether this tick polls: once in an interval, also where ticks were missed."""
         number = tick.number // self._every
-        due, self._latest = number != self._latest, number
-        return due
+        self._due, self._latest = number != self._latest, number
+        return self._due
+
+    @property
+    def leaves_time(self) -> bool:
+        """Whether the links have time for a further request in the tick under way: it does not
+        poll, or every tick does."""
+        return self._every == 1 or not self._due
 
     def is_last(self, tick: Tick) -> bool:
         """Return whether the next tick polls."""
@@ -139,6 +147,12 @@ class TickRecorder:
                 self._positions.add_row()
             self._collect_in_turn(due, self._schedule.is_last(tick))
         return self.force.update()
+
+    @property
+    def leaves_time(self) -> bool:
+        """Whether the links have time for a further request in the tick under way. On a slow line
+        that two stages share, their polls and the new target take a tick's time."""
+        return self._schedule.leaves_time
 
     def poll_if_due(self) -> None:
         """Poll the axes in motion, where this tick has not done so: in real time after the tick's

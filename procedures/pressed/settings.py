@@ -124,6 +124,12 @@ class PressedSettings(BaseSettings):
         return self
 
     @property
+    def kind_of_press(self) -> str:
+        """What decides, beside the normal force, what a press shows: a press is compared with
+        earlier ones of its kind. A procedure that presses at several places names the place."""
+        return self.object
+
+    @property
     def block_samples(self) -> int:
         """Number of samples in a block of the DAQ."""
         return round(self.rate_S_s * self.block_s)

@@ -106,7 +106,7 @@ class PressedTrial:
         """Press the object with the normal force, no faster than the force allows; tap, and rest
         under the servo. The contact's stiffness is learnt on the way."""
         settings, record = self.settings, self.record
-        earlier = EarlierPress(self.run, settings.normal_force_N, settings.object)
+        earlier = EarlierPress(self.run, settings.normal_force_N, settings.kind_of_press)
         press = Press(
             self.run,
             self.series,
@@ -225,7 +225,8 @@ class PressedTrial:
 
     def hold_tick(self, tick: Tick) -> bool:
         """Collect and record, and move z by what the force asks for; always True."""
-        self._held().step(self.recorder.collect(tick))
+        force_N = self.recorder.collect(tick)
+        self._held().step(force_N, self.recorder.leaves_time)
         return True
 
     def since_s(self) -> float:

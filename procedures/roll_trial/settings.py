@@ -64,6 +64,12 @@ class RollTrialSettings(PressedSettings):
         return self
 
     @property
+    def kind_of_press(self) -> str:
+        """See `PressedSettings`: a head touches other ridges from each start, and the strips answer
+        to it differently."""
+        return f"{self.object} at {self.start_mm:g} mm".lstrip()
+
+    @property
     def profile(self) -> Profile:
         """Profile of the roll."""
         if self.profile_times_s:

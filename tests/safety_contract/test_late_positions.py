@@ -74,7 +74,7 @@ def test_a_trial_in_which_x_answered_late_says_how_old_its_positions_are_and_doe
     assert ended.code == 5, ended.stderr
     reading, streams = taken(rig)
     assert "stage_x was not seen for 0.4" in reading["invalid"]
-    assert "its answers came late" in reading["invalid"]
+    assert "its answers, or the computer's ticks, came late" in reading["invalid"]
     assert reading["oldest_look_s"] == pytest.approx(LATE_S, abs=0.1)
     elapsed = streams["ticks"].values("elapsed")
     slides = (elapsed > reading["slide_from_s"] + 0.05) & (elapsed < reading["slide_to_s"])

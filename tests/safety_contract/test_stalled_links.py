@@ -36,7 +36,8 @@ STALLS = {
     "slip: z, one look": (SLIP, "stage_z", "FC3 100", SLIDE, ""),
     "slip: z, one target": (SLIP, "stage_z", "FC16", SLIDE, ""),
     "slip: force, its frames": (SLIP, "force_sensor.stream", "", SLIDE, "for_s = 8.0\n"),
-    "slip: force, a command": (SLIP, "force_sensor", "", FIRST_RECORD, FOR_EVER),
+    # Nothing but its end is asked of a stream that runs, and then nothing is pressed any more.
+    "slip: force, the end of its stream": (SLIP, "force_sensor", "", FIRST_RECORD, FOR_EVER),
     "sweep: generator, a frequency": (SWEEP, "generator", "SOUR1:FREQ", LATER, FOR_EVER),
     "sweep: generator, an amplitude": (SWEEP, "generator", "SOUR1:VOLT", LATER, FOR_EVER),
     "sweep: generator, its output": (SWEEP, "generator", "OUTP1", LATER, FOR_EVER),
@@ -91,9 +92,9 @@ def test_no_link_that_falls_silent_starves_another_drive_or_keeps_anything_press
         pytest.skip("the computer was too busy for the trial to come to that request")
     assert injected, "the link never fell silent"
     rested = [n for n, e in enumerate(seen) if (e["device"], e["what"]) == ("stage_z", "at-rest")]
-    lifted = next(
-        (n for n in rested if n > injected[0] and seen[n]["value"] < PRESSED_mm - 1.0), None
-    )
+    pressed = [n for n in rested if seen[n]["value"] > PRESSED_mm - 1.0]
+    assert pressed, "it was never pressed"
+    lifted = next((n for n in rested if n > pressed[-1]), None)
     assert lifted is not None, "it is still pressed"
     assert seen[rested[-1]]["value"] == pytest.approx(PARKED_mm, abs=0.02)
     starved = [e["device"] for e in seen[:lifted] if e["what"] == "fault"]
