@@ -8,10 +8,12 @@ an instrument answers one program at a time.
 from __future__ import annotations
 
 import contextlib
+import time
 from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from datetime import datetime
+from typing import TypeVar
 
 import numpy as np
 from rich.console import Console, Group
@@ -32,6 +34,7 @@ ROLES = ("force_sensor", "daq")
 FORCE_S_S = 100.0
 DAQ_S_S = 1000.0
 AXES = ("x", "y", "z")
+T = TypeVar("T")
 
 
 @dataclass
@@ -103,20 +106,26 @@ def _read(bench: Bench, values: dict[str, Value]) -> None:
     """Take in everything that has come, and add its mean."""
     there = bench.instruments
     if "force_sensor" in there:
-        frames = []
-        while (batch := bench.force_sensor.read()) is not None:
-            frames.append(batch.force_N)
+        frames = [batch.force_N for batch in come(bench.force_sensor.read)]
         if frames:
             mean = np.concatenate(frames).mean(axis=0)
             for axis, force_N in zip(AXES, mean, strict=True):
                 _add(values, f"force {axis}", "N", float(force_N))
     if "daq" in there:
-        blocks = []
-        while (record := bench.daq.read()) is not None:
-            blocks.append(record)
+        blocks = list(come(bench.daq.read))
         for channel in blocks[-1].scaling.channels if blocks else ():
             volts = np.concatenate([record.volts(channel) for record in blocks])
             _add(values, channel, "V", float(volts.mean()))
+
+
+def come(read: Callable[[], T | None]) -> Iterator[T]:
+    """Yield what `read` returns until it returns None; no longer than one drawing takes, since on a
+    busy computer something new may come before every reading."""
+    until_s = time.monotonic() + DRAWN_EVERY_S
+    while (one := read()) is not None:
+        yield one
+        if time.monotonic() > until_s:
+            return
 
 
 def _add(values: dict[str, Value], name: str, units: str, value: float) -> None:

@@ -7,12 +7,19 @@ import signal
 import pytest
 import recorded_run as run
 
+from rig.page.sensors import come
 from rig.page.terminal import bars
 
 
 def test_values_become_bars_between_their_smallest_and_largest():
     assert bars([0.0, None, 1.0, 0.5]) == "  █▄"
     assert bars([]) == ""
+
+
+def test_a_sensor_that_always_has_something_new_is_left_for_the_next_drawing():
+    assert set(come(lambda: 1)) == {1}
+    left = [2, 1]
+    assert list(come(lambda: left.pop() if left else None)) == [1, 2]
 
 
 def test_a_run_is_shown_by_its_journal(rig):
