@@ -133,7 +133,7 @@ class ApproachWatch:
         raise torque.suspect("approach", rise_percent, mean_N)
 
     def _mean_and_least_N(self) -> tuple[float, float]:  # noqa: N802 - the unit keeps its capital
-        """Return the mean force along z, and the least one that is no noise."""
+        """Return the mean force along z, and the least one that is more than noise."""
         force = self._run.force
         latest_N = force.latest_N(CONFIRMED_S)[:, 2]
         error_N = float(force.noise_N[2]) / math.sqrt(len(latest_N))

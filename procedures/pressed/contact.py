@@ -57,7 +57,7 @@ TARE_S = 0.2
 """Stretch of force that the zero is the mean of; the rest before it is twice as long."""
 DRIFT_N_s, DRIFT_S, SIGMAS = 0.2, 1.0, 5.0
 """Largest drift of the zero in free air, far above what a warm amplifier shows; the stretch of
-force that confirms one; and the ratio to its standard error from which it is no noise."""
+force that confirms one; and the ratio to its standard error above which it is more than noise."""
 DRIFT_PARTS, LASTING_SHARE = 3, 1 / 3
 """Parts of that stretch, and the share of its slope that each of them has to have: a drift goes on,
 while something that pushes on the probe for a moment shows in one or two of them."""

@@ -31,7 +31,7 @@ ripple, and far enough below the limit that z stops before it."""
 LEAST_percent = 3.0
 """The same where the torque limit is very low."""
 SIGMAS = 5.0
-"""Ratio to the scatter of the readings in free air from which a rise is no scatter."""
+"""Ratio to the scatter of the readings in free air above which a rise is more than scatter."""
 FRICTION = 2.5
 """A drive that holds may show its friction in either direction: so many times the friction is the
 least rise that is judged while the force is held."""

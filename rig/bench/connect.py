@@ -28,7 +28,7 @@ from rig.instruments.roles import (
 )
 
 TELL_EVERY_S = 3.0
-"""Time in s after which it is told which instruments are still being connected."""
+"""Time in s after which a message names the instruments that are still being connected."""
 GIVE_UP_S = 10.0
 """Time in s that a connection under way is waited for when nothing more is to be connected."""
 

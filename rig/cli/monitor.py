@@ -10,8 +10,7 @@ from typing import Annotated
 import typer
 
 from rig.cli.outcome import reported, say
-from rig.core.errors import ConfigurationError
-from rig.run.bench_selector import bench_file
+from rig.run.bench_selector import existing_bench_file
 
 
 def monitor(
@@ -35,9 +34,7 @@ def monitor(
         from rig.page.terminal import show_run
         from rig.page.watch import BenchWatch
 
-        chosen = bench_file(bench)
-        if chosen is not None and not chosen.is_file():
-            raise ConfigurationError(f"there is no bench file {chosen}", "name it with --bench")
+        chosen = existing_bench_file(bench)
         until_s = None if seconds is None else time.monotonic() + seconds
 
         def go_on() -> bool:

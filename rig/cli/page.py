@@ -9,7 +9,7 @@ import typer
 
 from rig.cli.outcome import reported, say, start_log
 from rig.core.errors import ConfigurationError
-from rig.run.bench_selector import bench_file
+from rig.run.bench_selector import existing_bench_file
 
 PORT = 8470
 
@@ -47,9 +47,7 @@ def page(
         from rig.page.history import RunIndex
         from rig.page.watch import BenchWatch
 
-        chosen = bench_file(bench)
-        if chosen is not None and not chosen.is_file():
-            raise ConfigurationError(f"there is no bench file {chosen}", "name it with --bench")
+        chosen = existing_bench_file(bench)
         access = Access(read_only)
         state = PageState(BenchWatch(results, chosen), RunIndex(results), access, rate)
 

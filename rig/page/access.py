@@ -1,6 +1,6 @@
 """Who may ask for what: tokens, hosts, origins, and the headers of every answer. Rules only.
 
-A web page of somebody else, open in the same browser, can send requests to this computer. So every
+A page of another site, open in the same browser, can send requests to this computer. So every
 request has to carry the token in a header, which such a page can neither know nor send; the Host
 has to be this computer's own, so that a foreign name that resolves to it is refused; and where the
 browser states an Origin it has to be this server's own.

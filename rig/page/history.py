@@ -1,4 +1,4 @@
-"""The runs of a results folder: read once, then followed; found by a name that is no path."""
+"""The runs of a results folder: read once, then followed; found by a name, never by a path."""
 
 from __future__ import annotations
 

@@ -100,7 +100,7 @@ def application(state: PageState) -> ASGIApp:
     async def run(request: Request) -> Response:
         found = await asyncio.to_thread(state.index.detail, request.path_params["run"])
         if found is None:
-            return PlainTextResponse("there is no such run", 404)
+            return PlainTextResponse("no run of this name in the results folder", 404)
         return Response(json.dumps(found, default=str), media_type="application/json")
 
     async def file(request: Request) -> Response:
@@ -207,7 +207,7 @@ async def _page(_: Request) -> Response:
 async def _part(request: Request) -> Response:
     name = request.path_params["name"]
     if name not in PARTS:
-        return PlainTextResponse("there is no such part of the page", 404)
+        return PlainTextResponse("the page has no such address", 404)
     return FileResponse(STATIC / name, media_type=PARTS[name])
 
 

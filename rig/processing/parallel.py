@@ -33,7 +33,7 @@ WORKERS_S = 30.0
 LOOK_EVERY_S = 0.5
 """Time in s between two looks whether scheduler and workers of a cluster are alive."""
 CLOSE_S = 3.0
-"""Longest time in s in which a cluster is told that nothing more is wanted of it."""
+"""Longest time in s that cancelling the rest of a cluster's work may take."""
 
 
 def processors() -> int:

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rig.core.entry_points import BENCHES, DRIVERS, load
+from rig.core.errors import ConfigurationError
 
 if TYPE_CHECKING:
     from rig.bench.plan import BenchPlan
@@ -67,6 +68,17 @@ def bench_file(given: Path | None) -> Path | None:
     """Return the bench file that a command names, else ./bench.toml if there is one, else None for
     a simulated bench."""
     return given or (BENCH_FILE if BENCH_FILE.exists() else None)
+
+
+def existing_bench_file(given: Path | None) -> Path | None:
+    """Return `bench_file`. Raises ConfigurationError for a file that does not exist."""
+    chosen = bench_file(given)
+    if chosen is not None and not chosen.is_file():
+        raise ConfigurationError(
+            f"the bench file {chosen} does not exist",
+            "give the file with --bench, or leave it out for the simulated bench",
+        )
+    return chosen
 
 
 @dataclass(frozen=True)

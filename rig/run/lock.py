@@ -12,8 +12,8 @@ same name. So the file is compared with its name after it was locked, and again 
 connects (`BenchLock.check`); and a mark whose run lives (`rig.run.bench_mark`) refuses the bench as
 a lock does.
 
-An instrument has a lock under each of its addresses (`rig.bench.addresses`), so that another name
-for it is no other instrument.
+An instrument has a lock under each of its addresses (`rig.bench.addresses`), so that it is
+found locked under every name for it.
 """
 
 from __future__ import annotations

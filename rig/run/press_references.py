@@ -193,7 +193,8 @@ def _file_of(plan: BenchPlan, results: Path) -> _InResults | _InSharedFolder:
 
 
 def _addresses(plan: BenchPlan) -> list[tuple[str, str]]:
-    # Of what presses and what measures it: another DAQ or one stage more is no other bench.
+    # Only of what presses and what measures it: with another DAQ or a further stage it is the same
+    # bench.
     return [
         (part.role, addresses_of(part.settings.model_dump())[0])
         for part in plan.instruments

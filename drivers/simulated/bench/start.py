@@ -55,7 +55,7 @@ class StartedBench:
         if self._disk is not None:
             self._disk.install()
         assert self._process.stdin is not None
-        with contextlib.suppress(BrokenPipeError):  # one that has died is told by `ready`
+        with contextlib.suppress(BrokenPipeError):  # `ready` reports one that has died
             self._process.stdin.write(json.dumps(asdict(options)).encode() + b"\n")
             self._process.stdin.flush()
 
