@@ -105,6 +105,8 @@ INPUT_REGISTERS = (12, 14)
 among it the position, is not used."""
 TORQUE_REGISTERS = (16, 18)
 """Readings that end with the torque, in turn: longer than any other."""
+NOT_THERE = (1, 2, 3)
+"""Exceptions of a drive that does not have the register; 4 is that of one that cannot answer now."""
 OUTSIDE_C = (-40.0, 150.0)
 """No drive or motor reports a temperature beyond these."""
 
@@ -406,7 +408,9 @@ class AzAxis:
         count = TORQUE_REGISTERS[self._torques_read % 2]
         try:
             words = self._link.read(TORQUE + 2 - count, count)
-        except AzRefusalError:
+        except AzRefusalError as refused:
+            if refused.exception not in NOT_THERE:
+                raise
             self._has_torque = False
             return None
         return signed(words[-2] << 16 | words[-1]) / 10

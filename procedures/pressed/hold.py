@@ -107,6 +107,7 @@ class ForceHold:
         target_N = self._servo.settings.target_N
         self._lost = self._lost + 1 if force_N < LOST_SHARE * target_N else 0
         if self._lost >= LOST_STEPS:
+            self._z.stage.stop()
             raise InstrumentError(
                 "force_sensor",
                 "hold the force",

@@ -93,6 +93,8 @@ class TorqueWatch:
         """Read the torque of a stage that stands in free air; the next approach begins from it."""
         self.read()
         self._resting, self._held, self._fresh = self.latest_percent, [], False
+        # At rest the motor shows less than in motion, by the friction: no rise begins from there.
+        self.latest_percent = None
 
     def learn(self) -> None:
         """Use the latest reading, once, as one in motion in free air."""
@@ -183,14 +185,14 @@ class TorqueWatch:
     def _report(self, text: str) -> None:
         if not self._reported:
             self._reported = True
-            self._run.event("info", "torque", text)
+            self._run.event("warning", "torque", text)
 
 
 class WayTorque:
     """The torque on a way through free air: its first stretch is what the rest is compared with."""
 
     LEARNT_S = 0.3
-    """Stretch of the way that is learnt, from its begin."""
+    """Stretch of the way that is learnt, from its begin; longer where the link is slow."""
     STARTS_S = 0.1
     """Time for which a motion speeds up; its torque is not used."""
 
@@ -207,8 +209,8 @@ class WayTorque:
             return
         torque.read()
         since_s = self._run.clock.now() - self._begun_s
-        if self.STARTS_S <= since_s < self.LEARNT_S:
-            torque.learn()
+        if since_s >= self.STARTS_S and (since_s < self.LEARNT_S or not torque.is_learnt):
+            torque.learn()  # a slow link has brought too few readings by then
         if torque.is_learnt and (rise := torque.rise_percent()) > torque.margin_percent:
             self._run.bench.stage_z.stop()
             raise torque.suspect("way down", rise, force_N)

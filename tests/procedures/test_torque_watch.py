@@ -24,7 +24,7 @@ class Bench:
     def __init__(self, share: float, friction_percent: float = 2.0):
         self.share, self.friction_percent = share, friction_percent
         self.now_s, self.mm, self.moves, self.stopped = 0.0, 11.7, False, False
-        self.noise_N = np.full(3, 0.002)
+        self.noise_N, self.update_rate_Hz = np.full(3, 0.002), 1000.0
         self.events: list[str] = []
         fixture = SimpleNamespace(parked_mm=5.0, contact_from_mm=12.0, contact_to_mm=13.0)
         settings = SimpleNamespace(torque_limit_percent=LIMIT_percent)
@@ -42,7 +42,7 @@ class Bench:
         return self.now_s
 
     def reach(self) -> dict[str, Reach]:
-        return {"update_rate": Reach(0.0, 1000.0, "Hz", "stage_z")}
+        return {"update_rate": Reach(0.0, self.update_rate_Hz, "Hz", "stage_z")}
 
     def position_mm(self) -> float:
         return self.mm
@@ -91,6 +91,18 @@ def test_a_torque_that_rises_without_a_force_names_the_sensor_long_before_its_li
     assert "suspect the force sensor" in str(caught.value.hint)
     assert bench.stopped
     assert 0 < bench.pressed_N < 0.4 * LIMIT_percent
+
+
+def test_the_friction_of_a_further_trial_is_no_rise_from_rest() -> None:
+    bench = Bench(1.0, friction_percent=8.0)
+    torque, watch = at_rest(bench)
+    bench.press(watch, torque, 0.6)
+    bench.mm = 11.7
+    torque.rest()
+    watch = ApproachWatch(bench.run, 0.1, TARGET_N, torque)
+    watch.step(bench.mm, 0.0, touched=False)
+    bench.press(watch, torque, 0.6)
+    assert not bench.stopped
 
 
 def test_a_force_that_stops_changing_while_the_torque_rises_names_the_sensor() -> None:
@@ -166,8 +178,12 @@ def test_a_stage_that_reports_no_torque_is_not_watched() -> None:
     assert bench.events == ["stage_z reports no torque: only its torque limit is behind the force"]
 
 
-def test_something_on_the_way_down_that_the_sensor_does_not_show_is_felt_by_the_torque() -> None:
+@pytest.mark.parametrize("update_rate_Hz", [1000.0, 50.0])
+def test_something_on_the_way_down_that_the_sensor_does_not_show_is_felt_by_the_torque(
+    update_rate_Hz: float,
+) -> None:
     bench = Bench(0.0, friction_percent=4.0)
+    bench.update_rate_Hz, bench.mm = update_rate_Hz, 11.5
     torque, bench.moves = WayTorque(bench.run), True
     with pytest.raises(InstrumentError, match="way down"):
         go_down(bench, torque)

@@ -21,7 +21,12 @@ pytestmark = [
 ]
 PARKED_mm = 5.0
 PRESSED_mm = 12.0
-FOR_EVER = "count = 0\n"
+SILENT = 'kind = "silence"\n'
+ONCE = SILENT
+FOR_EVER = f"{SILENT}count = 0\n"
+PAUSE = f"{SILENT}for_s = 2.0\n"
+"""Longer than the drives wait where their time-outs are as `rig simulate` writes them."""
+LATE = 'kind = "late"\nby_s = 1.5\n'
 SLIDE = 'move = 2\nof = "stage_x"\n'
 FIRST_RECORD = "acquisition = 1\nafter_s = 0.5\n"
 LATER = "acquisition = 8\n"
@@ -33,9 +38,9 @@ STALLS = {
     "slip: daq, the end of the record": (SLIP, "daq", "STOP", FIRST_RECORD, FOR_EVER),
     "slip: x, a look in the slide": (SLIP, "stage_x", "FC3 100", SLIDE, FOR_EVER),
     "slip: x, its stop": (SLIP, "stage_x", "FC16", f"{SLIDE}after_s = 0.5\n", FOR_EVER),
-    "slip: z, one look": (SLIP, "stage_z", "FC3 100", SLIDE, ""),
-    "slip: z, one target": (SLIP, "stage_z", "FC16", SLIDE, ""),
-    "slip: force, its frames": (SLIP, "force_sensor.stream", "", SLIDE, "for_s = 8.0\n"),
+    "slip: z, one look": (SLIP, "stage_z", "FC3 100", SLIDE, ONCE),
+    "slip: z, one target": (SLIP, "stage_z", "FC16", SLIDE, ONCE),
+    "slip: force, its frames": (SLIP, "force_sensor.stream", "", SLIDE, f"{SILENT}for_s = 8.0\n"),
     # Nothing but its end is asked of a stream that runs, and then nothing is pressed any more.
     "slip: force, the end of its stream": (SLIP, "force_sensor", "", FIRST_RECORD, FOR_EVER),
     "sweep: generator, a frequency": (SWEEP, "generator", "SOUR1:FREQ", LATER, FOR_EVER),
@@ -43,17 +48,27 @@ STALLS = {
     "sweep: generator, its output": (SWEEP, "generator", "OUTP1", LATER, FOR_EVER),
     "sweep: daq, a record": (SWEEP, "daq", "DIG", LATER, FOR_EVER),
     "sweep: daq, a look": (SWEEP, "daq", "WAV", LATER, FOR_EVER),
-    "sweep: z, one look": (SWEEP, "stage_z", "FC3 100", LATER, ""),
+    "sweep: z, one look": (SWEEP, "stage_z", "FC3 100", LATER, ONCE),
 }
-"""Procedure, device, command, moment, and for how long its answers are lost."""
+"""Procedure, device, command, moment, and what becomes of its answers."""
+PAUSES = {
+    "slip: daq, a pause": (SLIP, "daq", "", SLIDE, PAUSE),
+    "slip: z, one late answer": (SLIP, "stage_z", "FC3 100", SLIDE, LATE),
+    "sweep: generator, a pause": (SWEEP, "generator", "", LATER, PAUSE),
+    "sweep: daq, a pause": (SWEEP, "daq", "", LATER, PAUSE),
+    "sweep: daq, one late answer": (SWEEP, "daq", "WAV", LATER, LATE),
+    "sweep: z, one late answer": (SWEEP, "stage_z", "FC3 100", LATER, LATE),
+}
+"""The same, of what ends by itself; here drives and links wait as `rig simulate` writes it."""
 
 
 @pytest.fixture
 def serve(rig):
-    """Starts a simulated bench in real time; its bench file."""
+    """Starts a simulated bench in real time; its bench file, as it was written or with longer
+    waits."""
     with contextlib.ExitStack() as stack:
 
-        def start(fixture, plan):
+        def start(fixture, plan, waits_longer):
             path = rig.folder / "a-bench.toml"
             serving = rig.start(
                 "simulate", "--fixture", fixture, "--write", str(path), "--fault", plan,
@@ -62,6 +77,8 @@ def serve(rig):
             stack.callback(serving.finish)
             stack.callback(serving.send, signal.SIGINT)
             serving.wait_for("Ctrl-C ends it")
+            if not waits_longer:
+                return path
             text = re.sub(r"(timeout_ms =) \d+", r"\1 5000", path.read_text())
             text = re.sub(r"timeout_s = [0-9.]+", "timeout_s = 7.0", text)
             stages = r"(\[stage_[zx]\][^[]*\ntimeout_s =) 7\.0"
@@ -71,16 +88,13 @@ def serve(rig):
         yield start
 
 
-@pytest.mark.parametrize("what", STALLS)
+@pytest.mark.parametrize("what", [*STALLS, *PAUSES])
 def test_no_link_that_falls_silent_starves_another_drive_or_keeps_anything_pressed(
     rig, serve, what
 ):
-    (procedure, fixture, *given), device, command, moment, lasting = STALLS[what]
-    plan = rig.fault(
-        f'[[fault]]\ndevice = "{device}"\nkind = "silence"\ncommand = "{command}"\n'
-        f"{moment}{lasting}"
-    )
-    path = serve(fixture, plan)
+    (procedure, fixture, *given), device, command, moment, fate = (STALLS | PAUSES)[what]
+    plan = rig.fault(f'[[fault]]\ndevice = "{device}"\ncommand = "{command}"\n{moment}{fate}')
+    path = serve(fixture, plan, waits_longer=what in STALLS)
     ticks = () if procedure == "sweep" else ("--tick", "20Hz")
     arguments = (procedure, "--bench", str(path), "--json", "--no-figures", *ticks, *given)
     ended = rig.run(*arguments)
