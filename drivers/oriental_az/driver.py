@@ -106,7 +106,7 @@ among it the position, is not used."""
 TORQUE_REGISTERS = (16, 18)
 """Readings that end with the torque, in turn: longer than any other."""
 NOT_THERE = (1, 2, 3)
-"""Exceptions of a drive that does not have the register; 4 is that of one that cannot answer now."""
+"""Exceptions of a drive that does not have the register. One that cannot answer now sends a 4."""
 OUTSIDE_C = (-40.0, 150.0)
 """No drive or motor reports a temperature beyond these."""
 

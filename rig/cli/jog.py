@@ -197,7 +197,7 @@ def _at_the_bench(
         report = request.results / OWN_BENCH_REPORT
     held, addresses = ((), ()) if chosen.lock is None else (chosen.lock.files, chosen.lock.names)
     marks = BenchMarks(addresses, plan.settings.name, None)
-    guard = GuardLink(plan, None, report, held, addresses)
+    guard = GuardLink(plan, None, report, held, addresses, lifts=False)
     try:
         marks.running(guard.pid)
     except RigError:
@@ -211,6 +211,6 @@ def _at_the_bench(
         return ended
     taken_over = guard.take_over()
     say(taken_over.summary)
-    if taken_over.safe:
+    if taken_over.safe and taken_over.released:
         marks.clear()
     return ended

@@ -18,7 +18,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from rig.core.errors import RigError
+from rig.core.errors import RigError, UnsafeError
 from rig.core.threads import start_thread
 
 BEAT_EVERY_S = 0.2
@@ -129,6 +129,8 @@ class ShutdownFailure:
     reason: str
     drives: bool = True
     """False for what drives nothing: the bench is safe although it is still on."""
+    still_pressed: bool = False
+    """True for a force over its limit that remains: to stop everything does not release it."""
 
 
 class Arming:
@@ -257,7 +259,8 @@ class Arming:
                 armed.thread.stuck = True
                 reason = f"not done within {armed.deadline_s:g} s"
             if reason is not None:
-                failures.append(ShutdownFailure(armed.name, reason, armed.drives))
+                remains = isinstance(task.failure, UnsafeError)
+                failures.append(ShutdownFailure(armed.name, reason, armed.drives, remains))
             else:
                 self._forget(armed)
         return failures

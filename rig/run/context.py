@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -146,6 +147,11 @@ class Run:
         """The force sensor's raw reading without force; None if it is not read or was not
         zeroed."""
         return None if self._force is None else self._force.zero
+
+    @property
+    def force_limit_N(self) -> float:  # noqa: N802 - the unit keeps its capital
+        """Force in N along any axis that is watched for; infinite where none is."""
+        return math.inf if self._force is None else self._force.limit_N
 
     def force_from_now_N(  # noqa: N802 - the unit keeps its capital
         self, seconds: float

@@ -185,11 +185,26 @@ class _Execution:
         self._save()
         self._summarise()
         if self.outcome.off_failures:
-            self.outcome.taken_over = self.guard.take_over()
-            if self.outcome.taken_over.safe:
-                self._mark()
+            self._hand_over()
         else:
             self.guard.done()
+
+    def _hand_over(self) -> None:
+        """Leave the bench to the guard. It stops everything, but what the run has found pressed
+        over its limit is safe only where the guard has then seen z stand clear."""
+        if "force_sensor" in self.bench.instruments:
+            with contextlib.suppress(RigError, OSError):
+                self.bench.force_sensor.close()  # one program at a time can read it
+        taken = self.guard.take_over()
+        remains = [off.name for off in self.outcome.off_failures if off.still_pressed]
+        if taken.safe and remains and not taken.released:
+            left = f"what held the {', '.join(remains)} was not released: move it away by hand"
+            taken = taken._replace(safe=False, summary=f"{taken.summary}; {left}")
+            self._mark()
+        self.outcome.taken_over = taken
+        if taken.safe and taken.released:
+            self._mark()
+        # Else the guard's own mark stays: the next command says what may still be pressed.
 
     def _judge(self) -> ExitCode:
         """Report every invalid reading; return the exit code of a run that has all its points."""
@@ -212,6 +227,7 @@ class _Execution:
             self.guard.beat()
             if (zero := self.run.force_zero) is not None:
                 self.guard.zero(zero)
+            self.guard.limit(self.run.force_limit_N)
         if self.phases.now is RunPhase.MAKING_SAFE:
             return
         if due:

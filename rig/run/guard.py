@@ -18,6 +18,7 @@ from __future__ import annotations
 import contextlib
 import fcntl
 import json
+import math
 import os
 import select
 import signal
@@ -43,14 +44,14 @@ if TYPE_CHECKING:
 
 GUARD_SUFFIX = ".guard.json"
 """Suffix of a report next to its run file, for a bench that ended with the run."""
-TAKE_OVER_S = 45.0
-"""Longest time in s that a run waits for its guard's second try: several time-outs of the links."""
+COMPILED_S = 30.0
+"""Longest time in s that a run which waits for its guard allows for the compilation of its data."""
 SILENT_S = 5.0
 """Longest time in s for which a guard may leave heartbeats unread. After it the run reports that
 the guard is stopped or gets no processor time, since it normally reads each at once."""
 PRESSED_S = 25.0
-"""Longest time in s that it may take to measure what is still pressed, and to lift z off it."""
-FAILED_TO_MEASURE = "the instruments gave no answer"
+"""Time in s after which the guard no longer lifts z; it then stands within `REST_S` and the time
+that a last measurement takes."""
 MOST_UNREAD_BYTES = 4096
 """Number of unread bytes from which no further heartbeats are sent. A pipe holds 65536 bytes, and a
 write to a full one would wait for ever; so there is always room for the messages that the bench is
@@ -107,6 +108,8 @@ class TakenOver(NamedTuple):
     safe: bool
     summary: str
     """The result as a sentence."""
+    released: bool = False
+    """True if the guard has seen z stand clear of contact."""
 
 
 class GuardLink:
@@ -119,13 +122,15 @@ class GuardLink:
         report: Path,
         held: Sequence[int] = (),
         marks: Sequence[str] = (),
+        lifts: bool = True,
     ):
         """Start the guard.
 
         `journal` is the run's journal, None if nothing is recorded. `held` are the lock files of
         the bench, which the guard keeps open as long as it runs. `marks` are the names of the
         bench's addresses, whose marks it writes; none for a bench that belongs to the run alone.
-        Raises RigError if the guard cannot be started.
+        `lifts` off: a person is at the bench, so the guard stops z and does not lift it. Raises
+        RigError if the guard cannot be started.
         """
         self._report = report.resolve()
         self._journal = None if journal is None else str(journal.resolve())
@@ -138,7 +143,9 @@ class GuardLink:
             "bench_toml": plan.text,
             "bench_source": plan.source,
             "heartbeat_timeout_s": plan.settings.heartbeat_timeout_s,
+            "lifts": lifts,
         }
+        self._take_over_s = longest_take_over_s(plan)
         try:
             self._process = subprocess.Popen(
                 [sys.executable, "-P", "-m", "rig.run.guard"],
@@ -155,6 +162,7 @@ class GuardLink:
                 "end other programs, or raise the limit (ulimit -u, ulimit -n), and start again",
             ) from error
         self._zero: Sequence[float] | None = None
+        self._limit_N = math.inf
         self._heard_s = time.monotonic()
         """Time at which the guard had last read everything that was sent to it."""
         self._tell(json.dumps(order))
@@ -193,6 +201,13 @@ class GuardLink:
             self._zero = raw
             self._tell(f"zero {json.dumps(list(raw))}")
 
+    def limit(self, limit_N: float) -> None:
+        """Send the force that the run watches for, if it is another than before: one above it that
+        remains is not safe."""
+        if limit_N != self._limit_N and math.isfinite(limit_N):
+            self._limit_N = limit_N
+            self._tell(f"limit {limit_N!r}")
+
     def safe(self) -> None:
         """Report that everything is off, so that a slow compilation does not make the guard act."""
         self._tell("safe")
@@ -217,9 +232,15 @@ class GuardLink:
             self._process.stdin.close()
         self._process.send_signal(signal.SIGCONT)  # one that was stopped is needed now
         try:
-            self._process.wait(timeout=TAKE_OVER_S)
+            self._process.wait(timeout=self._take_over_s)
             report = json.loads(self._report.read_text())
-        except (subprocess.TimeoutExpired, OSError, ValueError) as error:
+        except subprocess.TimeoutExpired:
+            return TakenOver(
+                False,
+                f"the guard has not reported within {self._take_over_s:.0f} s: look at the bench; "
+                f"its report will be in {self._report}",
+            )
+        except (OSError, ValueError) as error:
             return TakenOver(False, f"the guard did not report: {error}")
         own = (os.getpid(), self._journal)
         if (report["run_pid"], report["journal"]) != own:  # Left by an earlier run.
@@ -228,8 +249,9 @@ class GuardLink:
         if report["safe"]:
             _mark_reported(self._report, report)
             pressed = f", {report['pressed']}" if report["pressed"] else ""
-            return TakenOver(True, f"the guard then made the bench safe{pressed}")
-        failures = report["failures"]
+            summary = f"the guard then made the bench safe{pressed}"
+            return TakenOver(True, summary, report.get("released") is True)
+        failures = "; ".join(f"{role}: {why}" for role, why in report["failures"].items())
         return TakenOver(False, f"the guard could not make the bench safe either: {failures}")
 
     def _unread_bytes(self) -> int:
@@ -288,6 +310,7 @@ def act(order: dict[str, Any], cause: str, already_safe: bool = False) -> dict[s
         "safe": made.safe,
         "stopped": made.safe,
         "pressed": "",
+        "released": False,
         "failures": made.failures,
         "journal": order["journal"],
     }
@@ -308,26 +331,30 @@ def _add_what_is_pressed(order: dict[str, Any], report: dict[str, Any]) -> None:
     found: list[PressedState] = []
 
     def measure() -> None:
-        from rig.run.still_pressed import pressed_state
+        from rig.run.still_pressed import Orders, pressed_state
 
         zero = order.get("zero")
-        found.append(
-            pressed_state(
-                order["bench_toml"],
-                order["bench_source"],
-                zero and tuple(zero),
-                lasting=bool(order["marks"]),
-            )
+        orders = Orders(
+            zero=zero and tuple(zero),
+            limit_N=order.get("limit", math.inf),
+            lasting=bool(order["marks"]),
+            lifts=order.get("lifts", True),
+            within_s=PRESSED_S,
         )
+        found.append(pressed_state(order["bench_toml"], order["bench_source"], orders))
 
-    # An instrument that hangs must not prevent the compilation of the data.
+    # An instrument that hangs must not prevent the compilation of the data. A lift ends itself
+    # before this gives up: nothing moves when the guard and its locks are gone.
     thread = threading.Thread(target=measure, name="still pressed", daemon=True)
     thread.start()
-    thread.join(PRESSED_S)
+    thread.join(PRESSED_S + REST_S)
     if not found:
-        report["pressed"] = f"not known whether something is still pressed: {FAILED_TO_MEASURE}"
+        report["pressed"] = (
+            "not known whether something is still pressed: the instruments gave no answer within "
+            f"{PRESSED_S + REST_S:g} s"
+        )
         return
-    report["pressed"] = found[0].text
+    report["pressed"], report["released"] = found[0].text, found[0].released
     if found[0].over_limit is not None:
         report["safe"] = False
         report["failures"] |= {"stage_z": found[0].over_limit}
@@ -358,6 +385,19 @@ class MadeSafe(NamedTuple):
     answer."""
 
 
+def longest_make_safe_s(settings: Any) -> float:
+    """Return the longest time in s that an instrument's `make_safe` may take."""
+    from rig.bench.plan import longest_call_s
+
+    return REST_S + longest_call_s(settings)
+
+
+def longest_take_over_s(plan: BenchPlan) -> float:
+    """Return the longest time in s that the guard of a bench may take to act."""
+    each_s = (longest_make_safe_s(part.settings) for part in plan.instruments)
+    return sum(each_s) + PRESSED_S + REST_S + COMPILED_S
+
+
 def make_bench_safe(bench_toml: str, source: str) -> MadeSafe:
     """Call every driver's `make_safe` in the order of the roles, each isolated from the others'
     failures and each with a deadline.
@@ -365,16 +405,15 @@ def make_bench_safe(bench_toml: str, source: str) -> MadeSafe:
     An instrument whose driver or settings cannot be used is reported as a failure; the others are
     made safe. Raises ConfigurationError if the text describes no instrument at all.
     """
-    from rig.bench.plan import WAITS_PER_CALL, parse_to_make_safe
+    from rig.bench.plan import parse_to_make_safe
     from rig.instruments.roles import MEASURING_ROLES
     from rig.run.arming import Arming
 
     described = parse_to_make_safe(bench_toml, source)
     arming = Arming()
     for part in reversed(described.instruments):
-        waits_s = WAITS_PER_CALL * getattr(part.settings, "timeout_s", 0.0)
         off = partial(part.driver.make_safe, part.settings)
-        arming.register(part.role, off, REST_S + waits_s)
+        arming.register(part.role, off, longest_make_safe_s(part.settings))
     failed = {f.name: f.reason.removeprefix(f"{f.name}: ") for f in arming.make_safe()}
     safe = not described.failures and all(role in MEASURING_ROLES for role in failed)
     return MadeSafe(failed | described.failures, safe)
@@ -401,8 +440,9 @@ def _compile(journal: Path) -> str:
 def _understand(line: bytes, watch: _Watch | None) -> _Watch:
     if watch is None:
         return _Watch(json.loads(line))
-    if line.startswith(b"zero "):
-        watch.order["zero"] = json.loads(line.removeprefix(b"zero "))
+    for word in ("zero", "limit"):
+        if line.startswith(word.encode() + b" "):
+            watch.order[word] = json.loads(line[len(word) :])
     watch.safe = watch.safe or line == b"safe"
     watch.done = watch.done or line == b"done"
     return watch

@@ -15,6 +15,7 @@ shows no force where one is.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 from rig.bench.connected import Bench
@@ -49,35 +50,51 @@ class NotLiftedError(RigError):
 class Lift:
     """One lift on a connected bench; `readers` are the instruments that read contacts."""
 
-    def __init__(self, bench: Bench, readers: dict[str, Instrument], store: InterlockStore):
+    def __init__(
+        self,
+        bench: Bench,
+        readers: dict[str, Instrument],
+        store: InterlockStore,
+        until_s: float = math.inf,
+    ):
+        """`until_s` is the time on the bench's clock by which z has to stand again."""
         self._bench, self._readers, self._store = bench, readers, store
         self._clock, self._stage = bench.clock, bench.stage_z
+        self._until_s = until_s
 
     def is_needed(self) -> bool:
-        """Return whether z stands where contact may be. Raises InstrumentError if it does not
-        answer."""
+        """Return whether z stands where contact may be, or does not know where it stands. Raises
+        InstrumentError if it does not answer."""
+        if not self._stage.homed():
+            return True
         return self._stage.position_mm() > clear_mm(self._bench.settings.fixture) + THERE_mm
 
     def carry_out(self, force: Force) -> None:
         """Lift z. Raises NotLiftedError, or what the stage raises, and leaves z stopped."""
         self._require_sound()
-        for _ in range(round(STEADY_S / LOOK_EVERY_S)):
-            self._require_contacts()
-            self._clock.sleep(LOOK_EVERY_S)
+        before_N = force()
         target_mm = clear_mm(self._bench.settings.fixture)
         reach = self._stage.reach()
         if not reach["position"].holds(target_mm):
             raise NotLiftedError(f"{target_mm:g} mm is outside the limits of stage_z")
         speed_mm_s = max(min(LIFT_mm_s, reach["speed"].high), reach["speed"].low)
-        before_N = force()
+        give_up_s = min(self._clock.now() + STEADY_S + LONGEST_S, self._until_s)
+        for _ in range(round(STEADY_S / LOOK_EVERY_S)):
+            self._require_contacts()
+            self._clock.sleep(LOOK_EVERY_S)
+        self._require_contacts()  # last of all before z moves
+        if self._clock.now() > give_up_s:
+            raise NotLiftedError("no time was left for it")
         try:
             self._stage.start_move(target_mm, speed_mm_s)
-            give_up_s = self._clock.now() + LONGEST_S
             looked_s = self._clock.now()
             while self._stage.moving():
                 self._clock.sleep(0.02)
                 if self._clock.now() > give_up_s:
-                    raise NotLiftedError(f"it has not come to {target_mm:g} mm")
+                    raise NotLiftedError(
+                        f"stage_z has come to {self._stage.position_mm():.2f} mm and not to "
+                        f"{target_mm:g} mm in time"
+                    )
                 self._require_no_rise(before_N, force())
                 if self._clock.now() - looked_s >= LOOK_EVERY_S:
                     self._require_contacts()
@@ -109,7 +126,10 @@ class Lift:
 
     def _require_no_rise(self, before_N: float | None, force_N: float | None) -> None:
         if before_N is not None and force_N is not None and force_N > before_N + RISE_N:
-            raise NotLiftedError(f"the force rose to {force_N:.1f} N on the way up")
+            raise NotLiftedError(
+                f"the force rose from {before_N:.1f} N to {force_N:.1f} N on the way up: something "
+                "is above z"
+            )
 
 
 def clear_mm(fixture: FixtureSettings) -> float:

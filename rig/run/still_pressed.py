@@ -7,6 +7,7 @@ another question, which the guard answers with a measurement of its own, before 
 from __future__ import annotations
 
 import contextlib
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from datetime import datetime
@@ -15,7 +16,7 @@ import numpy as np
 
 from rig.bench.apply_calibrations import apply_calibrations
 from rig.bench.connect import connect
-from rig.bench.connected import Bench
+from rig.bench.connected import Bench, close_all
 from rig.bench.plan import BenchPlan, parse_bench
 from rig.core.clock import WallClock
 from rig.core.errors import RigError
@@ -23,7 +24,6 @@ from rig.instruments.roles import Instrument
 from rig.run.interlock_store import InterlockStore
 from rig.run.lift import Lift
 
-ROLES = ("stage_z", "force_sensor")
 RATE_S_S = 500.0
 SECONDS = 0.3
 """Time in s over which the force is averaged: above the sensor's noise, and within a person's
@@ -44,138 +44,236 @@ class PressedState:
     text: str
     """End of a sentence on the bench, such as "still pressed at 12.44 mm, 3.9 N"."""
     over_limit: str | None = None
-    """The same, if the force is over the limit of the sensor; else None."""
+    """The same, if the force is over its limit; else None."""
+    released: bool = False
+    """True if z is known to stand clear of contact, and nothing is felt."""
 
 
-def pressed_state(
-    bench_toml: str, source: str, zero: Zero | None, *, lasting: bool = False
-) -> PressedState:
+@dataclass(frozen=True)
+class Orders:
+    """What the run has left to its guard."""
+
+    zero: Zero | None = None
+    """Raw reading of the force sensor without force, as the run found it; None if it found none:
+    then the sensor's own zero is part of what it reads."""
+    limit_N: float = math.inf
+    """Force that the run watched for; the sensor's own range is another limit."""
+    lasting: bool = False
+    """Whether the bench has records of interlocks that outlive the run."""
+    lifts: bool = True
+    """False where a person is at the bench, who decides what moves."""
+    within_s: float = math.inf
+    """Time in s after which nothing may move any more."""
+
+
+def pressed_state(bench_toml: str, source: str, orders: Orders) -> PressedState:
     """Connect to z and force sensor of a bench that was stopped, read both, lift z off what it may
     press (`rig.run.lift`), read both again, and leave z stopped.
 
-    `zero` is the raw reading of the sensor without force, as the run found it; None if it found
-    none: then the sensor's own zero is part of what it reads. `lasting` says whether the bench has
-    records of interlocks that outlive the run. A bench that cannot be read is not an error: the
-    text says so.
+    z is lifted without a force sensor, too, where that does not answer. A bench that cannot be read
+    is not an error: the text says so.
     """
     try:
-        return _measured(bench_toml, source, zero, lasting)
-    except (RigError, OSError) as error:
-        why = error.one_line() if isinstance(error, RigError) else str(error)
-        return PressedState(f"not known whether something is still pressed: {why}")
+        return _measured(parse_bench(bench_toml, source), orders)
+    except Exception as error:  # noqa: BLE001 - the guard has to report, whatever it met
+        return PressedState(f"not known whether something is still pressed: {_why(error)}")
 
 
-def _measured(bench_toml: str, source: str, zero: Zero | None, lasting: bool) -> PressedState:
-    whole = parse_bench(bench_toml, source)
-    parts = {part.role: part for part in whole.instruments if part.role in ROLES}
+def _measured(whole: BenchPlan, orders: Orders) -> PressedState:
+    parts = {part.role: part for part in whole.instruments}
     if "stage_z" not in parts:
-        return PressedState("nothing can be pressed without a stage_z")
-    plan = replace(whole, instruments=tuple(parts.values()))
-    with contextlib.closing(connect(plan, WallClock())) as bench:
-        sensor = _Sensor(bench, zero) if "force_sensor" in parts else None
+        return PressedState("nothing can be pressed without a stage_z", released=True)
+    plan, clock = replace(whole, instruments=(parts["stage_z"],)), WallClock()
+    with contextlib.closing(connect(plan, clock)) as bench:
+        until_s = clock.now() + orders.within_s
         try:
-            found = _state(bench, sensor)
-            return _lifted(bench, whole, sensor, found, lasting)
+            with _others(whole, bench) as others:
+                sensor = _Sensor(others.get("force_sensor"), orders)
+                readers = dict(bench.instruments)
+                for other in others.values():
+                    if isinstance(other, Bench):
+                        readers |= other.instruments
+                store = InterlockStore(whole, lasting=orders.lasting)
+                lift = Lift(bench, readers, store, until_s)
+                return _lifted(_Looks(bench, sensor, lift), lift, orders)
         finally:
             bench.stage_z.make_safe()  # connecting may have lifted a stop that stood
 
 
-def _lifted(
-    bench: Bench, whole: BenchPlan, sensor: _Sensor | None, found: PressedState, lasting: bool
-) -> PressedState:
+def _lifted(looks: _Looks, lift: Lift, orders: Orders) -> PressedState:
     """Lift z where it stands in the range of contact, and return what is pressed then; with the
     reason where it is not lifted."""
-    with _readers(bench, whole) as readers:
-        lift = Lift(bench, readers, InterlockStore(whole, lasting=lasting))
-        if not lift.is_needed():
-            return found
-        try:
-            lift.carry_out(sensor.latest_N if sensor is not None else lambda: None)
-        except (RigError, OSError) as error:
-            why = error.message if isinstance(error, RigError) else str(error)
-            now = _state(bench, sensor)
-            over = now.over_limit and f"{now.over_limit}; not lifted: {why}"
-            # A sensor that is dead reads no force either.
-            stands = now.text.replace("nothing is pressed", "the force sensor reads no force")
-            return PressedState(f"{stands}; not lifted: {why}", over)
-    now = _state(bench, sensor)
-    was = found.text.replace("still pressed", "was pressed").replace(" stands ", " stood ")
-    return PressedState(f"{was}; stage_z was lifted: {now.text}", now.over_limit)
+    before = looks.look()
+    if before.clear or not orders.lifts:
+        return before.state()
+    try:
+        lift.carry_out(looks.sensor.latest_N)
+    except (RigError, OSError) as error:
+        return looks.look().state(f"; not lifted: {_why(error)}")
+    after = looks.look()
+    return replace(
+        after.state(), text=f"{before.in_words(past=True)}; stage_z was lifted: {after.in_words()}"
+    )
+
+
+def _why(error: BaseException) -> str:
+    """Return the cause of an error, with its remedy where it has one."""
+    if isinstance(error, RigError):
+        return error.one_line()
+    if isinstance(error, OSError):
+        return str(error)
+    return f"{type(error).__name__}: {error}"
 
 
 @contextlib.contextmanager
-def _readers(bench: Bench, whole: BenchPlan) -> Iterator[dict[str, Instrument]]:
-    """The instruments that read the bench's contacts, as far as they can be connected."""
-    roles = {one.role for one in whole.settings.interlock} - set(bench.instruments)
+def _others(whole: BenchPlan, bench: Bench) -> Iterator[dict[str, Bench | BaseException]]:
+    """The force sensor and the instruments that read contacts, by their roles, each connected by
+    itself as far as it can be; else the reason why not.
+
+    They use the clock of z, so that a wait for one of them feeds every drive. Each is made safe at
+    the end: connecting may have lifted a stop that stood.
+    """
+    roles = {"force_sensor"} | {one.role for one in whole.settings.interlock}
+    found: dict[str, Bench | BaseException] = {}
     with contextlib.ExitStack() as stack:
-        found = dict(bench.instruments)
         for part in whole.instruments:
-            if part.role not in roles:
+            if part.role not in roles - set(bench.instruments):
                 continue
-            with contextlib.suppress(RigError, OSError):
-                plan = replace(whole, instruments=(part,))
-                reader = stack.enter_context(contextlib.closing(connect(plan, WallClock())))
-                found |= reader.instruments
+            try:
+                other = connect(replace(whole, instruments=(part,)), bench.clock)
+            except (RigError, OSError) as error:
+                found[part.role] = error
+                continue
+            stack.callback(close_all, other.instruments)
+            stack.callback(other.links.close)
+            stack.callback(_make_safe, other.instruments[part.role])
+            found[part.role] = other
         yield found
 
 
-def _state(bench: Bench, sensor: _Sensor | None) -> PressedState:
-    """Return where z stands and what is pressed there."""
-    stands = f"{bench.stage_z.position_mm():.2f} mm"
-    if sensor is None:
-        return PressedState(
-            f"stage_z stands at {stands}; what is pressed is not known without a force sensor"
-        )
-    force_N = sensor.mean_N()
-    if not sensor.zeroed:
-        return PressedState(
-            f"stage_z stands at {stands}, the force sensor reads {force_N:.1f} N and was not "
-            "zeroed by the run"
-        )
-    if force_N <= PRESSED_N:
-        return PressedState(f"nothing is pressed at {stands}, {force_N:.1f} N")
-    text = f"still pressed at {stands}, {force_N:.1f} N"
-    limit_N = bench.force_sensor.reach()["force"].high
-    over = f"{text}, over the limit of {limit_N:g} N" if force_N > limit_N else None
-    return PressedState(text, over)
+def _make_safe(instrument: Instrument) -> None:
+    with contextlib.suppress(RigError, OSError):
+        instrument.make_safe()
+
+
+@dataclass(frozen=True)
+class _Look:
+    """One look at z and the force sensor of a bench that was stopped."""
+
+    position_mm: float
+    clear: bool
+    """True if z stands clear of contact."""
+    force_N: float | None
+    """Largest mean force along any axis; None where it is not known."""
+    zeroed: bool
+    limit_N: float
+    no_force: str
+    """Reason why the force is not known."""
+
+    def in_words(self, past: bool = False) -> str:
+        """Return the end of a sentence on the bench, as it is or as it was."""
+        at = f"at {self.position_mm:.2f} mm"
+        stands = "stage_z stood" if past else "stage_z stands"
+        if self.force_N is None:
+            return f"{stands} {at}; what is pressed is not known {self.no_force}"
+        reads = "read" if past else "reads"
+        if not self.zeroed:
+            return (
+                f"{stands} {at}, the force sensor {reads} {self.force_N:.1f} N and was not zeroed "
+                "by the run"
+            )
+        if self.force_N > PRESSED_N:
+            return f"{'was' if past else 'still'} pressed {at}, {self.force_N:.1f} N"
+        if self.clear:
+            return f"nothing is pressed {at}, {self.force_N:.1f} N"
+        # A sensor that is dead reads no force either.
+        return f"the force sensor {reads} no force {at}, {self.force_N:.1f} N"
+
+    def state(self, more: str = "") -> PressedState:
+        """Return the statement; `more` continues its sentence."""
+        over = None
+        if self.force_N is not None and self.force_N > self.limit_N:
+            over = f"{self.in_words()}, over the limit of {self.limit_N:g} N{more}"
+        pressed = self.zeroed and self.force_N is not None and self.force_N > PRESSED_N
+        return PressedState(f"{self.in_words()}{more}", over, self.clear and not pressed)
+
+
+class _Looks:
+    """Looks at z and the force sensor."""
+
+    def __init__(self, bench: Bench, sensor: _Sensor, lift: Lift):
+        self._bench, self.sensor, self._lift = bench, sensor, lift
+
+    def look(self) -> _Look:
+        """Return where z stands and what is pressed there."""
+        sensor = self.sensor
+        force_N = sensor.mean_N()
+        position_mm = self._bench.stage_z.position_mm()
+        clear = not self._lift.is_needed()
+        return _Look(position_mm, clear, force_N, sensor.zeroed, sensor.limit_N, sensor.trouble)
 
 
 class _Sensor:
-    """The force sensor of a bench that was stopped."""
+    """The force sensor of a bench that was stopped, if it can be read."""
 
-    def __init__(self, bench: Bench, zero: Zero | None):
-        apply_calibrations(bench, datetime.now().astimezone(), allow_expired=True)
-        self._bench, self._sensor = bench, bench.force_sensor
-        self.zeroed = zero is not None
-        if zero is not None:
-            self._sensor.tare(zero)
+    def __init__(self, bench: Bench | BaseException | None, orders: Orders):
+        """`bench` has the sensor alone; None where there is none, or the reason why it is not
+        connected."""
+        self.zeroed = orders.zero is not None
+        self.limit_N = orders.limit_N
+        self.trouble = "without a force sensor"
+        """Reason why the latest force is not known."""
+        self._bench: Bench | None = None
         self._latest_N: float | None = None
         self._streams = False
-
-    def mean_N(self) -> float:  # noqa: N802 - the unit keeps its capital, here and below
-        """Return the largest mean force along any axis over `SECONDS` from now on. Raises
-        InstrumentError if no frame comes."""
-        if self._streams:
-            self._sensor.stop()
-            self._streams = False
-        rate_S_s = self._sensor.start(min(RATE_S_S, self._sensor.reach()["rate"].high))
+        if bench is None:
+            return
+        if not isinstance(bench, Bench):
+            self.trouble = f"since {_why(bench)}"
+            return
         try:
-            forces = _frames(self._bench, round(SECONDS * rate_S_s))
-        finally:
-            self._sensor.stop()
-        return _largest_N(forces)
+            apply_calibrations(bench, datetime.now().astimezone(), allow_expired=True)
+            if orders.zero is not None:
+                bench.force_sensor.tare(orders.zero)
+            self.limit_N = min(orders.limit_N, bench.force_sensor.reach()["force"].high)
+        except (RigError, OSError) as error:
+            self.trouble = f"since {_why(error)}"
+            return
+        self._bench = bench
+
+    def mean_N(self) -> float | None:  # noqa: N802 - the unit keeps its capital, here and below
+        """Return the largest mean force along any axis over `SECONDS` from now on; None where the
+        sensor cannot be read."""
+        if self._bench is None:
+            return None
+        sensor = self._bench.force_sensor
+        try:
+            if self._streams:
+                self._streams = False
+                sensor.stop()
+            rate_S_s = sensor.start(min(RATE_S_S, sensor.reach()["rate"].high))
+            try:
+                return _largest_N(_frames(self._bench, round(SECONDS * rate_S_s)))
+            finally:
+                sensor.stop()
+        except (RigError, OSError) as error:
+            self.trouble = f"since {_why(error)}"
+            return None
 
     def latest_N(self) -> float | None:  # noqa: N802
         """Return the largest mean force along any axis of the latest frames; starts to stream. None
         where the sensor cannot be read."""
+        if self._bench is None:
+            return None
+        sensor = self._bench.force_sensor
         try:
             if not self._streams:
-                self._sensor.start(min(RATE_S_S, self._sensor.reach()["rate"].high))
+                sensor.start(min(RATE_S_S, sensor.reach()["rate"].high))
                 self._streams = True
                 self._latest_N = _largest_N(_frames(self._bench, LATEST))
-            elif (frames := self._sensor.read()) is not None and len(frames):
+            elif (frames := sensor.read()) is not None and len(frames):
                 self._latest_N = _largest_N(frames.force_N)
-        except RigError:
+        except (RigError, OSError):
             self._latest_N = None
         return self._latest_N
 

@@ -19,6 +19,7 @@ from rig.instruments.roles import Identity
 from rig.run import execute as execution
 from rig.run.context import Run
 from rig.run.execute import execute
+from rig.run.guard import TakenOver
 from rig.run.job import RunJob
 from rig.run.observers import RunObserver
 from rig.run.outcome import RunOutcome
@@ -79,12 +80,18 @@ class Example(Procedure):
 class Guard:
     """What the run reports to its guard."""
 
+    taken_over = TakenOver(True, "the guard then made the bench safe", released=True)
+    """Result of its try on a bench that the run could not make safe."""
+
     def __init__(self, log: list[str]) -> None:
         self._log = log
 
     pid = 0
 
     def beat(self) -> None:
+        pass
+
+    def limit(self, limit_N: float) -> None:
         pass
 
     def zero(self, raw: object) -> None:
@@ -98,6 +105,10 @@ class Guard:
 
     def done(self) -> None:
         self._log.append("guard: done")
+
+    def take_over(self) -> TakenOver:
+        self._log.append("guard: take over")
+        return self.taken_over
 
 
 def run_of(

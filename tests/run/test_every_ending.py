@@ -217,6 +217,9 @@ class Guard:
     def safe(self) -> None:
         self._story.append(("guard", "safe"))
 
+    def limit(self, limit_N: float) -> None:
+        pass
+
     def done(self) -> None:
         self._story.append(("guard", "done"))
 

@@ -301,7 +301,7 @@ def test_an_earlier_guards_report_is_not_taken_for_this_ones(bench: Bench) -> No
     link._process.wait(PATIENCE_S)
     assert link.trouble() == "has died"
     link.beat()  # tells nobody, and ends nothing
-    assert link.take_over() == (False, "the guard did not report: it ended with code -9")
+    assert link.take_over() == (False, "the guard did not report: it ended with code -9", False)
 
 
 @pytest.mark.thorough

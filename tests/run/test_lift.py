@@ -90,12 +90,13 @@ def lift_of(
     reader: Any = None,
     opened: str | None = None,
     first_mm: float | None = FIRST_mm,
+    until_s: float = float("inf"),
 ) -> Lift:
     fixture = SimpleNamespace(parked_mm=PARKED_mm, contact_from_mm=first_mm)
     settings = SimpleNamespace(fixture=fixture, interlock=contacts)
     bench: Any = SimpleNamespace(settings=settings, stage_z=stage, clock=stage)
     store: Any = SimpleNamespace(get=lambda name: SimpleNamespace(opened=opened))
-    return Lift(bench, {} if reader is None else {"daq": reader}, store)
+    return Lift(bench, {} if reader is None else {"daq": reader}, store, until_s)
 
 
 def no_force() -> float | None:
@@ -149,6 +150,36 @@ def test_a_drive_that_its_own_time_out_has_stopped_is_acknowledged_and_lifted() 
     assert stage.mm == pytest.approx(CLEAR_mm)
 
 
+def test_a_stage_that_does_not_know_its_position_is_not_taken_for_clear() -> None:
+    stage = Stage()
+    stage.mm, stage.is_homed = 0.0, False
+    assert lift_of(stage).is_needed()
+
+
+def test_contacts_are_looked_at_after_a_force_sensor_that_takes_long() -> None:
+    stage = Stage()
+
+    def slow_force() -> None:
+        stage.sleep(3.0)
+
+    with pytest.raises(NotLiftedError, match="'door' is open"):
+        lift_of(stage, (DOOR,), Door(stage, 2.0)).carry_out(slow_force)
+    assert stage.moves == []
+
+
+def test_a_lift_for_which_too_little_time_is_left_ends_with_z_stopped() -> None:
+    stage = Stage()
+    lift = lift_of(stage, until_s=0.2)
+    with pytest.raises(NotLiftedError, match="no time was left"):
+        lift.carry_out(no_force)
+    assert stage.moves == []
+    with pytest.raises(NotLiftedError, match=r"has come to 12\.\d\d mm and not to 11\.7 mm"):
+        lift_of(stage, until_s=stage.now_s + 0.8).carry_out(no_force)
+    stopped_mm = stage.mm
+    stage.sleep(1.0)
+    assert CLEAR_mm < stage.mm == stopped_mm
+
+
 @pytest.mark.parametrize("contact", [DOOR, PRESSURE])
 @pytest.mark.parametrize("opens_at_s", [0.0, 0.3])
 def test_nothing_moves_while_a_contact_is_open_or_has_just_been(
@@ -184,7 +215,7 @@ def test_a_force_that_rises_on_the_way_up_stops_it() -> None:
     def force_N() -> float:  # noqa: N802 - the unit keeps its capital
         return 4.0 + 10.0 * max(0.0, 12.2 - stage.mm)  # something above z
 
-    with pytest.raises(NotLiftedError, match="the force rose to"):
+    with pytest.raises(NotLiftedError, match=r"the force rose from 4\.0 N to"):
         lift_of(stage).carry_out(force_N)
     assert stage.mm == pytest.approx(12.1, abs=0.03)
     stage.sleep(1.0)

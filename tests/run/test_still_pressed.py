@@ -1,0 +1,194 @@
+"""What the guard finds pressed, and lifts, where the force sensor answers and where it does not."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from rig.bench.connected import Bench
+from rig.core.errors import ConfigurationError
+from rig.instruments.roles import Reach
+from rig.run.still_pressed import Orders, PressedState, pressed_state
+
+FIRST_mm, CLEAR_mm, STANDS_mm, TOUCHES_mm = 12.0, 11.7, 12.44, 12.4
+N_mm = 100.0
+ZERO = (0.0, 0.0, 0.0)
+
+
+class Rig:
+    """Clock, z stage and force sensor of a bench that was stopped."""
+
+    def __init__(self) -> None:
+        self.now_s, self.mm, self.target_mm = 0.0, STANDS_mm, STANDS_mm
+        self.moves: list[float] = []
+        self.off: list[str] = []
+        self.tared = False
+
+    def now(self) -> float:
+        return self.now_s
+
+    def sleep(self, seconds: float) -> None:
+        self.now_s += seconds
+        self.mm += max(-seconds, min(self.target_mm - self.mm, seconds))
+
+    def homed(self) -> bool:
+        return True
+
+    def position_mm(self) -> float:
+        return self.mm
+
+    def fault(self) -> None:
+        return None
+
+    def acknowledge_timeout(self) -> bool:
+        return False
+
+    def start_move(self, position_mm: float, speed_mm_s: float) -> None:
+        self.moves.append(position_mm)
+        self.target_mm = position_mm
+
+    def moving(self) -> bool:
+        return self.mm != self.target_mm
+
+    def stop(self) -> None:
+        self.target_mm = self.mm
+
+    def close(self) -> None:
+        pass
+
+
+class Frames(SimpleNamespace):
+    def __len__(self) -> int:
+        return 50
+
+
+@dataclass
+class Sensor:
+    """The force sensor above such a rig; `share` of the force is what it reads."""
+
+    rig: Rig
+    share: float = 1.0
+
+    def reach(self) -> dict[str, Reach]:
+        return {
+            "force": Reach(-50.0, 50.0, "N", "force_sensor"),
+            "rate": Reach(1.0, 1000.0, "Hz", "force_sensor"),
+        }
+
+    def tare(self, zero: object) -> None:
+        pass
+
+    def start(self, rate_S_s: float) -> float:
+        return rate_S_s
+
+    def read(self) -> Any:
+        force_N = self.share * max(0.0, self.rig.mm - TOUCHES_mm) * N_mm
+        return Frames(force_N=np.tile([0.0, 0.0, force_N], (50, 1)))
+
+    def stop(self) -> None:
+        pass
+
+    def close(self) -> None:
+        pass
+
+
+@pytest.fixture
+def rig(monkeypatch: pytest.MonkeyPatch) -> Rig:
+    """A bench whose z presses with 4 N; `rig.sensor` answers, or is the error that it gives."""
+    found: Any = Rig()
+    found.sensor = Sensor(found)
+    parts = tuple(SimpleNamespace(role=role) for role in ("stage_z", "force_sensor"))
+    fixture = SimpleNamespace(parked_mm=5.0, contact_from_mm=FIRST_mm)
+    settings = SimpleNamespace(fixture=fixture, interlock=())
+    whole = SimpleNamespace(instruments=parts, settings=settings)
+
+    def off(role: str) -> None:
+        found.off.append(role)
+
+    def connect(plan: Any, clock: object) -> Bench:
+        (part,) = plan.instruments
+        if part.role == "force_sensor" and isinstance(found.sensor, Exception):
+            raise found.sensor
+        instrument: Any = found if part.role == "stage_z" else found.sensor
+        instrument.make_safe = lambda: off(part.role)
+        links: Any = SimpleNamespace(close=lambda: None)
+        return Bench(plan, found, {part.role: instrument}, links)
+
+    reach = {"position": Reach(0.0, 14.0, "mm", "z"), "speed": Reach(0.001, 50.0, "mm/s", "z")}
+    found.reach = lambda: reach
+    module = "rig.run.still_pressed."
+    monkeypatch.setattr(f"{module}connect", connect)
+    monkeypatch.setattr(f"{module}parse_bench", lambda text, source: whole)
+    monkeypatch.setattr(f"{module}replace", replaced)
+    monkeypatch.setattr(f"{module}WallClock", lambda: found)
+    monkeypatch.setattr(f"{module}apply_calibrations", lambda *a, **k: ([], []))
+    monkeypatch.setattr(f"{module}InterlockStore", lambda *a, **k: None)
+    return found
+
+
+def replaced(one: Any, **changes: Any) -> Any:
+    if isinstance(one, PressedState):
+        return PressedState(**(vars(one) | changes))
+    return SimpleNamespace(**(vars(one) | changes))
+
+
+def test_what_is_pressed_is_lifted_and_both_are_said(rig: Any) -> None:
+    state = pressed_state("", "", Orders(ZERO))
+    assert state == PressedState(
+        "was pressed at 12.44 mm, 4.0 N; stage_z was lifted: nothing is pressed at 11.70 mm, 0.0 N",
+        released=True,
+    )
+    assert rig.moves == [CLEAR_mm]
+    assert rig.off == ["force_sensor", "stage_z"]
+
+
+def test_z_is_lifted_although_the_force_sensor_is_not_there(rig: Any) -> None:
+    rig.sensor = ConfigurationError("force_sensor: no such port: /dev/ttyUSB0", "plug it in")
+    state = pressed_state("", "", Orders(ZERO))
+    assert rig.moves == [CLEAR_mm]
+    assert state.released
+    assert state.text.startswith("stage_z stood at 12.44 mm; what is pressed is not known since ")
+    assert "no such port: /dev/ttyUSB0" in state.text
+    assert state.over_limit is None
+
+
+def test_z_is_lifted_although_the_force_sensor_sends_nothing(rig: Any) -> None:
+    rig.sensor.read = lambda: None
+    state = pressed_state("", "", Orders(ZERO))
+    assert (rig.moves, state.released) == ([CLEAR_mm], True)
+    assert "too few frames" in state.text
+
+
+def test_a_sensor_that_reads_nothing_where_z_stands_in_contact_is_not_believed(rig: Any) -> None:
+    rig.sensor.share = 0.0
+    rig.fault = lambda: "126 (following error)"
+    state = pressed_state("", "", Orders(ZERO))
+    assert state.text.startswith("the force sensor reads no force at 12.44 mm, 0.0 N; not lifted: ")
+    assert (state.released, rig.moves) == (False, [])
+
+
+@pytest.mark.parametrize("zero", [ZERO, None])
+def test_a_force_over_the_limit_of_the_run_that_remains_is_told_zeroed_or_not(
+    rig: Any, zero: Any
+) -> None:
+    rig.fault = lambda: "126 (following error)"
+    state = pressed_state("", "", Orders(zero, limit_N=3.0))
+    assert state.over_limit is not None
+    assert "over the limit of 3 N; not lifted: stage_z has fault 126" in state.over_limit
+    assert pressed_state("", "", Orders(zero, limit_N=15.0)).over_limit is None
+
+
+def test_nothing_moves_beside_a_person(rig: Any) -> None:
+    state = pressed_state("", "", Orders(ZERO, lifts=False))
+    assert state == PressedState("still pressed at 12.44 mm, 4.0 N")
+    assert rig.moves == []
+
+
+def test_a_defect_is_said_to_be_one(rig: Any) -> None:
+    rig.position_mm = lambda: 1 / 0
+    state = pressed_state("", "", Orders(ZERO))
+    assert state.text.endswith("ZeroDivisionError: division by zero")
