@@ -41,6 +41,8 @@ class StopSigns:
     guard_report: str = ""
     """What the guard has reported of this run; empty before."""
     guard_safe: bool = False
+    pressed: str = ""
+    """What is reported to be still pressed; empty for nothing."""
 
 
 @dataclass(frozen=True)
@@ -67,6 +69,8 @@ def stop_course(signs: StopSigns) -> StopCourse:
         if signs.exit == 7:
             text = "The run ended but could not switch everything off: the bench is UNSAFE."
             return StopCourse("ended", text, True, False)
+        if signs.pressed:
+            return StopCourse("ended", f"The run has ended, but: {signs.pressed}", True, False)
         return StopCourse("ended", f"The run has made the bench safe: {signs.status}.", True, True)
     if not signs.process_lives:
         if signs.guard_report:

@@ -84,6 +84,10 @@ class RunView:
 
     def take(self, record: JournalRecord) -> None:
         """Take the next record of the journal."""
+        if self.end is not None and not isinstance(record, End):
+            # Another attempt records behind the end of the one before. It may press again long
+            # before its first point, and a bench that was left unsafe would have refused it.
+            self.end, self.off_failed = None, False
         if isinstance(record, Block):
             self.recording = self.point is not None
             self._take_block(record)
@@ -153,7 +157,7 @@ class RunView:
         )
 
     def _begin_point(self, record: PointBegin) -> None:
-        self.point, self.holding, self.end = record.id, "", None
+        self.point, self.holding = record.id, ""
         self.recording = False
         time = record.fields.get("time")
         if isinstance(time, (int, float)) and math.isfinite(time):

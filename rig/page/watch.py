@@ -17,7 +17,8 @@ from rig.core.errors import RigError
 from rig.files.errors import JournalError
 from rig.files.journal.follow import JournalTail
 from rig.files.journal.format import PointDiscard
-from rig.files.journal.values import End
+from rig.files.journal.reader import DAMAGED, NEVER_CLOSED
+from rig.files.journal.values import End, RunHeader
 from rig.files.naming import JOURNAL_SUFFIX, RUN_SUFFIX
 from rig.files.runfile.reader import RunFile
 from rig.page.folder import FoundFile, ResultsFolder
@@ -92,10 +93,16 @@ class BenchWatch:
         self._grew_s = time.monotonic()
         self._looked_s = -LOOK_EVERY_S
         self._names: tuple[str, ...] = ()
+        """Names of the addresses of the run's bench, and of the bench file's."""
         self._names_of: Path | None = None
+        self._other_bench = False
+        """True if a bench file is watched and the run that is shown was on another bench."""
+        self._plan_problem = ""
+        self._locks_problem = ""
         self._bench_name = ""
         self.heartbeat_timeout_s = 0.0
         self._last_file: tuple[FoundFile, dict[str, Any]] | None = None
+        self._last_header: RunHeader | None = None
         self._unusable: set[FoundFile] = set()
         """Run files that cannot be read, or that were imported."""
         self._marks: list[BenchMark] = []
@@ -119,6 +126,8 @@ class BenchWatch:
         journals = self.folder.find(JOURNAL_SUFFIX)
         self._look_at_files()
         written = [one for one in journals if one.inode in locked]
+        # Of two runs at once the one that is shown stays, and with it what STOP is for.
+        written.sort(key=lambda one: one.path != self.path)
         chosen = None
         for one in written:
             if (holder := holder_of(one.path, locked)) is not None:
@@ -147,7 +156,12 @@ class BenchWatch:
             except OSError:
                 shown = 0
             return journal.path != self.path and journal.mtime_ns > shown
-        return self._last_file is None or journal.mtime_ns > self._last_file[0].mtime_ns
+        if self._last_file is None:
+            return True
+        latest = self._last_file[0]
+        # The journal that a run file was made of says more than the file, and is older.
+        of_it = journal.path.with_suffix(RUN_SUFFIX) == latest.path
+        return of_it or journal.mtime_ns > latest.mtime_ns
 
     def _follow(self, path: Path) -> None:
         if self._tail is not None:
@@ -171,6 +185,10 @@ class BenchWatch:
         except JournalError as error:
             self._restart(error)
             return
+        if any(isinstance(record, End) for record in records):
+            # The run has written its mark before its END: what is still pressed is known with it.
+            self._look_at_bench(locked_inodes())
+            self._looked_s = -LOOK_EVERY_S
         with self.lock:
             for record in records:
                 self.view.take(record)
@@ -199,55 +217,84 @@ class BenchWatch:
         self._name_bench()
         holder = None
         marks: list[BenchMark] = []
+        problem = ""
         try:
             for name in self._names:
                 holder = holder or holder_of(lock_file(name), locked)
             marks = read_marks(self._names)
-        except RigError:  # no folder of locks that can be trusted: then nothing is believed of it
-            marks = []
+        except RigError as error:  # no folder that can be trusted: nothing is believed of it
+            problem = error.one_line()
         report = self._guard_report()
         with self.lock:
             self.bench_holder, self._marks, self._report = holder, marks, report
+            self._locks_problem = problem
+
+    @property
+    def _shown(self) -> Path | None:
+        """The journal or run file by which the bench is judged."""
+        if self.path is not None:
+            return self.path
+        return None if self._last_file is None else self._last_file[0].path
 
     def _name_bench(self) -> None:
         """Find the names of the bench's addresses, once for each run."""
-        if self._names_of == (self.path or self.bench) and self._names_of is not None:
+        wanted = self._shown or self.bench
+        if wanted is None or self._names_of == wanted:
+            return
+        header = self.view.header if self.path is not None else self._last_header
+        if self.path is not None and header is None:
             return
         from rig.bench.plan import parse_bench, read_bench
         from rig.run.lock import address_names
 
-        header = self.view.header
-        if self.path is not None and header is None:
-            return
-        try:
-            if header is not None:
-                plan = parse_bench(header.bench_toml, header.bench_file)
-            elif self.bench is not None:
+        own: tuple[str, ...] = ()
+        watched: tuple[str, ...] = ()
+        problem, name, timeout_s = "", "", 0.0
+        if self.bench is not None:
+            try:
                 plan = read_bench(self.bench)
-            else:
-                return
-        except RigError:
-            self._names_of = self.path or self.bench
-            self._names, self._bench_name, self.heartbeat_timeout_s = (), "", 0.0
-            return
-        self._names_of = self.path or self.bench
-        self._names = address_names(plan)
-        self._bench_name = plan.settings.name
-        self.heartbeat_timeout_s = plan.settings.heartbeat_timeout_s
+                watched, name = address_names(plan), plan.settings.name
+                timeout_s = plan.settings.heartbeat_timeout_s
+            except RigError as error:
+                problem = error.one_line()
+        if header is not None:
+            try:
+                plan = parse_bench(header.bench_toml, header.bench_file)
+                own, name = address_names(plan), plan.settings.name
+                timeout_s = plan.settings.heartbeat_timeout_s
+            except RigError as error:
+                name, timeout_s = "", 0.0
+                if not header.simulated:
+                    problem = f"the bench of the latest run cannot be read: {error.one_line()}"
+        with self.lock:
+            self._names_of = wanted
+            self._names = tuple(dict.fromkeys(own + watched))
+            self._other_bench = bool(header and watched) and not set(own) & set(watched)
+            self._plan_problem = problem
+            self._bench_name, self.heartbeat_timeout_s = name, timeout_s
 
     def _guard_report(self) -> dict[str, Any]:
-        """Return what the guard of the run that is shown has reported; empty for nothing."""
-        if self.path is None:
+        """Return what the guard of the run that is shown has reported; empty for nothing. A report
+        of an earlier attempt at the run says nothing of this one."""
+        if self._shown is None:
             return {}
-        beside = self.path.with_suffix(GUARD_SUFFIX)
+        journal = self._shown.with_suffix(JOURNAL_SUFFIX)
+        try:
+            written_ns = journal.stat().st_mtime_ns
+        except OSError:  # its run file is what is left of it
+            written_ns = 0
+        beside = journal.with_suffix(GUARD_SUFFIX)
         for path in (beside, report_path(self.results, self._bench_name)):
             try:
                 report = json.loads(path.read_text(encoding="utf-8"))
+                older = path.stat().st_mtime_ns < written_ns
             except (OSError, ValueError):
                 continue
-            if not isinstance(report, dict):
+            if not isinstance(report, dict) or older:
                 continue
-            if path == beside or report.get("journal") == str(self.path.resolve()):
+            if self._run_pid > 0 and report.get("run_pid") != self._run_pid:
+                continue
+            if path == beside or report.get("journal") == str(journal.resolve()):
                 return dict(report)
         return {}
 
@@ -260,7 +307,7 @@ class BenchWatch:
                 return
             if file not in self._unusable and (found := _ending_in(file.path)) is not None:
                 with self.lock:
-                    self._last_file = (file, found)
+                    self._last_file, self._last_header = (file, found[0]), found[1]
                 return
             self._unusable.add(file)
 
@@ -276,21 +323,22 @@ class BenchWatch:
         saves = self.bench_holder is not None and self.bench_holder.pid == self._run_pid
         if self.bench_holder is not None and self.holder is None and not saves:
             another = f"process {self.bench_holder.pid} ({self.bench_holder.user})"
+        lives = self.holder is not None or saves
+        unfinished = [mark for mark in self._marks if mark.state == "running" and not lives]
+        for mark in unfinished:
+            if not another and mark.run is not None and mark.run.lives:  # its lock was removed
+                another = f"process {mark.run.pid} ({mark.user})"
         refuses = [mark.in_words() for mark in self._marks if mark.refuses]
         report = self._report
         failed = bool(report) and report.get("safe") is not True
         if failed:
             refuses.append(f"the guard could not make the bench safe: {report.get('failures')}")
-        pressed = [mark.report for mark in self._marks if mark.state == "stopped"]
-        words = str(report.get("pressed", ""))
-        if words and not words.startswith("nothing"):
-            pressed.append(words)
-        pressed = [text for text in pressed if "nothing is pressed" not in text]
         return Facts(
-            run_lives=self.holder is not None or saves,
+            run_lives=lives,
             held_by_another=another,
-            recorded=self.path is not None or by_file is not None,
-            ended=end is not None or by_file is not None,
+            recorded=self._shown is not None,
+            other_bench=self._other_bench,
+            ended=end is not None or (by_file is not None and by_file["closed"]),
             exit=end.exit if end is not None else 0 if by_file is None else int(by_file["exit"]),
             holding=view.holding,
             off_failed=view.off_failed,
@@ -299,10 +347,20 @@ class BenchWatch:
             recording=view.recording and view.point is not None,
             guarded=self._guarded,
             unsafe="; ".join(dict.fromkeys(refuses))[:1000],
-            pressed="; ".join(pressed)[:500],
+            pressed=self._pressed(),
+            unfinished=bool(unfinished),
             guard_reported=bool(report) and not failed,
             problem=self._problem,
+            bench_problem=self._locks_problem or self._plan_problem,
         )
+
+    def _pressed(self) -> str:
+        """Return what was reported to be still pressed, empty for nothing."""
+        pressed = [mark.report for mark in self._marks if mark.state == "stopped"]
+        words = str(self._report.get("pressed", ""))
+        if words and not words.startswith("nothing"):
+            pressed.append(words)
+        return "; ".join(text for text in pressed if "nothing is pressed" not in text)[:500]
 
     def course(self) -> StopCourse | None:
         """Return how far the stop that was asked for has come, None if none was."""
@@ -327,6 +385,7 @@ class BenchWatch:
                 heartbeat_timeout_s=self.heartbeat_timeout_s,
                 guard_report=f"The guard of the run had to act: {said}" if report else "",
                 guard_safe=report.get("safe") is True,
+                pressed=self._pressed(),
             )
         )
 
@@ -370,8 +429,9 @@ class BenchWatch:
         )
 
 
-def _ending_in(path: Path) -> dict[str, Any] | None:
-    """Return how the run of a run file ended, None for a file that is of no run here."""
+def _ending_in(path: Path) -> tuple[dict[str, Any], RunHeader] | None:
+    """Return how the run of a run file ended, and its header; None for a file that is of no run
+    here."""
     try:
         with RunFile.open(path) as run:
             outcome, header = run.outcome, run.header
@@ -379,10 +439,12 @@ def _ending_in(path: Path) -> dict[str, Any] | None:
         return None
     if outcome.imported:
         return None
-    return {
+    ending = {
         "exit": outcome.exit,
+        "closed": not outcome.reason.startswith((NEVER_CLOSED, DAMAGED)),
         "status": outcome.status,
         "procedure": header.procedure,
         "mark": header.mark,
         "file": path.name,
     }
+    return ending, header

@@ -2,7 +2,7 @@
 
 UNSAFE    a mark or a report says so, or a run died and nobody has reported on the bench yet
 unknown   nobody can say: no sign of life of a run that lives, or no run to judge by
-holding   the run has made the bench safe and waits
+holding   the run has made the bench safe and waits, or has ended and its program still holds it
 pressed   the object is under force
 running   a run is at work
 safe      the latest run ended, reported that it made the bench safe, and nothing holds the bench
@@ -33,6 +33,8 @@ class Facts:
     """Who else holds the bench, in words: a program that records no run here."""
     recorded: bool = False
     """There is a journal or a run file to judge by."""
+    other_bench: bool = False
+    """It is of another bench than the one that is watched."""
     ended: bool = False
     """The journal's last record is an END."""
     exit: int = 0
@@ -49,10 +51,14 @@ class Facts:
     """A mark in force, or the guard's report of a bench that it could not make safe."""
     pressed: str = ""
     """The guard's report of what is still pressed; empty for nothing."""
+    unfinished: bool = False
+    """The bench still has the mark of a run that has died."""
     guard_reported: bool = False
     """The guard of the run that died has reported a bench that is stopped."""
     problem: str = ""
     """Why the journal cannot be followed any further."""
+    bench_problem: str = ""
+    """Why the locks and marks of the bench cannot be read."""
 
 
 @dataclass(frozen=True)
@@ -71,14 +77,25 @@ def bench_word(facts: Facts) -> BenchWord:
         return BenchWord("UNSAFE", "the run could not switch everything off")
     if facts.problem:
         return BenchWord("unknown", facts.problem)
-    if facts.run_lives:
+    if facts.run_lives and not facts.ended:
         return _of_a_run(facts)
     if facts.held_by_another:
         return BenchWord("unknown", f"in use by {facts.held_by_another}, which records no run here")
+    if facts.unfinished and not facts.run_lives:
+        return BenchWord("UNSAFE", "the run died; its guard has not reported yet")
+    if facts.bench_problem:
+        return BenchWord("unknown", facts.bench_problem)
     if not facts.recorded:
         return BenchWord("unknown", "no run in this folder yet")
     if facts.pressed:
         return BenchWord("pressed", facts.pressed)
+    if facts.other_bench:
+        return BenchWord("unknown", "the latest run in this folder was on another bench")
+    if facts.ended and facts.run_lives:
+        # Its program saves the data, or begins the next run or attempt at any moment.
+        return BenchWord(
+            "holding", "the run has made the bench safe; its program still holds the bench"
+        )
     if facts.ended:
         return BenchWord("safe", "the latest run reported that it made the bench safe")
     if facts.guard_reported:
@@ -87,8 +104,6 @@ def bench_word(facts: Facts) -> BenchWord:
 
 
 def _of_a_run(facts: Facts) -> BenchWord:
-    if facts.ended:
-        return BenchWord("safe", "the run made the bench safe and saves its data")
     if facts.holding:
         return BenchWord("holding", facts.holding)
     if facts.silent_s >= SILENT_S and (facts.recording or not facts.guarded):

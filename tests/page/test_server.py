@@ -43,6 +43,7 @@ with JournalWriter.create(sys.argv[1], run.header()) as journal:
     journal.point_discard(run.POINTS[1], "stopped by SIGTERM")
     journal.end(run.end("stopped", points=1, exit=143))
     journal.sync()
+    sys.stdin.read()
 """
 
 
@@ -201,7 +202,10 @@ def test_a_live_run_is_shown_and_stopped_and_the_page_is_red_until_its_end_recor
     path.parent.mkdir(exist_ok=True)
     files = str(Path(run.__file__).parent)
     writer = subprocess.Popen(
-        [sys.executable, "-c", WRITER, str(path), files], stdout=subprocess.PIPE, text=True
+        [sys.executable, "-c", WRITER, str(path), files],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
     )
     try:
         assert writer.stdout is not None
@@ -219,8 +223,11 @@ def test_a_live_run_is_shown_and_stopped_and_the_page_is_red_until_its_end_recor
         assert (status, str(writer.pid) in body.decode()) == (200, True)
         ended = page.frames(lambda f: f["stop"] and f["stop"]["over"])
         assert (ended["stop"]["phase"], ended["stop"]["safe"]) == ("ended", True)
-        assert (ended["word"], ended["run"]["end"]["exit"]) == ("safe", 143)
+        assert (ended["word"], ended["run"]["end"]["exit"]) == ("holding", 143)
+        assert writer.stdin is not None
+        writer.stdin.close()
         assert writer.wait(PATIENCE_S) == 0
+        page.frames(lambda f: f["word"] == "safe")
         for viewer in idle:
             viewer.close()
     finally:
@@ -238,7 +245,8 @@ def test_a_run_that_was_killed_is_unsafe_until_its_guard_has_reported(page):
         writer.wait()
         dead = page.frames(lambda f: f["word"] == "UNSAFE")
         assert "guard has not reported" in dead["reason"]
-        report = {"journal": str(path.resolve()), "safe": True, "stopped": True, "cause": "died",
+        report = {"journal": str(path.resolve()), "run_pid": writer.pid, "safe": True,
+                  "stopped": True, "cause": "died",
                   "pressed": "nothing is pressed at 1.00 mm, 0.0 N"}  # fmt: skip
         path.with_suffix(".guard.json").write_text(json.dumps(report))
         assert "guard reported" in page.frames(lambda f: f["word"] == "safe")["reason"]

@@ -10,7 +10,7 @@ import recorded_run as run
 
 from rig.files.journal.follow import JournalTail
 from rig.files.journal.format import Block, PointBegin, PointDiscard, PointKeep
-from rig.files.journal.values import JournalEvent, RunHeader, StreamState
+from rig.files.journal.values import End, JournalEvent, RunHeader, StreamState
 from rig.page.ring import BIN_S, KEPT_S, Ring
 from rig.page.stop_course import StopSigns, stop_course
 from rig.page.view import MOST_CHANNELS, MOST_EVENTS, RunView
@@ -99,6 +99,16 @@ def test_a_retaken_point_counts_once_and_the_time_left_follows_from_those_record
     assert (view.done, view.discards, view.point) == (2, 1, None)
 
 
+def test_a_resumed_run_has_not_ended_from_its_first_record_on(view):
+    view.take(JournalEvent(time=8.0, level="error", code="off-failed", message="x"))
+    view.take(End.model_validate(run.end("stopped", exit=7)))
+    assert (view.end.exit, view.off_failed) == (7, True)
+    view.take(JournalEvent(time=9.0, level="warning", code="calibration", message="old"))
+    assert (view.end, view.off_failed) == (None, False)
+    view.take(End.model_validate(run.end("stopped", exit=143)))
+    assert view.end.exit == 143
+
+
 GOOD = Facts(recorded=True, ended=True)
 
 
@@ -124,6 +134,13 @@ GOOD = Facts(recorded=True, ended=True)
         (Facts(recorded=True, ended=True, held_by_another="process 7"), "unknown"),
         (Facts(recorded=True, ended=True, problem="cannot be followed"), "unknown"),
         (Facts(recorded=True, ended=True, pressed="still pressed"), "pressed"),
+        # What the run has reported is green only when nothing can press again by itself.
+        (Facts(recorded=True, ended=True, run_lives=True), "holding"),
+        (Facts(recorded=True, ended=True, run_lives=True, pressed="still pressed"), "pressed"),
+        (Facts(recorded=True, unfinished=True, guard_reported=True), "UNSAFE"),
+        (Facts(recorded=True, ended=True, unfinished=True), "UNSAFE"),
+        (Facts(recorded=True, ended=True, other_bench=True), "unknown"),
+        (Facts(recorded=True, ended=True, bench_problem="no folder"), "unknown"),
         (GOOD, "safe"),
     ],
 )
@@ -153,3 +170,5 @@ def test_a_stop_is_red_from_the_press_to_the_end_record_or_the_guards_report():
     assert (told.phase, told.over, told.safe) == ("guard", True, True)
     assert stop_course(signs(ended=True, exit=143, status="stopped")).safe
     assert not stop_course(signs(ended=True, exit=7)).safe
+    still = stop_course(signs(ended=True, exit=143, pressed="still pressed at 12 mm"))
+    assert (still.over, still.safe, "12 mm" in still.text) == (True, False, True)

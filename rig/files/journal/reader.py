@@ -130,6 +130,7 @@ class JournalContents:
 
 
 NEVER_CLOSED = "the run ended without closing its journal"
+DAMAGED = "the journal is damaged"
 
 
 def ending(contents: JournalContents) -> End:
@@ -146,7 +147,7 @@ def ending(contents: JournalContents) -> End:
     damaged = contents.problem and not contents.torn
     return End(
         status="failed",
-        reason=f"the journal is damaged: {contents.problem}" if damaged else NEVER_CLOSED,
+        reason=f"{DAMAGED}: {contents.problem}" if damaged else NEVER_CLOSED,
         attempt=len(contents.ends) + 1,
         end_time=end_time,
         duration_s=lasted.total_seconds(),

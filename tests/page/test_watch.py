@@ -1,0 +1,155 @@
+"""What the page believes of a bench: locks, marks, reports and files that contradict each other."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+
+import pytest
+import recorded_run as run
+from test_night import held
+
+from rig.bench.plan import parse_bench
+from rig.files.journal.writer import JournalWriter
+from rig.files.runfile.compile import compile_run
+from rig.page.watch import BenchWatch
+from rig.run.bench_mark import BenchMark, write_marks
+from rig.run.lock import address_names
+from rig.run.lock_holder import lock_file
+from rig.run.shared_folder import VARIABLE
+
+BENCH = """
+name = "bench-1"
+[fixture]
+mounted = "film-clamp"
+parked_mm = 5.0
+contact_from_mm = 12.0
+contact_to_mm = 13.0
+[force_sensor]
+driver = "me-gsv8"
+port = "/dev/ttyUSB{number}"
+"""
+
+
+@pytest.fixture
+def results(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder of results, on a computer with a shared folder of its own."""
+    shared = tmp_path / "shared"
+    shared.mkdir(mode=0o700)
+    monkeypatch.setenv(VARIABLE, str(shared))
+    (tmp_path / "results" / "day").mkdir(parents=True)
+    return tmp_path / "results"
+
+
+def bench_toml(number: int = 0) -> str:
+    return BENCH.replace("{number}", str(number))
+
+
+def journal_in(results: Path, name: str = "a", *, ended: bool = True, number: int = 0) -> Path:
+    """Write the journal of a run on the bench of this number."""
+    path = results / "day" / f"{name}_sweep_r001.rigj"
+    header = run.header(bench_toml=bench_toml(number))
+    with JournalWriter.create(path, header) as journal:
+        run.take_point(journal, 0)
+        if ended:
+            journal.end(run.end())
+    return path
+
+
+def words(watch: BenchWatch) -> tuple[str, str]:
+    """Have the watch look and read until it has come to the end of what there is."""
+    for _ in range(3):
+        watch._looked_s = -1e9
+        watch.poll()
+    return watch.word.word, watch.word.reason
+
+
+def mark(state: str, number: int = 0) -> None:
+    names = address_names(parse_bench(bench_toml(number), "bench.toml"))
+    found = BenchMark(state=state, bench="bench-1", time="now", user="me", report="still pressed")  # type: ignore[arg-type]
+    write_marks(names, found)
+
+
+def lock_of(number: int = 0) -> Path:
+    (name,) = address_names(parse_bench(bench_toml(number), "bench.toml"))
+    return lock_file(name)
+
+
+def report(path: Path, pid: int, older_s: float = 0.0) -> None:
+    """Have the guard of a run's process report that the bench is safe."""
+    said = {"journal": str(path.resolve()), "run_pid": pid, "safe": True, "stopped": True}
+    beside = path.with_suffix(".guard.json")
+    beside.write_text(json.dumps(said))
+    at_ns = path.stat().st_mtime_ns - round(older_s * 1e9)
+    os.utime(beside, ns=(at_ns, at_ns))
+
+
+def test_a_guards_report_of_an_earlier_attempt_says_nothing_of_this_one(results: Path) -> None:
+    path = journal_in(results, ended=False)
+    report(path, 4242)
+    assert words(BenchWatch(results))[0] == "safe"
+    watch = BenchWatch(results)
+    with held(path):  # it is resumed by another process, which then dies as well
+        words(watch)
+    assert words(watch)[0] == "UNSAFE"
+    report(path, 4242, older_s=5.0)  # what a page sees that is started only now
+    assert words(BenchWatch(results))[0] == "UNSAFE"
+
+
+def test_run_files_alone_make_no_bench_green_without_a_look_at_its_marks_and_locks(
+    results: Path,
+) -> None:
+    compile_run(journal_in(results), retire=True)
+    watch = BenchWatch(results)
+    assert watch.path is None
+    assert words(watch)[0] == "safe"
+    lock_of().touch()
+    with held(lock_of()):
+        assert words(watch)[0] == "unknown"
+    mark("unsafe")
+    assert words(watch)[0] == "UNSAFE"
+    mark("stopped")
+    assert words(watch) == ("pressed", "still pressed")
+    assert watch.path is None
+
+
+def test_a_run_on_another_bench_says_nothing_of_the_one_that_is_watched(results: Path) -> None:
+    bench = results.parent / "bench.toml"
+    bench.write_text(bench_toml(7))
+    compile_run(journal_in(results), retire=True)
+    assert words(BenchWatch(results, bench))[0] == "unknown"
+    bench.write_text(bench_toml())
+    assert words(BenchWatch(results, bench))[0] == "safe"
+    bench.write_text(bench_toml(7))
+    mark("unsafe", 7)
+    assert words(BenchWatch(results, bench))[0] == "UNSAFE"
+
+
+def test_a_shared_folder_that_cannot_be_trusted_is_not_the_same_as_no_marks(results: Path) -> None:
+    journal_in(results)
+    assert words(BenchWatch(results))[0] == "safe"
+    (results.parent / "shared").chmod(0o777)
+    assert words(BenchWatch(results))[0] == "unknown"
+
+
+def test_the_file_of_a_run_that_died_is_no_report_of_a_safe_bench(results: Path) -> None:
+    path = journal_in(results, ended=False)
+    compile_run(path)
+    watch = BenchWatch(results)
+    assert words(watch)[0] == "UNSAFE"
+    assert watch.path == path
+    path.unlink()
+    assert words(BenchWatch(results))[0] == "UNSAFE"
+
+
+def test_of_two_runs_at_once_the_page_stays_with_the_one_that_it_shows(results: Path) -> None:
+    first, second = journal_in(results, "a", ended=False), journal_in(results, "b", ended=False)
+    watch = BenchWatch(results)
+    os.utime(second, (1, 1))
+    with held(first, second):
+        words(watch)
+        assert watch.path == first
+        os.utime(second)
+        words(watch)
+        assert watch.path == first
