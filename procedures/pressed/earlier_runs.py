@@ -108,10 +108,7 @@ class EarlierPress:
             if earlier is not None:
                 self._judge_gain(strip, gain, earlier, reference.time)
             elif abs(gain.value_V_s_N) > STANDARD_ERRORS * gain.error_V_s_N:
-                try:
-                    self._run.references.remember_gain(self._kind, strip, gain)
-                except OSError as error:
-                    self._not_saved(error)
+                self._run.references.remember_gain(self._kind, strip, gain)
 
     def _judge_gain(self, strip: str, gain: TouchGain, earlier: TouchGain, time: str) -> None:
         error = math.hypot(gain.error_V_s_N, earlier.error_V_s_N)
@@ -129,24 +126,17 @@ class EarlierPress:
             raise InstrumentError("daq", "touch-down", told, GAIN_HINT)
         self._run.event("warning", "earlier-runs", f"{told}; {GAIN_HINT}")
 
-    def _not_saved(self, error: OSError) -> None:
-        self._run.event("warning", "earlier-runs", f"no reference was saved: {error.strerror}")
-
     def _remember(self, way_mm: float, stiffness_N_mm: float, zero: ForceZero) -> None:
         references = self._run.references
         if not references.compares:
             return
-        try:
-            zero_N = (zero.x_N, zero.y_N, zero.z_N)
-            references.remember(self._kind, way_mm, stiffness_N_mm, zero_N)
-        except OSError as error:
-            self._not_saved(error)
-            return
+        zero_N = (zero.x_N, zero.y_N, zero.z_N)
+        references.remember(self._kind, way_mm, stiffness_N_mm, zero_N)
         why = f"accepted: {references.accept}" if references.accept else "the first of its kind"
         self._run.event(
             "info",
             "earlier-runs",
-            f"this press is the reference for later runs ({why}): {stiffness_N_mm:.3g} N/mm, "
+            f"this press becomes the reference for later runs ({why}): {stiffness_N_mm:.3g} N/mm, "
             f"{way_mm:.3f} mm from contact to {self._force_N:g} N; there was nothing to compare "
             "it with",
         )

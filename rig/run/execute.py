@@ -340,6 +340,17 @@ class _Execution:
 
     # --- second: data -----------------------------------------------------------------------------
 
+    def _keep_references(self) -> None:
+        """Keep what this run's presses have shown for later runs, where nothing spoke against them:
+        the run has not failed, and a reading is valid."""
+        if self.outcome.status == "failed":
+            return
+        try:
+            if any(not self.procedure.why_invalid(r) for r in self.readings.values()):
+                self.run.references.keep()
+        except RigError as error:
+            self.outcome.warnings.append(error.one_line())
+
     def _save(self) -> None:
         """Close the journal and compile it; every step is tried even if an earlier one fails."""
         self.phases.enter(RunPhase.SAVING)
@@ -347,6 +358,7 @@ class _Execution:
         compiled = self.job.compiled or outcome.status != "complete"
         if outcome.points_done and compiled:
             self.observers.saving()
+        self._keep_references()
         outcome.warnings = self.run.warnings + outcome.warnings
         with self._saving():
             for failure in outcome.failures:

@@ -23,7 +23,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from rig.bench.addresses import addresses_of
 from rig.core.atomic import write_text
-from rig.core.errors import ConfigurationError
+from rig.core.errors import ConfigurationError, RigError
 from rig.run.shared_folder import SharedFolder
 
 if TYPE_CHECKING:
@@ -124,7 +124,8 @@ class PressReferences:
         self._bench = _bench_key(plan, sample)
         self._bench_name = plan.settings.name
         self.accept = accept
-        self._accepted: set[str] = set()
+        self._own: dict[str, PressReference] = {}
+        """References that this run has set, by their keys; not written yet."""
 
     @property
     def compares(self) -> bool:
@@ -135,15 +136,16 @@ class PressReferences:
         """Return the reference for a kind of press; None where there is none, or where this run has
         yet to replace it. Raises ConfigurationError for a file that cannot be understood."""
         key = self._key(kind)
-        if self.accept and key not in self._accepted:
-            return None
-        return self._read().references.get(key)
+        if (own := self._own.get(key)) is not None:
+            return own
+        return None if self.accept else self._read().references.get(key)
 
     def remember(
         self, kind: str, way_mm: float, stiffness_N_mm: float, zero_N: tuple[float, float, float]
     ) -> None:
-        """Make this press the reference of its kind. Raises OSError if it cannot be written."""
-        reference = PressReference(
+        """Compare the further presses of this kind with this one; `keep` makes it the reference of
+        later runs."""
+        self._own[self._key(kind)] = PressReference(
             time=time.strftime("%Y-%m-%d %H:%M:%S"),
             way_mm=way_mm,
             stiffness_N_mm=stiffness_N_mm,
@@ -152,21 +154,27 @@ class PressReferences:
             kind=kind,
             reason=self.accept,
         )
-        self._write(kind, reference)
-        self._accepted.add(self._key(kind))
 
     def remember_gain(self, kind: str, strip: str, gain: TouchGain) -> None:
-        """Add the touch gain of a strip to the reference of a kind, if there is one. Raises OSError
-        if it cannot be written."""
+        """Add the touch gain of a strip to the reference of a kind, if there is one."""
         if (reference := self.of(kind)) is not None:
             gains = reference.touch_gains | {strip: gain}
-            self._write(kind, reference.model_copy(update={"touch_gains": gains}))
+            self._own[self._key(kind)] = reference.model_copy(update={"touch_gains": gains})
 
-    def _write(self, kind: str, reference: PressReference) -> None:
-        if self._file is None:
+    def keep(self) -> None:
+        """Write what this run has set, for later runs: once the bench is safe, since a slow disk
+        must not hold up what presses, and only where nothing spoke against the run's presses.
+        Raises RigError if it cannot be written."""
+        if self._file is None or not self._own:
             return
-        known = self._read().references | {self._key(kind): reference}
-        self._file.write(_References(references=known).model_dump_json(indent=1) + "\n")
+        known = self._read().references | self._own
+        try:
+            self._file.write(_References(references=known).model_dump_json(indent=1) + "\n")
+        except OSError as error:
+            raise RigError(
+                f"no reference for later presses was saved to {self._file}: {error.strerror}",
+                "free the disk, or have the folder's owner correct it",
+            ) from error
 
     def _read(self) -> _References:
         if self._file is None:

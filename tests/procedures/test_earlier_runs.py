@@ -10,7 +10,7 @@ import pytest
 from procedures.pressed.contact import ForceZero
 from procedures.pressed.earlier_runs import EarlierPress
 from rig.bench.plan import parse_bench
-from rig.core.errors import ConfigurationError, InstrumentError
+from rig.core.errors import ConfigurationError, InstrumentError, RigError
 from rig.run.press_references import FILE, PressReferences, TouchGain
 
 BENCH = """
@@ -79,6 +79,7 @@ class Run:
         earlier = EarlierPress(self, force_N, "glass plate")  # type: ignore[arg-type]
         earlier.refuse_way(way_mm, 0.9 * force_N)
         earlier.judge(way_mm, stiffness_N_mm, zero)
+        self.references.keep()
 
     def touch(self, value_V_s_N: float, error_V_s_N: float = 1e-6) -> None:
         """Press, and judge the touch gain of one strip."""
@@ -86,6 +87,7 @@ class Run:
         gain = TouchGain(value_V_s_N=value_V_s_N, error_V_s_N=error_V_s_N)
         earlier = EarlierPress(self, 4.0, "glass plate")  # type: ignore[arg-type]
         earlier.judge_gains({"strip_1": gain})
+        self.references.keep()
 
 
 def test_a_first_run_says_once_that_it_has_nothing_to_compare_with(tmp_path: Path) -> None:
@@ -97,6 +99,25 @@ def test_a_first_run_says_once_that_it_has_nothing_to_compare_with(tmp_path: Pat
     assert level == "info"
     assert "there was nothing to compare it with" in said
     assert second.said == []
+
+
+def test_a_press_of_a_run_that_is_not_kept_is_no_reference(tmp_path: Path, shared: Path) -> None:
+    run = Run(tmp_path)
+    EarlierPress(run, 4.0, "glass plate").judge(WAY_mm, 20.0, ZERO)  # type: ignore[arg-type]
+    assert not list(shared.glob(f"*{FILE}")), "nothing is written while it presses"
+    with pytest.raises(InstrumentError):
+        run.press(stiffness_N_mm=3 * 20.0)
+    Run(tmp_path).press()
+
+
+def test_a_folder_that_takes_no_reference_is_named(tmp_path: Path, shared: Path) -> None:
+    run = Run(tmp_path)
+    run.press()
+    (file,) = shared.glob(f"*{FILE}")
+    file.unlink()
+    file.with_name(f".{file.name}.part").mkdir()
+    with pytest.raises(RigError, match="no reference for later presses was saved to"):
+        run.references.keep()
 
 
 @pytest.mark.parametrize("ratio", [1 / 3, 3.0])
