@@ -4,7 +4,7 @@
     GET  /api/live        server-sent events: a frame at most `rate_Hz` times a second
     GET  /api/night       the latest batch
     GET  /api/runs        the runs of the folder; /api/runs/ID one of them, /api/runs/ID/NAME a file
-    POST /api/stop        {"what": "run" | "night"}
+    POST /api/stop        {"what": "run", "run": UUID}, {"what": "night"}, or {} without a choice
     POST /api/make-safe
 
 Whatever changes something is a POST with the token that may stop. No part of a request becomes a
@@ -19,6 +19,7 @@ import json
 import logging
 import os
 import socket
+import sqlite3
 import subprocess
 import sys
 import threading
@@ -35,13 +36,14 @@ from starlette.responses import FileResponse, JSONResponse, PlainTextResponse, R
 from starlette.routing import Route
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from rig.batch.folder import BatchFolder
 from rig.core.errors import RigError
 from rig.core.threads import start_thread
 from rig.page.access import HEADERS, Access, RefusedError
 from rig.page.frames import Cursor, as_event, next_frame
 from rig.page.history import RunIndex
-from rig.page.night import ask_batch, batch_of, night, running_batch
-from rig.page.watch import BenchWatch
+from rig.page.night import ask_batch, batch_of, is_running, night, running_batch
+from rig.page.watch import BenchWatch, Stop
 from rig.run.lock_holder import LockHolder, NotStoppedError, holder_of
 
 log = logging.getLogger("rig")
@@ -241,41 +243,73 @@ def _changing(state: PageState, change: Change) -> Callable[[Request], Any]:
 
 def _stop(state: PageState, wanted: dict[str, Any]) -> tuple[int, dict[str, Any]]:
     """Stop the run or the night. A page that may not know of the batch yet makes no choice: where
-    the run is one of a batch, that is the night, since otherwise the next run would follow."""
+    the run is one of a batch, that is the night, since otherwise the next run would follow. While a
+    stop is under way a press without a choice only counts: it never widens what was chosen."""
     what = wanted.get("what")
     if what not in (None, "run", "night"):
         return 400, {"problem": f"stop what: run or night, not {what!r}"}
-    journal = state.watch.path
+    watch = state.watch
+    if what is None and (stop := watch.press_again()) is not None:
+        return 200, {"text": "it is stopping already", "presses": stop.presses}
+    journal = watch.path
     recording = journal is not None and holder_of(journal) is not None
     own = batch_of(journal) if journal is not None and recording else None
-    batch = own or running_batch(state.watch.results)
+    batch = own or running_batch(watch.results)
     if what is None:
         what = "run" if recording and own is None else "night"
+    if what == "night":
+        return _stop_the_night(watch, batch)
+    header = watch.view.header
+    if batch is not None and not recording:
+        return 409, {
+            "problem": "no run is under way: stop the whole batch, or wait for the next run"
+        }
+    if "run" in wanted and (header is None or wanted["run"] != header.run_uuid):
+        return 409, {"problem": "that run has ended; another one is shown now"}
 
     def ask_for_this_run(path: Path) -> LockHolder:
         """Have the batch end its run: it has to know that it continues."""
         holder = holder_of(path)
         if holder is None or own is None:
             raise NotStoppedError("the run has ended already")
-        ask_batch(own, "stop-run")
+        ask_batch(own, "stop-run" if header is None else f"stop-run {header.run_number}")
         return holder
 
     try:
-        if what == "run" and own is not None:
-            stop = state.watch.ask_to_stop(ask_for_this_run)
-        else:
-            asked = ask_batch(batch, "stop-now") if what == "night" and batch is not None else ""
-            try:
-                stop = state.watch.ask_to_stop()
-            except NotStoppedError:
-                if not asked:
-                    raise
-                return 200, {"text": f"batch {asked} was asked to stop"}  # it rests or waits
+        stop = watch.ask_to_stop() if own is None else watch.ask_to_stop(ask_for_this_run)
     except RigError as error:
         return 409, {"problem": error.one_line()}
+    return 200, _answer(stop)
+
+
+def _stop_the_night(watch: BenchWatch, batch: BatchFolder | None) -> tuple[int, dict[str, Any]]:
+    """Send the signal to the process that holds the bench, and ask the batch to end. Neither waits
+    for the other to succeed: the queue of a batch may be damaged, or its disk full."""
+    stop, problems = None, []
+    try:
+        stop = watch.ask_to_stop()
+    except RigError as error:
+        problems.append(error.one_line())
+    if batch is None:
+        return (409, {"problem": problems[0]}) if stop is None else (200, _answer(stop))
+    try:
+        asked = ask_batch(batch, "stop-now")
+    except (RigError, OSError, sqlite3.Error) as error:
+        why = error.one_line() if isinstance(error, RigError) else str(error)
+        if stop is None or is_running(batch):  # else it has ended, as it should
+            problems.append(f"the batch could not be asked to end: {why}")
+    else:
+        if stop is None:  # it rests or waits, and holds no bench
+            return 200, {"text": f"batch {asked} was asked to stop"}
+    if stop is None:
+        return 409, {"problem": "; ".join(problems)}
+    return 200, _answer(stop) | ({"problem": "; ".join(problems)} if problems else {})
+
+
+def _answer(stop: Stop) -> dict[str, Any]:
     again = stop.presses > 1
     text = "it is stopping already" if again else f"process {stop.holder.pid} was asked to stop"
-    return 200, {"text": text, "presses": stop.presses}
+    return {"text": text, "presses": stop.presses}
 
 
 def _make_safe(state: PageState, _: dict[str, Any]) -> tuple[int, dict[str, Any]]:

@@ -41,6 +41,10 @@ class StopSigns:
     guard_report: str = ""
     """What the guard has reported of this run; empty before."""
     guard_safe: bool = False
+    recording: bool = True
+    """The process was recording a run, or has begun one since."""
+    bench_safe: bool = False
+    """The state of the bench is "safe"."""
     pressed: str = ""
     """What is reported to be still pressed; empty for nothing."""
 
@@ -75,6 +79,9 @@ def stop_course(signs: StopSigns) -> StopCourse:
     if not signs.process_lives:
         if signs.guard_report:
             return StopCourse("guard", signs.guard_report, True, signs.guard_safe)
+        if signs.guard_pid is None and not signs.recording:  # a batch that rested has no END
+            text = f"Process {signs.pid} has ended. The state above says how it left the bench."
+            return StopCourse("ended", text, True, signs.bench_safe)
         text = "The run's process is gone. Its guard makes the bench safe and has not reported yet."
         return StopCourse("guard", text, False, False)
     if signs.reacted:

@@ -48,8 +48,8 @@ MOST_BYTES_A_POLL = 16 << 20
 class Stop:
     """A stop that was asked for."""
 
-    def __init__(self, holder: LockHolder, journal: Path | None):
-        self.holder, self.journal = holder, journal
+    def __init__(self, holder: LockHolder, journal: Path | None, *, run_only: bool = False):
+        self.holder, self.journal, self.run_only = holder, journal, run_only
         self.at_s = time.monotonic()
         self.wall = time.strftime("%H:%M:%S")
         self.presses = 1
@@ -138,8 +138,12 @@ class BenchWatch:
         if chosen is None and journals and self._is_news(journals[0]):
             chosen = journals[0]
         if chosen is not None and chosen.path != self.path:
-            self._follow(chosen.path)
+            self._follow(chosen.path, found)
         with self.lock:
+            if self.stop is not None and found is not None and chosen is not None:
+                another = found.pid != self.stop.holder.pid
+                if another and self.stop.journal == chosen.path:  # it was resumed since
+                    self.stop = None
             self.holder = found if chosen is not None and chosen.path == self.path else None
             self._guarded = False
             if self.holder is not None:
@@ -163,7 +167,7 @@ class BenchWatch:
         of_it = journal.path.with_suffix(RUN_SUFFIX) == latest.path
         return of_it or journal.mtime_ns > latest.mtime_ns
 
-    def _follow(self, path: Path) -> None:
+    def _follow(self, path: Path, holder: LockHolder | None = None) -> None:
         if self._tail is not None:
             self._tail.close()
         self._tail = JournalTail(path)
@@ -174,7 +178,10 @@ class BenchWatch:
             self.behind = True
             self._grew_s = time.monotonic()
             if self.stop is not None and self.stop.journal != path:
-                self.stop = None
+                if self.stop.journal is None and self.stop.holder == holder:
+                    self.stop.journal = path  # it was pressed before the run's first record
+                else:
+                    self.stop = None
 
     def _read(self, now: float) -> None:
         if self._tail is None or self._problem:
@@ -192,6 +199,8 @@ class BenchWatch:
         with self.lock:
             for record in records:
                 self.view.take(record)
+                if self.stop is not None and self.stop.over and not isinstance(record, End):
+                    self.stop = None  # another attempt at the same run
                 if self.stop is not None and not self.behind:
                     self.stop.reacted |= isinstance(record, (PointDiscard, End))
                     if isinstance(record, End):
@@ -385,6 +394,8 @@ class BenchWatch:
                 heartbeat_timeout_s=self.heartbeat_timeout_s,
                 guard_report=f"The guard of the run had to act: {said}" if report else "",
                 guard_safe=report.get("safe") is True,
+                recording=stop.journal is not None,
+                bench_safe=self.word.word == "safe",
                 pressed=self._pressed(),
             )
         )
@@ -396,22 +407,30 @@ class BenchWatch:
 
     # --- stopping -------------------------------------------------------------------------------
 
-    def ask_to_stop(self, ask: Callable[[Path], LockHolder] = ask_to_stop) -> Stop:
-        """Ask the run to end in order: SIGTERM to the process that holds its locks, and to no
-        other. A further press only counts.
-
-        `ask` may ask in another way: it is given the locked file and returns the process that
-        holds it. Raises RigError; then nothing was sent.
-        """
+    def press_again(self) -> Stop | None:
+        """Count a further press while a stop is under way, and return it; None if none is."""
         with self.lock:
             stop = self.stop
-            if stop is not None and lives(stop.holder.pid) and not stop.over:
-                stop.presses += 1
-                return stop
+            if stop is None or stop.over or not lives(stop.holder.pid):
+                return None
+            stop.presses += 1
+            return stop
+
+    def ask_to_stop(self, end_the_run: Callable[[Path], LockHolder] | None = None) -> Stop:
+        """Ask the run to end in order: SIGTERM to the process that holds its locks, and to no
+        other. A further press only counts, but the process itself is asked if only its run was.
+
+        `end_the_run` asks for the end of a run only, whose process continues: it is given the
+        locked file and returns the process that holds it. Raises RigError; then nothing was sent.
+        """
+        wider = end_the_run is None and self.stop is not None and self.stop.run_only
+        again = self.press_again()
+        if again is not None and not wider:
+            return again
         target, journal = self._target()
-        holder = ask(target)
+        holder = (end_the_run or ask_to_stop)(target)
         with self.lock:
-            self.stop = Stop(holder, journal)
+            self.stop = Stop(holder, journal, run_only=end_the_run is not None)
             return self.stop
 
     def _target(self) -> tuple[Path, Path | None]:

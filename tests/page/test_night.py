@@ -66,8 +66,14 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
     return requests
 
 
-def stop(results: Path, journal: Path | None, wanted: dict[str, Any], signalled: list[Path]) -> Any:
-    """Press STOP with this choice, while the page shows the run of `journal`."""
+def stop(
+    results: Path,
+    journal: Path | None,
+    wanted: dict[str, Any],
+    signalled: list[Path],
+    under_way: Any = None,
+) -> Any:
+    """Press STOP with this choice, while the page shows the run of `journal`, its number 7."""
 
     def ask_to_stop(ask: Any = None) -> Any:
         if journal is None:
@@ -77,7 +83,14 @@ def stop(results: Path, journal: Path | None, wanted: dict[str, Any], signalled:
             signalled.append(journal)
         return SimpleNamespace(presses=1, holder=holder)
 
-    watch = SimpleNamespace(path=journal, results=results, ask_to_stop=ask_to_stop)
+    header = SimpleNamespace(run_uuid="this", run_number=7)
+    watch = SimpleNamespace(
+        path=journal,
+        results=results,
+        view=SimpleNamespace(header=header),
+        ask_to_stop=ask_to_stop,
+        press_again=lambda: under_way,
+    )
     return server._stop(SimpleNamespace(watch=watch), wanted)  # type: ignore[arg-type]
 
 
@@ -100,7 +113,7 @@ def test_a_stop_without_a_choice_in_a_run_of_a_batch_is_for_the_whole_night(
         assert stop(tmp_path, journal, {}, signalled)[0] == 200
         assert (asked, signalled) == ([("night", "stop-now")], [journal])
         assert stop(tmp_path, journal, {"what": "run"}, signalled)[0] == 200
-    assert asked[1:] == [("night", "stop-run")]
+    assert asked[1:] == [("night", "stop-run 7")]
     assert signalled == [journal], "the batch ends its run itself"
 
 
@@ -115,6 +128,47 @@ def test_a_run_beside_a_batch_is_stopped_itself_and_the_batch_is_not_asked(
     with held(night.path / "supervisor.lock", journal):
         assert stop(tmp_path, journal, wanted, signalled)[0] == 200
     assert (asked, signalled) == ([], [journal])
+
+
+def test_a_batch_that_cannot_be_asked_is_stopped_by_the_signal_all_the_same(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    night = batch(tmp_path, "night", 1)
+    journal = night.journal(1, "sweep")
+    (night.path / QUEUE).write_bytes(b"no database")
+    signalled: list[Path] = []
+    with held(night.path / "supervisor.lock", journal):
+        status, said = stop(tmp_path, journal, {"what": "night"}, signalled)
+    assert (status, signalled) == (200, [journal])
+    assert "could not be asked" in said["problem"]
+
+
+def test_a_further_press_without_a_choice_makes_no_stop_wider(
+    tmp_path: Path, asked: list[Any]
+) -> None:
+    night = batch(tmp_path, "night", 1)
+    journal = night.journal(1, "sweep")
+    signalled: list[Path] = []
+    with held(night.path / "supervisor.lock", journal):
+        status, said = stop(tmp_path, journal, {}, signalled, SimpleNamespace(presses=2))
+    assert (status, said["presses"], asked, signalled) == (200, 2, [], [])
+
+
+def test_a_stop_of_one_run_reaches_no_other_and_does_nothing_between_runs(
+    tmp_path: Path, asked: list[Any]
+) -> None:
+    night = batch(tmp_path, "night", 1)
+    journal = night.journal(1, "sweep")
+    journal.touch()
+    signalled: list[Path] = []
+    with held(night.path / "supervisor.lock"):
+        status, said = stop(tmp_path, journal, {"what": "run", "run": "this"}, signalled)
+        assert (status, "no run is under way" in said["problem"]) == (409, True)
+    with held(night.path / "supervisor.lock", journal):
+        status, said = stop(tmp_path, journal, {"what": "run", "run": "that"}, signalled)
+        assert (status, "has ended" in said["problem"]) == (409, True)
+        assert stop(tmp_path, journal, {"what": "run", "run": "this"}, signalled)[0] == 200
+    assert (asked, signalled) == ([("night", "stop-run 7")], [])
 
 
 def test_a_stop_while_a_batch_rests_is_for_the_night(tmp_path: Path, asked: list[Any]) -> None:

@@ -170,5 +170,8 @@ def test_a_stop_is_red_from_the_press_to_the_end_record_or_the_guards_report():
     assert (told.phase, told.over, told.safe) == ("guard", True, True)
     assert stop_course(signs(ended=True, exit=143, status="stopped")).safe
     assert not stop_course(signs(ended=True, exit=7)).safe
+    rested = signs(process_lives=False, guard_pid=None, recording=False)
+    assert (stop_course(rested).over, stop_course(rested).safe) == (True, False)
+    assert "process 42 has ended" in stop_course(rested).text.lower()
     still = stop_course(signs(ended=True, exit=143, pressed="still pressed at 12 mm"))
     assert (still.over, still.safe, "12 mm" in still.text) == (True, False, True)

@@ -13,10 +13,10 @@ from test_night import held
 from rig.bench.plan import parse_bench
 from rig.files.journal.writer import JournalWriter
 from rig.files.runfile.compile import compile_run
-from rig.page.watch import BenchWatch
+from rig.page.watch import BenchWatch, Stop
 from rig.run.bench_mark import BenchMark, write_marks
 from rig.run.lock import address_names
-from rig.run.lock_holder import lock_file
+from rig.run.lock_holder import LockHolder, holder_of, lock_file
 from rig.run.shared_folder import VARIABLE
 
 BENCH = """
@@ -153,3 +153,53 @@ def test_of_two_runs_at_once_the_page_stays_with_the_one_that_it_shows(results: 
         os.utime(second)
         words(watch)
         assert watch.path == first
+
+
+def test_a_stop_before_the_first_record_is_the_stop_of_the_run_that_appears(results: Path) -> None:
+    watch = BenchWatch(results)
+    words(watch)
+    path = journal_in(results, ended=False)
+    with held(path):
+        holder = holder_of(path)
+        assert holder is not None
+        watch.stop = Stop(holder, None)
+        words(watch)
+        assert watch.stop is not None
+        assert watch.stop.journal == path
+
+
+def test_a_stop_is_over_once_its_run_is_resumed(results: Path) -> None:
+    path = journal_in(results, ended=False)
+    watch = BenchWatch(results)
+    words(watch)
+    with held(path):
+        holder = holder_of(path)
+        assert holder is not None
+        watch.stop = Stop(holder, path)
+        words(watch)
+        assert watch.stop is not None
+    with held(path):  # by another process
+        words(watch)
+        assert watch.stop is None
+
+
+def test_a_further_press_counts_and_only_an_explicit_one_reaches_the_process(
+    results: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = journal_in(results, ended=False)
+    watch = BenchWatch(results)
+    sent: list[Path] = []
+
+    def signal_to(target: Path) -> LockHolder:
+        sent.append(target)
+        return holder_of(target) or LockHolder(0, "", False)
+
+    monkeypatch.setattr("rig.page.watch.ask_to_stop", signal_to)
+    with held(path):
+        words(watch)
+        watch.ask_to_stop(lambda target: holder_of(target) or LockHolder(0, "", False))
+        again = watch.press_again()
+        assert (again is not None and again.presses, sent) == (2, [])
+        watch.ask_to_stop()  # for the night: the batch has not ended its run by itself
+        watch.ask_to_stop()
+        assert (sent, watch.stop is not None and watch.stop.presses) == ([path], 2)

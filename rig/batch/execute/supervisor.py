@@ -110,6 +110,8 @@ class Supervisor:
         self._begun_a_run = False
         self._give_up: float | None = None
         self._runs = 0
+        self._asked_to_end = False
+        """True if another terminal has asked for the end of the batch."""
         self._held_for = ""
         """Reason why the batch was held last, until a run has ended."""
         self._disk_was_full = False
@@ -122,8 +124,14 @@ class Supervisor:
         supervisor runs the batch."""
         with (
             self._folder.held_by("supervisor", 0.0),
-            self._folder.held_by("postprocess", FILE_PATIENCE_S) as lock,
             Queue.open(self._folder.queue) as self._queue,
+        ):
+            self._requests()  # left by an earlier supervisor: they were not meant for this one
+            return self._supervise()
+
+    def _supervise(self) -> ExitCode:
+        with (
+            self._folder.held_by("postprocess", FILE_PATIENCE_S) as lock,
             self._folder.log.open("ab", buffering=0) as self._log,
         ):
             self._batch = BatchFile.model_validate_json(self._queue.meta("file")).batch
@@ -182,7 +190,7 @@ class Supervisor:
             text = f"the worker died ({how}); see {self._folder.log}"
             self._record(self._queue.add_event, "error", text)
             self._say(f"warning: {text}")
-            if self._stop.requested is not None:
+            if self._stop.requested is not None or self._asked_to_end:
                 self._set_end("stopped: the worker died while it was stopping")
                 return ExitCode.INTERNAL
             if crashes >= CRASHES:
@@ -229,7 +237,8 @@ class Supervisor:
                     number = self._stop.requested
                     self._send(worker, f"signal {number.value}", f"stop by {number.name}")
                 for command in self._requests():
-                    self._send(worker, command, REQUESTS.get(command, command))
+                    self._asked_to_end |= _ends_the_batch(command)
+                    self._send(worker, command, REQUESTS.get(command.split()[0], command))
                 self._poll()
                 if self._give_up is not None and time.monotonic() > self._give_up:
                     self._give_up = None
@@ -338,6 +347,8 @@ class Supervisor:
                 f"finishing: making the files of {counted(len(self._postprocess), 'run')} ..."
             )
         while len(self._postprocess) and self._stop.requested is None:
+            if any(_ends_the_batch(command) for command in self._requests()):
+                break
             self._write_heartbeat("finishing")
             self._make_files(start=True)
             time.sleep(POLL_EVERY_S)
@@ -439,3 +450,8 @@ class Supervisor:
 
     def _on_end(self, event: Mapping[str, Any]) -> None:
         self._end = dict(event)
+
+
+def _ends_the_batch(command: str) -> bool:
+    """Return whether a request of another terminal is for the end of the whole batch."""
+    return command.startswith("stop-") and not command.startswith("stop-run")

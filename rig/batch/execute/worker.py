@@ -3,9 +3,9 @@
     python -m rig.batch.execute.worker FOLDER
 
 It is started by the supervisor (`rig.batch.execute.supervisor`), which sends commands on its
-standard input ("stop-now", "stop-after-point", "stop-after-run", "stop-run", "pause", "go",
-"signal 2") and gets one JSON object a line on its standard output. When its input ends the
-supervisor has died: the worker then stops safely, as at a stop request.
+standard input ("stop-now", "stop-after-point", "stop-after-run", "stop-run", "stop-run 12",
+"pause", "go", "signal 2") and gets one JSON object a line on its standard output. When its input
+ends the supervisor has died: the worker then stops safely, as at a stop request.
 
 What it decides is in `rig.batch.plan.policy`; that nothing is lost or doubled, in
 `rig.batch.queue`.
@@ -114,6 +114,8 @@ class _CommandListener:
         self.paused = threading.Event()
         self.stop_after_run = False
         self.in_run = False
+        self.run: int | None = None
+        """Number of the run under way, or of the latest."""
         self.ending = False
         """True if the batch was asked to end."""
         self._run_given_up = False
@@ -135,8 +137,9 @@ class _CommandListener:
         elif command == "stop-now":
             self.ending = True
             os.kill(os.getpid(), signal.SIGTERM)
-        elif command == "stop-run":
-            if self.in_run and not self.ending:
+        elif command.split()[:1] == ["stop-run"]:
+            meant = command.split()[1:] in ([], [str(self.run)])  # another one may run by now
+            if self.in_run and not self.ending and meant:
                 self._run_given_up = True
                 os.kill(os.getpid(), signal.SIGTERM)
         elif command == "stop-after-point":
@@ -560,7 +563,7 @@ class Worker:
                 archive_files(path)
                 job.resume = None
         self._boot_next()
-        self._commands.in_run = True
+        self._commands.run, self._commands.in_run = claim.number, True
         self._stop.time_limit = self._time_limit(bench.clock)
         try:
             outcome = execute(job, bench.plan, bench.clock, self._stop, _Reporter(self._send))

@@ -6,7 +6,7 @@ const BIN_S = 0.05, KEPT = 3600, LOST_MS = 2500;
 const $ = id => document.getElementById(id);
 const token = takeToken();
 let series = {}, curve = [], events = [], spectrum = null, generation = -1, charts = {};
-let last = null, lastFrameAt = performance.now(), paused = false, night = {}, tab = "now", made = null, listed = "";
+let last = null, lastFrameAt = performance.now(), paused = false, night = {}, tab = "now", made = null, listed = "", asked = "";
 
 function takeToken() {
   const given = new URLSearchParams(location.hash.slice(1)).get("token");
@@ -308,8 +308,12 @@ async function change(path, body) {
 
 function pressStop() {
   if ($("stop").disabled) return;
-  if (night.running && !(last && last.stop && !last.stop.over)) $("ask").showModal();
-  else change("/api/stop", {}); // no choice: the server knows whether the run is one of a batch
+  // While a stop is under way a press only counts. One that hangs may be made wider by a choice.
+  const stopping = last && last.stop && !last.stop.over && last.stop.phase !== "hanging";
+  if (night.running && !stopping) {
+    asked = (last && last.run.uuid) || ""; // the dialog may be left open until the next run
+    $("ask").showModal();
+  } else change("/api/stop", {}); // no choice: the server knows whether the run is one of a batch
 }
 
 $("stop").addEventListener("click", pressStop);
@@ -317,8 +321,8 @@ for (const button of $("ask").querySelectorAll("button"))
   button.addEventListener("click", async () => {
     $("ask").close();
     if (!button.value) return;
-    const said = await change("/api/stop", {what: button.value});
-    if (said.ok && said.text) notice(said.text);
+    const said = await change("/api/stop", button.value === "run" ? {what: "run", run: asked} : {what: button.value});
+    if (said.ok && !said.problem && said.text) notice(said.text);
   });
 $("make-safe").addEventListener("click", async () => {
   made = {safe: false, text: "stopping all motion, switching all outputs off …"};

@@ -1,0 +1,103 @@
+"""Requests of other terminals to stop a batch: each is for the one that runs, and for its run."""
+
+from __future__ import annotations
+
+import os
+import signal
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from rig.batch.execute import worker
+from rig.batch.execute.supervisor import Supervisor
+from rig.batch.folder import BatchFolder
+from rig.batch.plan.conditions import BatchPlan
+from rig.batch.queue import Queue
+from rig.core.errors import ExitCode
+from rig.run.stopping import StopFlag
+
+
+def supervisor(tmp_path: Path, request: str) -> Supervisor:
+    """A supervisor of a batch for which a terminal has left this request."""
+    folder = BatchFolder(tmp_path)
+    with Queue.create(folder.queue, BatchPlan({}, ()), {}, {"name": "night"}) as queue:
+        queue.add_request(request)
+    return Supervisor(folder, StopFlag(), lambda _: None)
+
+
+def test_a_request_that_an_earlier_supervisor_has_not_seen_is_not_meant_for_the_next(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    resumed = supervisor(tmp_path, "stop-now")
+    seen: list[Any] = []
+
+    def supervise(self: Supervisor) -> ExitCode:
+        seen.extend(self._requests())
+        return ExitCode.DONE
+
+    monkeypatch.setattr(Supervisor, "_supervise", supervise)
+    assert (resumed.run(), seen) == (ExitCode.DONE, [])
+
+
+def test_a_stop_is_heard_while_the_last_files_are_made(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    finishing = supervisor(tmp_path, "stop-after-point")
+    given_up: list[float] = []
+
+    class NeverReady:
+        def __len__(self) -> int:
+            return 1
+
+        def close(self, patience_s: float) -> None:
+            given_up.append(patience_s)
+
+    def one_more_round(**_: object) -> None:
+        raise AssertionError("the request was not heard")
+
+    monkeypatch.setattr(finishing, "_make_files", one_more_round)
+    finishing._postprocess = NeverReady()  # type: ignore[assignment]
+    finishing._heartbeat = SimpleNamespace(write=lambda _: None)  # type: ignore[assignment]
+    finishing._simulated = True
+    with Queue.open(BatchFolder(tmp_path).queue) as finishing._queue:
+        finishing._finish_files()
+    assert len(given_up) == 1
+
+
+def test_a_worker_that_dies_after_a_request_to_stop_gets_no_successor(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    stopping = supervisor(tmp_path, "stop-now")
+    monkeypatch.setattr(stopping, "_record", lambda *_: None)
+    nothing = SimpleNamespace(close_attempt=lambda: None)
+    stopping._holds = stopping._presses = nothing  # type: ignore[assignment]
+    workers: list[int] = []
+
+    def one_worker() -> int:
+        workers.append(1)
+        stopping._asked_to_end |= len(workers) == 1
+        return -signal.SIGKILL
+
+    monkeypatch.setattr(stopping, "_one_worker", one_worker)
+    with Queue.open(BatchFolder(tmp_path).queue) as stopping._queue:
+        assert stopping._workers() == ExitCode.INTERNAL
+    assert len(workers) == 1
+
+
+@pytest.mark.parametrize(
+    ("command", "sent"),
+    [("stop-run", True), ("stop-run 12", True), ("stop-run 11", False), ("stop-run 1", False)],
+)
+def test_a_stop_of_one_run_does_not_reach_the_next(
+    command: str, sent: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    signals: list[int] = []
+    monkeypatch.setattr(os, "kill", lambda _, number: signals.append(number))
+    nothing = SimpleNamespace(start=lambda: None)
+    monkeypatch.setattr(worker.threading, "Thread", lambda **_: nothing)  # type: ignore[attr-defined]
+    listener = worker._CommandListener(StopFlag(), lambda *_, **__: None)
+    listener.run, listener.in_run = 12, True
+    listener._handle(command)
+    assert signals == ([signal.SIGTERM] if sent else [])
