@@ -116,8 +116,8 @@ class PressedSettings(BaseSettings):
     def _can_be_held(self) -> PressedSettings:
         if self.normal_force_N >= self.largest_force_N:
             raise ValueError(
-                f"normal_force_N {self.normal_force_N:g} is not below largest_force_N "
-                f"{self.largest_force_N:g}"
+                f"normal_force_N {self.normal_force_N:g} N is not below largest_force_N "
+                f"{self.largest_force_N:g} N"
             )
         if self.rate_S_s % 1000:
             raise ValueError(f"rate_S_s {self.rate_S_s:g} is not a whole multiple of 1000")

@@ -44,8 +44,8 @@ class SlipTrialSettings(PressedSettings):
     def _ramp_fits(self) -> SlipTrialSettings:
         if self.loading == "ramp" and self.ramp_to_N >= self.largest_force_N:
             raise ValueError(
-                f"ramp_to_N {self.ramp_to_N:g} is not below largest_force_N "
-                f"{self.largest_force_N:g}"
+                f"ramp_to_N {self.ramp_to_N:g} N is not below largest_force_N "
+                f"{self.largest_force_N:g} N"
             )
         return self
 
