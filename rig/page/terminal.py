@@ -49,7 +49,7 @@ def run_panel(watch: BenchWatch) -> Group:
         parts.append(line)
         if shown:
             left_s = shown["left_s"]
-            left = "not known yet" if left_s is None else f"{left_s:.0f} s"
+            left = "not known yet" if left_s is None else f"about {left_s:.0f} s"
             parts.append(
                 Text(
                     f"{shown['procedure']}: point {shown['n']} of {shown['planned']} "

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -34,16 +35,47 @@ LEFT_OUT = frozenset({"strips", "bridges", "ticks", "ages"})
 
 @dataclass
 class PointTimes:
-    """The times that points have taken, for the time that is left."""
+    """The times that points have taken, and what is expected of those to come."""
 
     begun_s: float = 0.0
+    expected_s: float | None = None
+    """Expected time of the latest point; None in journals that do not say it."""
+    ahead_s: float = 0.0
+    """Expected time of the points behind it, of which there are `points_ahead`."""
+    points_ahead: int = 0
+    kept: bool = False
+    """True if the latest point was recorded; a discarded one may be retaken."""
     taken_s: deque[float] = field(default_factory=lambda: deque(maxlen=20))
+    excess_s: deque[float] = field(default_factory=lambda: deque(maxlen=20))
+    """Times of the latest points beyond what was expected of them."""
 
-    def left_s(self, points: int) -> float | None:
-        """Return the expected time of so many points, None before the first has ended."""
-        if not self.taken_s:
-            return None
-        return points * sum(self.taken_s) / len(self.taken_s)
+    def begin(self, now_s: float, fields: Mapping[str, Any]) -> None:
+        """A point begins, with what its record says of the time that is expected."""
+        self.begun_s, self.kept = now_s, False
+        self.expected_s = _seconds(fields.get("expected_s"))
+        self.ahead_s = _seconds(fields.get("ahead_s")) or 0.0
+        self.points_ahead = _count(fields.get("points_ahead"))
+
+    def keep(self, now_s: float) -> None:
+        """The point has been recorded."""
+        taken_s = max(0.0, now_s - self.begun_s)
+        self.kept = True
+        self.taken_s.append(taken_s)
+        self.excess_s.append(taken_s - (self.expected_s or 0.0))
+
+    def left_s(self, points: int, now_s: float) -> float | None:
+        """Return the time that is left for so many points, None where nothing is known of it yet.
+
+        Where the records say what is expected, it is that, with the mean excess of the latest
+        points for each; else each is expected to take the mean time of the latest.
+        """
+        if self.expected_s is None or (self.expected_s == self.ahead_s == 0.0):
+            return points * sum(self.taken_s) / len(self.taken_s) if self.taken_s else None
+        excess_s = sum(self.excess_s) / len(self.excess_s) if self.excess_s else 0.0
+        left_s = self.ahead_s + self.points_ahead * excess_s
+        if not self.kept:
+            left_s += max(0.0, self.expected_s + excess_s - (now_s - self.begun_s))
+        return max(0.0, left_s)
 
 
 class RunView:
@@ -104,6 +136,7 @@ class RunView:
             self._keep(record)
         elif isinstance(record, PointDiscard):
             self.point = None
+            self._times.begun_s = self.last_s
             self.discards += 1
             self.note("info", "discarded", f"{record.id}: {record.reason}")
         else:
@@ -162,7 +195,8 @@ class RunView:
         time = record.fields.get("time")
         if isinstance(time, (int, float)) and math.isfinite(time):
             self.last_s = max(self.last_s, float(time))
-        self._times.begun_s = self.last_s
+        self.planned = max(self.planned, _count(record.fields.get("of")))
+        self._times.begin(self.last_s, record.fields)
 
     def _keep(self, record: PointKeep) -> None:
         self.point = None
@@ -171,7 +205,7 @@ class RunView:
         self._kept.add(record.id)
         self.done += 1
         self.planned = max(self.planned, self.done)
-        self._times.taken_s.append(max(0.0, self.last_s - self._times.begun_s))
+        self._times.keep(self.last_s)
         self.reading = record.reading
         self.ticks += _count(record.reading.get("ticks"))
         self.late_ticks += _count(record.reading.get("late_ticks"))
@@ -233,10 +267,10 @@ class RunView:
         return force.latest[0] if force is not None and force.latest else None
 
     def left_s(self) -> float | None:
-        """Return the expected time of the points that are left, None before the first."""
+        """Return the expected time of the points that are left, None where it is not known yet."""
         if self.end is not None:
             return 0.0
-        return self._times.left_s(max(0, self.planned - self.done))
+        return self._times.left_s(max(0, self.planned - self.done), self.last_s)
 
     def spectrum(self) -> dict[str, Any] | None:
         """Return the amplitude spectrum of the newest samples: ``x`` in Hz, ``y`` in the unit of
@@ -319,6 +353,11 @@ def _times(
         step_s = min(max(host_s - before_s, 0.0), LONGEST_ROW_S) / rows
     times: NDArray[np.float64] = host_s - step_s * np.arange(rows - 1, -1, -1, dtype=np.float64)
     return times
+
+
+def _seconds(value: Any) -> float | None:
+    known = isinstance(value, (int, float)) and math.isfinite(value) and value >= 0
+    return float(value) if known else None
 
 
 def _count(value: Any) -> int:

@@ -68,6 +68,8 @@ class PointLoop:
         self._phases, self._switch_off, self._stop = phases, switch_off, stop
         self._observers, self._outcome = observers, outcome
         self._points: tuple[Point, ...] = ()
+        self._ahead: dict[str, float] = {}
+        """Expected time of the point under way and of those behind it, for who follows the run."""
         self._tripped: set[str] = set()
         """Points that a trip has disturbed once."""
 
@@ -104,7 +106,15 @@ class PointLoop:
         if not armed:
             self._observers.state(RUNNING)
             self._arm()
-        for point in remaining:
+        ahead_s = sum(point.duration_s for point in remaining)
+        for number, point in enumerate(remaining, 1):
+            ahead_s -= point.duration_s
+            self._ahead = {
+                "expected_s": round(point.duration_s, 3),
+                "ahead_s": round(max(0.0, ahead_s), 3),
+                "points_ahead": len(remaining) - number,
+                "of": len(self._points),
+            }
             self._run.check_stop()
             self._stop.check_between_points(point.duration_s)
             reading = self._record(point)
@@ -153,7 +163,7 @@ class PointLoop:
     def _take(self, point: Point, discard_invalid: bool) -> Reading:
         """Make one attempt at a point, from its first record in the journal to its last."""
         self._run.clock.announce(self._job.run_number, zlib.crc32(point.id.encode()))
-        self._recorder.put_point_begin(point.id, {"time": self._run.elapsed_s()})
+        self._recorder.put_point_begin(point.id, {"time": self._run.elapsed_s(), **self._ahead})
         try:
             with self._run.first_cause(), self._naming(point):
                 reading = self._procedure.take(self._run, point)

@@ -99,6 +99,20 @@ def test_a_retaken_point_counts_once_and_the_time_left_follows_from_those_record
     assert (view.done, view.discards, view.point) == (2, 1, None)
 
 
+def test_the_time_left_is_what_is_expected_with_the_excess_of_the_latest_points():
+    view = RunView()
+    view.take(RunHeader.model_validate(run.header()))
+    said = [(1.0, 59.0, 3, 7), (1.0, 58.0, 2, 7)]
+    for n, (expected_s, ahead_s, points_ahead, of) in enumerate(said):
+        fields = {"time": 2.0 * n, "expected_s": expected_s, "ahead_s": ahead_s,
+                  "points_ahead": points_ahead, "of": of}  # fmt: skip
+        view.take(PointBegin(f"p{n}", fields, "{}"))
+        assert view.left_s() == (60.0 if n == 0 else 59.0 + 3 * 1.0)
+        view.take(JournalEvent(time=2.0 * n + 2.0, level="info", code="x", message=""))
+        view.take(PointKeep(f"p{n}", {}, "{}"))  # each takes a second more than expected
+    assert (view.planned, view.left_s()) == (7, 58.0 + 2 * 1.0)
+
+
 def test_a_resumed_run_has_not_ended_from_its_first_record_on(view):
     view.take(JournalEvent(time=8.0, level="error", code="off-failed", message="x"))
     view.take(End.model_validate(run.end("stopped", exit=7)))

@@ -6,7 +6,7 @@ const BIN_S = 0.05, KEPT = 3600, LOST_MS = 2500;
 const $ = id => document.getElementById(id);
 const token = takeToken();
 let series = {}, curve = [], events = [], spectrum = null, generation = -1, charts = {};
-let last = null, lastFrameAt = performance.now(), paused = false, night = {}, tab = "now", made = null, listed = "", asked = "";
+let last = null, lastFrameAt = performance.now(), paused = false, night = {}, tab = "now", made = null, listed = "", asked = "", refused = false;
 
 function takeToken() {
   const given = new URLSearchParams(location.hash.slice(1)).get("token");
@@ -16,6 +16,7 @@ function takeToken() {
   }
   return given || sessionStorage.getItem("token") || "";
 }
+addEventListener("hashchange", () => location.reload()); // another address of this page was pasted
 
 function ask(path, options = {}) {
   return fetch(path, {...options, headers: {Authorization: "Bearer " + token, ...options.headers}});
@@ -28,6 +29,10 @@ function element(name, text, attributes = {}) {
   return made;
 }
 
+function say(id, text) { // written only when it changes: a screen reader says each writing
+  if ($(id).textContent !== text) $(id).textContent = text;
+}
+
 function notice(text) {
   $("notice").textContent = text;
   $("notice").hidden = !text;
@@ -37,16 +42,27 @@ function notice(text) {
 
 async function watch() {
   for (;;) {
+    let reader = null;
     try {
       const answer = await ask("/api/live");
       if (answer.status === 401 || answer.status === 403) {
         notice((await answer.text()) + ". Open the address that rig page printed.");
         return;
       }
-      if (!answer.ok) throw new Error(await answer.text());
-      generation = -1;
-      await read(answer.body.getReader());
-    } catch (error) { /* the server is gone or restarts: said by the word, tried again */ }
+      if (!answer.ok) notice(await answer.text()); // too many viewers: tried again
+      else {
+        if (refused) notice("");
+        generation = -1;
+        reader = answer.body.getReader();
+        await read(reader);
+      }
+      refused = !answer.ok;
+    } catch (error) { /* the server is gone or restarts: said by the word, tried again */
+      if (reader) {
+        console.warn(error);
+        reader.cancel().catch(() => {}); // else the server goes on sending to nobody
+      }
+    }
     await new Promise(go => setTimeout(go, 1000));
   }
 }
@@ -106,8 +122,8 @@ function showWord() {
   if (last && silent < LOST_MS) { word = last.word; reason = last.reason; }
   else if (last) reason = `for ${(silent / 1000).toFixed(0)} s: no connection to the page's server`;
   $("word").className = word;
-  $("word-text").textContent = word;
-  $("word-reason").textContent = reason;
+  say("word-text", word);
+  say("word-reason", reason);
   document.title = `${last && last.run.mark ? last.run.mark + " " : ""}${word} · rig page`;
 }
 
@@ -127,6 +143,7 @@ function show() {
   $("mark").textContent = `${mark}: these are not measurements`;
   document.body.classList.toggle("marked", !!mark);
   document.body.dataset.mark = mark;
+  if (made && made.done && (isHeld(last) || made.gen !== last.gen)) made = null; // of an earlier state
   showStop();
   $("clock").textContent = "server " + last.time;
   $("late").hidden = !last.late;
@@ -143,7 +160,7 @@ function showFacts(run) {
   if (run.procedure) {
     facts.push(["run", run.procedure + (run.end ? ` (${run.end.status}, exit ${run.end.exit})` : "")]);
     facts.push(["point", `${run.n} of ${run.planned}`], ["open", run.point || "none"]);
-    facts.push(["time left at this pace", run.end ? "ended" : span(run.left_s)], ["time in the run", span(run.last_s)]);
+    facts.push(["time left", run.end ? "ended" : (run.left_s === null ? "" : "about ") + span(run.left_s)], ["time in the run", span(run.last_s)]);
     facts.push(["sample", run.sample || "not named"], ["started", (run.start || "").slice(0, 19).replace("T", " ")]);
     facts.push(["process", last.holder ? `${last.holder.pid} (${last.holder.user})` : "none"]);
     if (run.set_point_N !== null) facts.push(["set point", run.set_point_N + " N"]);
@@ -276,6 +293,10 @@ function redrawAll() {
   if (last) show();
 }
 
+function isHeld(frame) {
+  return !!(frame.holder || frame.bench_holder);
+}
+
 // --- stopping -----------------------------------------------------------------------------------
 
 function showStop() {
@@ -283,21 +304,27 @@ function showStop() {
   $("course").hidden = !course && !made;
   $("course").classList.toggle("safe", !!(course && course.over && course.safe) || !!(!course && made && made.safe));
   if (course) {
-    $("course-phase").textContent = `${course.phase} (asked at ${course.asked}, ${course.since_s.toFixed(0)} s ago)`;
-    $("course-text").textContent = course.text;
+    say("course-phase", course.phase);
+    say("course-age", `(asked at ${course.asked}, ${course.since_s.toFixed(0)} s ago)`);
+    say("course-text", course.text);
   } else if (made) {
-    $("course-phase").textContent = "make safe";
-    $("course-text").textContent = made.text;
+    say("course-phase", "make safe");
+    say("course-age", "");
+    say("course-text", made.text);
   }
   document.body.classList.toggle("stopping", !!course && !(course.over && course.safe));
   $("stop").disabled = !last.may_stop;
   $("stop").title = last.may_stop ? "Asks the run to end in order (key S)" : "This address may watch only";
 }
 
-async function change(path, body) {
+function object(text) { // a refusal may be plain text
+  try { return JSON.parse(text); } catch (error) { return {problem: text}; }
+}
+
+async function change(path, body, patience_ms = 4000) {
   try {
-    const answer = await ask(path, {method: "POST", body: JSON.stringify(body), headers: {"Content-Type": "application/json"}});
-    const said = await answer.json();
+    const answer = await ask(path, {method: "POST", body: JSON.stringify(body), headers: {"Content-Type": "application/json"}, signal: AbortSignal.timeout(patience_ms)});
+    const said = object(await answer.text());
     notice(said.problem || "");
     return {ok: answer.ok, ...said};
   } catch (error) {
@@ -325,14 +352,16 @@ for (const button of $("ask").querySelectorAll("button"))
     if (said.ok && !said.problem && said.text) notice(said.text);
   });
 $("make-safe").addEventListener("click", async () => {
-  made = {safe: false, text: "stopping all motion, switching all outputs off …"};
+  made = {safe: false, done: false, text: "stopping all motion, switching all outputs off …"};
   if (last) showStop();
-  const said = await change("/api/make-safe", {});
-  made = said.ok ? {safe: said.exit === 0, text: `${said.text} (exit ${said.exit})`} : {safe: false, text: said.problem || "no answer"};
+  const said = await change("/api/make-safe", {}, 200000);
+  const gen = last ? last.gen : -1;
+  made = said.ok ? {safe: said.exit === 0, done: true, gen, text: `${said.text} (exit ${said.exit})`} : {safe: false, done: true, gen, text: said.problem || "no answer"};
   if (last) showStop();
 });
 addEventListener("keydown", event => {
-  const typing = /^(INPUT|SELECT|TEXTAREA)$/.test(document.activeElement?.tagName || "");
+  // In a list S is STOP as well: what was chosen there keeps the focus.
+  const typing = /^(INPUT|TEXTAREA)$/.test(document.activeElement?.tagName || "");
   if (event.key.toLowerCase() !== "s" || event.ctrlKey || event.altKey || event.metaKey || event.repeat || typing) return;
   event.preventDefault();
   if ($("ask").open) $("ask").querySelector("[value=night]").click();
@@ -491,6 +520,7 @@ $("filters").addEventListener("input", readHistory);
 $("filters").addEventListener("submit", event => { event.preventDefault(); readHistory(); });
 $("window").addEventListener("change", () => { if (last) show(); });
 matchMedia("(prefers-color-scheme: dark)").addEventListener("change", redrawAll);
+addEventListener("unhandledrejection", event => notice(`The page failed: ${event.reason}. Reload it.`));
 setInterval(showWord, 500);
 setInterval(readNight, 5000);
 setInterval(() => { if (tab === "history") readHistory(); }, 5000);
