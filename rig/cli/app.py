@@ -16,10 +16,11 @@ from pathlib import Path
 
 import typer
 
-from rig.cli.outcome import printable, report, say
+from rig.cli.outcome import report, say
 from rig.core import unreadable_packages
 from rig.core.entry_points import PROCEDURES, BrokenPackageError, names, summary
 from rig.core.errors import ConfigurationError, RigError
+from rig.core.text import printable
 
 COMMANDS: dict[str, tuple[str, str]] = {
     "resume": ("rig.cli.files", "resume"),

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Self
 
 import typer
 
-from rig.cli.outcome import printable, reported, say, tell_failure
+from rig.cli.outcome import reported, say, tell_failure
 from rig.core.errors import ExitCode, RigError
+from rig.core.text import printable
 from rig.core.units import counted
 from rig.detector import DEFAULT_DETECTOR
 

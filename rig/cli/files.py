@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from rig.cli.outcome import printable, reported, say
+from rig.cli.outcome import reported, say
 from rig.core.errors import ConfigurationError, ExitCode, FoundWrongError
+from rig.core.text import printable
 
 if TYPE_CHECKING:
     from rig.files.journal.values import RunHeader

@@ -12,6 +12,7 @@ from pathlib import Path
 import typer
 
 from rig.core.errors import STOPPED_BY_SIGNAL, ExitCode, RigError, shortened
+from rig.core.text import printable
 
 log = logging.getLogger("rig")
 log.addHandler(logging.NullHandler())
@@ -108,9 +109,3 @@ def tell_failure(error: RigError, debug: bool = False) -> None:
 def say(text: str) -> None:
     """Print one line for a person to stderr."""
     print(printable(text), file=sys.stderr, flush=True)  # noqa: T201 - the command line's own voice
-
-
-def printable(text: str) -> str:
-    """Return the text with control characters and unencodable characters escaped: a name or a title
-    from a file must not control the terminal."""
-    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)

@@ -23,7 +23,7 @@ def page(
         int, typer.Option(help="Port on 127.0.0.1; 0 for any.", min=0, max=65535)
     ] = PORT,
     rate: Annotated[
-        float, typer.Option(help="Most drawings a second.", metavar="Hz", min=0.2, max=20)
+        float, typer.Option(help="Most drawings a second.", metavar="Hz", min=1, max=20)
     ] = 5.0,
     read_only: Annotated[
         bool, typer.Option("--read-only", help="Nobody may stop anything from the page.")

@@ -13,8 +13,8 @@ import time
 import tty
 from typing import TYPE_CHECKING, Any, Self
 
-from rig.cli.outcome import printable
 from rig.core.errors import ConfigurationError
+from rig.core.text import printable
 from rig.jog.keys import Key
 from rig.run.stopping import StopRequestedError
 

@@ -52,8 +52,7 @@ def next_frame(
             "time": time.strftime("%H:%M:%S"),
             "word": word,
             "reason": reason,
-            "behind": watch.behind,
-            "silent_s": round(watch.facts(now).silent_s, 1),
+            "silent_s": round(watch.silent_s(now), 1),
             "run": view.summary(),
             "last_file": watch.last_file if watch.path is None else None,
             "holder": _who(watch.holder),
@@ -78,17 +77,17 @@ def next_frame(
 
 def as_event(frame: dict[str, Any]) -> bytes:
     """Return a frame as a server-sent event."""
-    return b"data: " + json.dumps(_plain(frame), separators=(",", ":")).encode() + b"\n\n"
+    return b"data: " + json.dumps(plain(frame), separators=(",", ":")).encode() + b"\n\n"
 
 
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
     """Return a value without NaN and infinities, which JSON has not."""
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     if isinstance(value, dict):
-        return {key: _plain(item) for key, item in value.items()}
+        return {key: plain(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
-        return [_plain(item) for item in value]
+        return [plain(item) for item in value]
     return value
 
 

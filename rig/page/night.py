@@ -55,7 +55,7 @@ def night(results: Path) -> dict[str, Any]:
     if folder is None:
         return {}
     try:
-        status = status_of(folder)
+        status = status_of(folder, is_running(folder))
         with Queue.open(folder.queue, read_only=True) as queue:
             lists = {
                 "queued": [_row(row) for row in _first(queue, "queued")],
@@ -71,7 +71,6 @@ def night(results: Path) -> dict[str, Any]:
     shown = status.as_object()
     shown["folder"] = folder.path.name
     return shown | {
-        "lines": status.lines(),
         "lists": lists,
         "retried": sum(1 for rows in lists.values() for row in rows if row["attempts"] > 1),
         "drift": drift,

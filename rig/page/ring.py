@@ -30,6 +30,8 @@ class Ring:
         )
         self.latest: tuple[float, ...] = ()
         """The newest row; empty before the first."""
+        self.latest_s = -math.inf
+        """Its time, in s since the run's start."""
 
     def add(self, times_s: NDArray[np.float64], rows: NDArray[np.float64]) -> None:
         """Add rows (n, channels) at increasing times (n,) in s since the run's start."""
@@ -42,6 +44,7 @@ class Ring:
         for key, smallest, largest in zip(keys[starts].tolist(), low, high, strict=True):
             self._put(key, smallest, largest)
         self.latest = tuple(float(value) for value in rows[-1])
+        self.latest_s = float(times_s[-1])
 
     def _put(self, key: int, low: NDArray[np.float64], high: NDArray[np.float64]) -> None:
         if self._bins and key <= self._bins[-1][0]:

@@ -17,6 +17,7 @@ import asyncio
 import contextlib
 import json
 import logging
+import math
 import os
 import socket
 import sqlite3
@@ -25,6 +26,7 @@ import sys
 import threading
 import time
 from collections.abc import AsyncIterator, Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -40,7 +42,7 @@ from rig.batch.folder import BatchFolder
 from rig.core.errors import RigError
 from rig.core.threads import start_thread
 from rig.page.access import HEADERS, Access, RefusedError
-from rig.page.frames import Cursor, as_event, next_frame
+from rig.page.frames import Cursor, as_event, next_frame, plain
 from rig.page.history import RunIndex
 from rig.page.night import ask_batch, batch_of, is_running, night, running_batch
 from rig.page.watch import BenchWatch, Stop
@@ -60,6 +62,8 @@ PARTS = {
 MOST_VIEWERS = 32
 POLL_EVERY_S = 0.1
 INDEX_EVERY_S = 2.0
+NIGHT_EVERY_S = 4.0
+"""Age in s up to which an answer about the batch is given to further viewers."""
 STUCK_S = 60.0
 """Time after which a viewer that takes nothing is dropped."""
 MOST_BODY_BYTES = 1024
@@ -79,6 +83,12 @@ class PageState:
     viewers: int = 0
     polled_s: float = field(default_factory=time.monotonic)
     making_safe: threading.Lock = field(default_factory=threading.Lock)
+    changes: ThreadPoolExecutor = field(default_factory=lambda: ThreadPoolExecutor(4, "change"))
+    """Threads for STOP and making safe alone: no reader of a slow disk keeps them waiting."""
+    night: dict[str, Any] | None = None
+    """The latest answer about the batch, for all viewers."""
+    night_s: float = -math.inf
+    reading_night: threading.Lock = field(default_factory=threading.Lock)
 
 
 def application(state: PageState) -> ASGIApp:
@@ -90,7 +100,7 @@ def application(state: PageState) -> ASGIApp:
         return _Live(state, request.scope["rig.right"] == "stop")
 
     async def night_of(_: Request) -> Response:
-        return JSONResponse(await asyncio.to_thread(night, state.watch.results))
+        return JSONResponse(await asyncio.to_thread(_night, state))
 
     async def runs(request: Request) -> Response:
         query = request.query_params
@@ -197,6 +207,19 @@ class _Live(Response):
             await asyncio.sleep(1 / state.rate_Hz)
 
 
+def _night(state: PageState) -> dict[str, Any]:
+    """Return what is shown of the latest batch, read at most once in `NIGHT_EVERY_S` whatever the
+    number of viewers."""
+    if state.reading_night.acquire(blocking=state.night is None):
+        try:
+            if state.night is None or time.monotonic() - state.night_s >= NIGHT_EVERY_S:
+                state.night = plain(night(state.watch.results))
+                state.night_s = time.monotonic()
+        finally:
+            state.reading_night.release()
+    return state.night or {}
+
+
 async def _left(receive: Receive) -> None:
     while (await receive())["type"] != "http.disconnect":
         pass
@@ -235,7 +258,8 @@ def _changing(state: PageState, change: Change) -> Callable[[Request], Any]:
             wanted = None
         if not isinstance(wanted, dict):
             return JSONResponse({"problem": "the request is not a JSON object"}, 400)
-        status, answer = await asyncio.to_thread(change, state, wanted)
+        loop = asyncio.get_running_loop()
+        status, answer = await loop.run_in_executor(state.changes, change, state, wanted)
         return JSONResponse(answer, status)
 
     return endpoint

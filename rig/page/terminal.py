@@ -10,6 +10,7 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
+from rig.core.text import printable
 from rig.page.watch import BenchWatch
 
 DRAWN_EVERY_S = 0.25
@@ -24,6 +25,8 @@ COLOURS = {
 BARS = " ▁▂▃▄▅▆▇█"
 BAR_BINS = 60
 SHOWN_EVENTS = 6
+OLD_S = 2.0
+"""Age in s from which a value is said to be old."""
 
 
 def show_run(watch: BenchWatch, console: Console, go_on: Callable[[], bool]) -> None:
@@ -43,15 +46,16 @@ def run_panel(watch: BenchWatch) -> Group:
         shown = view.summary()
         parts: list[Text | Table] = []
         if mark := shown.get("mark", ""):
-            parts.append(Text(f" {mark}: these are not measurements ", "bold white on purple"))
+            text = printable(f" {mark}: these are not measurements ")
+            parts.append(Text(text, "bold white on purple"))
         line = Text(f" {word.word} ", COLOURS[word.word])
-        line.append(f" {word.reason}", "default")
+        line.append(printable(f" {word.reason}"), "default")
         parts.append(line)
         if shown:
             left_s = shown["left_s"]
             left = "not known yet" if left_s is None else f"about {left_s:.0f} s"
             parts.append(
-                Text(
+                plain(
                     f"{shown['procedure']}: point {shown['n']} of {shown['planned']} "
                     f"({shown['point'] or 'none open'}), {left} left; sample "
                     f"{shown['sample'] or 'not named'}; {shown['last_s']:.1f} s"
@@ -59,20 +63,29 @@ def run_panel(watch: BenchWatch) -> Group:
             )
         parts.append(_values(watch))
         parts += [
-            Text(f"{event['t']:.2f} s {event['code']}: {event['text']}")
+            plain(f"{event['t']:.2f} s {event['code']}: {event['text']}")
             for event in list(view.events)[-SHOWN_EVENTS:]
         ]
     return Group(*parts)
 
 
+def plain(text: str) -> Text:
+    """Return text from a file, which must not control the terminal: rich passes escapes on."""
+    return Text(printable(text))
+
+
 def _values(watch: BenchWatch) -> Table:
     table = value_table()
-    for name, ring in watch.view.rings.items():
+    view = watch.view
+    quiet = watch.holder is None or view.end is not None or watch.silent_s() > OLD_S
+    for name, ring in view.rings.items():
+        old = quiet or view.last_s - ring.latest_s > OLD_S
         history = ring.since(ring.last_key - BAR_BINS)
         for number, channel in enumerate(ring.channels):
             if ring.latest:
                 highs = history["high"][number]
-                add_value(table, f"{name} {channel}", ring.latest[number], ring.units, highs)
+                units = f"{ring.units} (old)" if old else ring.units
+                add_value(table, f"{name} {channel}", ring.latest[number], units, highs)
     return table
 
 
@@ -90,7 +103,7 @@ def add_value(
     table: Table, name: str, latest: float, units: str, history: list[float | None]
 ) -> None:
     """Add one value with its history, oldest first, scaled to its own range."""
-    table.add_row(Text(name), Text(f"{latest:.5g}"), Text(units), Text(bars(history)))
+    table.add_row(plain(name), Text(f"{latest:.5g}"), plain(units), Text(bars(history)))
 
 
 def bars(values: list[float | None]) -> str:

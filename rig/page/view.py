@@ -318,6 +318,7 @@ class RunView:
                     "channels": ring.channels,
                     "units": ring.units,
                     "latest": [_finite(v) for v in ring.latest],
+                    "age_s": _finite(self.last_s - ring.latest_s),
                 }
                 for name, ring in self.rings.items()
             },

@@ -352,16 +352,20 @@ class BenchWatch:
             holding=view.holding,
             off_failed=view.off_failed,
             force_N=view.force_N if view.recording and view.point is not None else None,
-            silent_s=now - self._grew_s,
+            silent_s=self.silent_s(now),
             recording=view.recording and view.point is not None,
             guarded=self._guarded,
             unsafe="; ".join(dict.fromkeys(refuses))[:1000],
             pressed=self._pressed(),
             unfinished=bool(unfinished),
             guard_reported=bool(report) and not failed,
-            problem=self._problem,
+            problem=self._problem or ("the journal is still being read" if self.behind else ""),
             bench_problem=self._locks_problem or self._plan_problem,
         )
+
+    def silent_s(self, now: float | None = None) -> float:
+        """Return for how long the journal has not grown."""
+        return (time.monotonic() if now is None else now) - self._grew_s
 
     def _pressed(self) -> str:
         """Return what was reported to be still pressed, empty for nothing."""

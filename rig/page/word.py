@@ -113,5 +113,5 @@ def _of_a_run(facts: Facts) -> BenchWord:
         )
     if facts.force_N is not None and abs(facts.force_N) > PRESSED_N:
         return BenchWord("pressed", f"{facts.force_N:.2f} N at the latest sample")
-    quiet = f"nothing recorded for {facts.silent_s:.0f} s; its guard hears it"
+    quiet = f"nothing recorded for {facts.silent_s:.0f} s; its guard ends it if it hangs"
     return BenchWord("running", quiet if facts.silent_s >= SILENT_S else "")

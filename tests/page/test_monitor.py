@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import signal
+from io import StringIO
 
 import pytest
 import recorded_run as run
+from rich.console import Console
 
+from rig.files.journal.values import RunHeader
 from rig.page.sensors import come
-from rig.page.terminal import bars
+from rig.page.terminal import bars, run_panel
+from rig.page.watch import BenchWatch
+from rig.page.word import BenchWord
 
 
 def test_values_become_bars_between_their_smallest_and_largest():
@@ -20,6 +25,19 @@ def test_a_sensor_that_always_has_something_new_is_left_for_the_next_drawing():
     assert set(come(lambda: 1)) == {1}
     left = [2, 1]
     assert list(come(lambda: left.pop() if left else None)) == [1, 2]
+
+
+def test_a_file_cannot_control_the_terminal(tmp_path):
+    watch = BenchWatch(tmp_path)
+    escape = "\x1b]0;taken over\x07"
+    watch.view.take(RunHeader.model_validate(run.header(sample={"name": escape})))
+    watch.view.note("info", escape, escape)
+    watch.word = BenchWord("unknown", escape)
+    shown = StringIO()
+    Console(file=shown, force_terminal=True, width=200).print(run_panel(watch))
+    assert "taken over" in shown.getvalue()
+    assert "\x1b]" not in shown.getvalue()
+    assert "\x07" not in shown.getvalue()
 
 
 def test_a_run_is_shown_by_its_journal(rig):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import subprocess
 import sys
@@ -15,8 +16,12 @@ from typing import Any
 import pytest
 
 from rig.batch.folder import QUEUE, BatchFolder
+from rig.batch.plan.conditions import BatchPlan
+from rig.batch.queue import Queue
 from rig.page import server
 from rig.page.night import batch_of, latest_batch, running_batch
+from rig.page.server import PageState
+from rig.page.watch import BenchWatch
 
 HOLD = """
 import fcntl, os, sys
@@ -169,6 +174,30 @@ def test_a_stop_of_one_run_reaches_no_other_and_does_nothing_between_runs(
         assert (status, "has ended" in said["problem"]) == (409, True)
         assert stop(tmp_path, journal, {"what": "run", "run": "this"}, signalled)[0] == 200
     assert (asked, signalled) == ([("night", "stop-run 7")], [])
+
+
+def test_the_night_is_shown_without_a_lock_and_read_once_for_all_viewers(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = batch(tmp_path, "night", 1)
+    folder.queue.unlink()
+    Queue.create(folder.queue, BatchPlan({}, ()), {}, {"name": "friction"}).close()
+
+    def try_the_lock(*_: object) -> bool:
+        raise AssertionError("a supervisor that begins now would be refused")
+
+    monkeypatch.setattr(BatchFolder, "is_held", try_the_lock)
+    drifts: list[float] = []
+
+    def drift(_: Queue) -> list[float]:
+        drifts.append(math.nan)
+        return drifts
+
+    monkeypatch.setattr("rig.page.night._drift", drift)
+    state = PageState(BenchWatch(tmp_path), None, None)  # type: ignore[arg-type]
+    for _ in range(2):
+        shown = server._night(state)
+        assert (shown["name"], shown["running"], shown["drift"]) == ("friction", False, [None])
 
 
 def test_a_stop_while_a_batch_rests_is_for_the_night(tmp_path: Path, asked: list[Any]) -> None:

@@ -79,6 +79,8 @@ def test_counts_become_values_at_their_times_and_the_servo_error_is_shown():
     view.take(StreamState(stream=0, rate_Hz=10.0, scale=(2.0, 1.0), offset=(0.5, 0.0), units="N"))
     view.take(Block(0, 0, 1.0, memoryview(np.array([[1.0, 0.0], [2.0, 0.0]]).tobytes())))
     assert view.force_N == 4.5
+    view.take(JournalEvent(time=4.0, level="info", code="x", message=""))
+    assert view.summary()["streams"]["force"]["age_s"] == 3.0
     assert view.rings["servo_error"].latest == (0.5,)
     assert view.rings["force"].since(0)["k"] == [round(0.9 / BIN_S), round(1.0 / BIN_S)]
 

@@ -203,3 +203,12 @@ def test_a_further_press_counts_and_only_an_explicit_one_reaches_the_process(
         watch.ask_to_stop()  # for the night: the batch has not ended its run by itself
         watch.ask_to_stop()
         assert (sent, watch.stop is not None and watch.stop.presses) == ([path], 2)
+
+
+def test_the_word_of_a_journal_that_is_still_read_is_unknown(results: Path) -> None:
+    journal_in(results)
+    watch = BenchWatch(results)
+    watch.poll()  # its END is read, and perhaps more follows
+    assert (watch.word.word, watch.word.reason) == ("unknown", "the journal is still being read")
+    watch.poll()
+    assert watch.word.word == "safe"

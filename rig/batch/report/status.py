@@ -123,9 +123,11 @@ class BatchStatus:
         return f"interrupted ({self.state}); its supervisor has died"
 
 
-def status_of(folder: BatchFolder) -> BatchStatus:
-    """Return the status of a batch; ConfigurationError where the folder holds none."""
-    running = folder.is_held("supervisor")
+def status_of(folder: BatchFolder, running: bool | None = None) -> BatchStatus:
+    """Return the status of a batch; ConfigurationError where the folder holds none. Who knows
+    whether it is `running` says so: then its lock is not tried, not even for a moment."""
+    if running is None:
+        running = folder.is_held("supervisor")
     with Queue.open(folder.queue, read_only=True) as queue:
         state = queue.meta("state")
         beat = read_heartbeat(folder.heartbeat) if running else None

@@ -2,7 +2,7 @@
 // nothing. Text from files goes into the page as text only, never as markup.
 "use strict";
 
-const BIN_S = 0.05, KEPT = 3600, LOST_MS = 2500;
+const BIN_S = 0.05, KEPT = 3600, LOST_MS = 2500, OLD_S = 2;
 const $ = id => document.getElementById(id);
 const token = takeToken();
 let series = {}, curve = [], events = [], spectrum = null, generation = -1, charts = {};
@@ -187,9 +187,10 @@ function showNumbers(run) {
   for (const [name, about] of Object.entries(run.streams || {}))
     about.channels.forEach((channel, c) => {
       if (!about.latest.length) return;
-      const one = element("span", `${channel} `, {"data-channel": `${name}.${channel}`});
+      const old = !last.holder || run.end || about.age_s > OLD_S || last.silent_s > OLD_S;
+      const one = element("span", `${channel} `, {"data-channel": `${name}.${channel}`, class: old ? "old" : ""});
       const [number, units] = readOut(about.latest[c], about.units);
-      one.append(element("b", number), ` ${units}`);
+      one.append(element("b", number), ` ${units}${old ? " (old)" : ""}`);
       shown.push(one);
     });
   $("numbers").replaceChildren(...shown);
