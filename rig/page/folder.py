@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import stat
+import time
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,6 +12,9 @@ from rig.files.naming import JOURNAL_SUFFIX, RUN_SUFFIX
 
 BATCH_RUNS = "runs"
 """Folder of the runs within the folder of a batch."""
+TRUSTED_NS = 2_000_000_000
+"""Time after a folder's change from which a listing holds until the next: two changes within the
+clock's step have one time, and some file systems count it in steps of 2 s."""
 
 
 @dataclass(frozen=True)
@@ -28,7 +32,8 @@ class ResultsFolder:
 
     def __init__(self, path: Path):
         self.path = path
-        self._listed: dict[Path, tuple[int, list[Path]]] = {}
+        self._listed: dict[Path, tuple[int, int, list[Path]]] = {}
+        """Change, time of the listing, names: by folder."""
 
     def find(self, suffix: str) -> list[FoundFile]:
         """Return the files of this suffix, newest first. Links and anything but regular files are
@@ -49,7 +54,9 @@ class ResultsFolder:
     def _folders(self) -> list[Path]:
         folders = [self.path]
         for path in self._subfolders(self.path):
-            folders += [path, path / BATCH_RUNS]
+            folders.append(path)
+            if not (path / BATCH_RUNS).is_symlink():
+                folders.append(path / BATCH_RUNS)
         return folders
 
     @staticmethod
@@ -65,10 +72,11 @@ class ResultsFolder:
 
     def _names(self, folder: Path) -> list[Path]:
         try:
-            changed = folder.lstat().st_mtime_ns
+            now_ns = time.time_ns()
+            changed = folder.stat().st_mtime_ns  # the results folder itself may be a link
             before = self._listed.get(folder)
-            if before is not None and before[0] == changed:
-                return before[1]
+            if before is not None and before[0] == changed and before[1] - changed > TRUSTED_NS:
+                return before[2]
             names = [
                 Path(entry.path)
                 for entry in os.scandir(folder)
@@ -78,5 +86,5 @@ class ResultsFolder:
         except OSError:
             self._listed.pop(folder, None)
             return []
-        self._listed[folder] = (changed, names)
+        self._listed[folder] = (changed, now_ns, names)
         return names

@@ -18,7 +18,7 @@ from rig.run.lock_holder import LockHolder
 
 SPECTRUM_EVERY_S = 1.0
 LATE_SHARE = 0.005
-"""Share of late ticks from which the page says that the loop suffers."""
+"""Share of late ticks from which the page says that the control loop is late."""
 
 
 @dataclass
@@ -46,7 +46,10 @@ def next_frame(
             cursor.spectrum_s = 0.0
         word, reason = watch.word.word, watch.word.reason
         if now - polled_s > SILENT_S:
-            word, reason = "unknown", f"for {now - polled_s:.0f} s: the page cannot read"
+            word, reason = (
+                "unknown",
+                f"for {now - polled_s:.0f} s: the page cannot read the journal",
+            )
         frame: dict[str, Any] = {
             "gen": watch.generation,
             "time": time.strftime("%H:%M:%S"),
@@ -121,8 +124,9 @@ def _late(ticks: int, late: int) -> str:
     if not ticks or late < LATE_SHARE * ticks:
         return ""
     return (
-        f"The loop suffers: {late} of {ticks} ticks began late ({100 * late / ticks:.1f} %). Close "
-        "the browser on the bench's computer, or watch from another one."
+        f"The control loop is late: {late} of {ticks} ticks began late "
+        f"({100 * late / ticks:.1f} %). Close the browser on the bench's computer, or watch from "
+        "another one."
     )
 
 

@@ -10,7 +10,7 @@ from typing import Any
 
 from rig.core.errors import RigError
 from rig.files.describe import describe, describe_processed
-from rig.files.naming import JOURNAL_SUFFIX, RUN_SUFFIX, checksum_path
+from rig.files.naming import JOURNAL_SUFFIX, RUN_SUFFIX
 from rig.files.processed.reader import ProcessedFile
 from rig.files.runfile.reader import RunFile
 from rig.page.folder import FoundFile, ResultsFolder
@@ -154,6 +154,8 @@ class RunIndex:
         stem = run.path.name.removesuffix(run.path.suffix)
         found: dict[str, Path] = {}
         for folder in (run.path.parent, run.path.parent / PROCESSED):
+            if folder.name == PROCESSED and folder.is_symlink():
+                continue
             try:
                 entries = list(folder.iterdir())
             except OSError:
@@ -214,6 +216,4 @@ def _fields(path: Path) -> dict[str, Any]:
         "points": f"{outcome.points_done}/{outcome.points_planned}",
         "exit": outcome.exit,
         "duration_s": outcome.duration,
-        "warnings": len(outcome.warnings),
-        "sealed": checksum_path(path).exists(),
     }

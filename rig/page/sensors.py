@@ -82,16 +82,14 @@ def show_sensors(plan: BenchPlan, console: Console, go_on: Callable[[], bool]) -
 def _streaming(bench: Bench) -> Iterator[None]:
     """Have the sensors send within the block."""
     there = bench.instruments
-    try:
+    with contextlib.ExitStack() as at_the_end:  # each is stopped, also where another's stop fails
         if "force_sensor" in there:
+            at_the_end.callback(bench.force_sensor.stop)
             bench.force_sensor.start(FORCE_S_S)
         if "daq" in there:
+            at_the_end.callback(bench.daq.stop)
             bench.daq.start(_acquisition(bench))
         yield
-    finally:
-        for role in ROLES:
-            if role in there:
-                (bench.force_sensor if role == "force_sensor" else bench.daq).stop()
 
 
 def _acquisition(bench: Bench) -> Acquisition:

@@ -246,7 +246,7 @@ def _changing(state: PageState, change: Change) -> Callable[[Request], Any]:
 
     async def endpoint(request: Request) -> Response:
         if request.scope["rig.right"] != "stop":
-            return JSONResponse({"problem": "this address may watch only"}, 403)
+            return JSONResponse({"problem": "This link is view-only."}, 403)
         body = b""
         async for chunk in request.stream():
             body += chunk
@@ -416,7 +416,7 @@ def _watch(state: PageState, over: threading.Event) -> None:
             state.watch.poll()
             state.polled_s = time.monotonic()
         except Exception:
-            log.exception("the page cannot read")
+            log.exception("the page cannot read the journal")
             over.wait(1.0)
 
 

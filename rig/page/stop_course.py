@@ -82,7 +82,7 @@ def stop_course(signs: StopSigns) -> StopCourse:
         if signs.guard_pid is None and not signs.recording:  # a batch that rested has no END
             text = f"Process {signs.pid} has ended. The state above says how it left the bench."
             return StopCourse("ended", text, True, signs.bench_safe)
-        text = "The run's process is gone. Its guard makes the bench safe and has not reported yet."
+        text = "The run's process is gone. Its guard is making the bench safe; no report yet."
         return StopCourse("guard", text, False, False)
     if signs.reacted:
         return StopCourse(
@@ -96,7 +96,7 @@ def stop_course(signs: StopSigns) -> StopCourse:
 def _hanging(signs: StopSigns) -> str:
     begin = f"Process {signs.pid} has shown no reaction for {signs.since_s:.0f} s. "
     if signs.guard_pid is None:
-        return begin + "No guard of it can be seen: switch the bench off by hand."
+        return begin + "Its guard cannot be found: switch the bench off by hand."
     if not signs.heartbeat_timeout_s:
         return begin + f"If it hangs, its guard (process {signs.guard_pid}) kills it."
     return begin + (

@@ -93,7 +93,8 @@ class RunView:
         self.done = 0
         self.planned = 0
         self.holding = ""
-        """Reason of a hold since which no point has begun; empty without."""
+        """Reason of the hold that is in force; empty before the bench is safe and from the moment
+        at which the run arms it again."""
         self.off_failed = False
         """True if it was recorded that something could not be switched off."""
         self.discards = 0
@@ -101,7 +102,6 @@ class RunView:
         self.event_count = 0
         self.rings: dict[str, Ring] = {}
         self.curve: list[tuple[float, float]] = []
-        self.reading: dict[str, Any] = {}
         self.ticks = 0
         self.late_ticks = 0
         self._kept: set[str] = set()
@@ -170,8 +170,10 @@ class RunView:
 
     def _take_event(self, event: JournalEvent) -> None:
         self.last_s = max(self.last_s, event.time)
-        if event.code == "hold":
+        if event.code == "on-hold":
             self.holding = event.message
+        if event.code == "hold-over":
+            self.holding = ""
         if event.code == "off-failed":
             self.off_failed = True
         self.note(event.level, event.code, event.message, event.time)
@@ -206,7 +208,6 @@ class RunView:
         self.done += 1
         self.planned = max(self.planned, self.done)
         self._times.keep(self.last_s)
-        self.reading = record.reading
         self.ticks += _count(record.reading.get("ticks"))
         self.late_ticks += _count(record.reading.get("late_ticks"))
         self._add_to_curve(record.reading)

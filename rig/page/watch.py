@@ -311,7 +311,9 @@ class BenchWatch:
         """Learn how the latest run ended where its journal is gone already."""
         if self.path is not None:
             return
-        for file in self.folder.find(RUN_SUFFIX)[:FILES_TRIED]:
+        files = self.folder.find(RUN_SUFFIX)
+        self._unusable &= set(files)
+        for file in files[:FILES_TRIED]:
             if self._last_file is not None and self._last_file[0] == file:
                 return
             if file not in self._unusable and (found := _ending_in(file.path)) is not None:

@@ -107,7 +107,7 @@ def _of_a_run(facts: Facts) -> BenchWord:
     if facts.holding:
         return BenchWord("holding", facts.holding)
     if facts.silent_s >= SILENT_S and (facts.recording or not facts.guarded):
-        no_guard = "" if facts.guarded else ", and no guard of it can be seen"
+        no_guard = "" if facts.guarded else ", and its guard cannot be found"
         return BenchWord(
             "unknown", f"for {facts.silent_s:.0f} s: the run records nothing{no_guard}"
         )

@@ -192,6 +192,7 @@ class PointLoop:
         if self._run.failures:
             raise _not_safe(self._run.failures) from hold
         self._phases.enter(RunPhase.ON_HOLD)
+        self._run.event("info", "on-hold", hold.message)
         if not asked_for:
             self._count(hold, where)
             self._observers.event(
@@ -203,6 +204,7 @@ class PointLoop:
             self._run.clock.sleep(HOLD_POLL_S)
             self._run.check_force_stream()
         self._phases.enter(RunPhase.READY)
+        self._run.event("info", "hold-over", "the run arms the bench again")
         self._observers.state(RUNNING)
 
     def _count(self, hold: HoldError, where: str) -> None:

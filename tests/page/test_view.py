@@ -115,6 +115,14 @@ def test_the_time_left_is_what_is_expected_with_the_excess_of_the_latest_points(
     assert (view.planned, view.left_s()) == (7, 58.0 + 2 * 1.0)
 
 
+def test_a_hold_is_shown_from_the_safe_bench_to_its_arming_again(view):
+    holding = []
+    for code in ("hold", "on-hold", "hold-over"):
+        view.take(JournalEvent(time=8.0, level="info", code=code, message="silent sensor"))
+        holding.append(view.holding)
+    assert holding == ["", "silent sensor", ""]
+
+
 def test_a_resumed_run_has_not_ended_from_its_first_record_on(view):
     view.take(JournalEvent(time=8.0, level="error", code="off-failed", message="x"))
     view.take(End.model_validate(run.end("stopped", exit=7)))

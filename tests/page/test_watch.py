@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import time
 from pathlib import Path
 
 import pytest
@@ -13,6 +14,7 @@ from test_night import held
 from rig.bench.plan import parse_bench
 from rig.files.journal.writer import JournalWriter
 from rig.files.runfile.compile import compile_run
+from rig.page.folder import ResultsFolder
 from rig.page.watch import BenchWatch, Stop
 from rig.run.bench_mark import BenchMark, write_marks
 from rig.run.lock import address_names
@@ -212,3 +214,23 @@ def test_the_word_of_a_journal_that_is_still_read_is_unknown(results: Path) -> N
     assert (watch.word.word, watch.word.reason) == ("unknown", "the journal is still being read")
     watch.poll()
     assert watch.word.word == "safe"
+
+
+def test_no_link_below_the_results_folder_is_followed_and_a_young_listing_is_read_again(
+    results: Path,
+) -> None:
+    elsewhere = results.parent / "elsewhere"
+    elsewhere.mkdir()
+    (elsewhere / "secret.rigj").write_bytes(b"")
+    (results / "day" / "runs").symlink_to(elsewhere)
+    linked = results.parent / "linked"
+    linked.symlink_to(results)
+    folder = ResultsFolder(linked)
+    assert folder.find(".rigj") == []
+    now = time.time_ns()
+    journal_in(results)
+    os.utime(results / "day", ns=(now, now))
+    assert len(folder.find(".rigj")) == 1
+    journal_in(results, "b")  # within the step of the file system's clock
+    os.utime(results / "day", ns=(now, now))
+    assert len(folder.find(".rigj")) == 2

@@ -9,6 +9,7 @@ from made_up import Example, run_of
 
 from rig.core.errors import ExitCode
 from rig.core.settings import Settings
+from rig.files.journal.reader import read_journal
 from rig.run.context import Run
 from rig.run.holds import HoldLimitError
 from rig.run.observers import RunObserver
@@ -70,5 +71,8 @@ def test_a_contact_that_stays_loose_ends_the_run_with_its_counts(
         assert outcome.code is ExitCode.INSTRUMENT
         assert words in failure.message
         assert failure.message.endswith("in this run 8 holds, 9 presses")
+        assert outcome.journal is not None
+        codes = [event.code for event in read_journal(outcome.journal).events]
+        assert codes[:6] == ["hold", "on-hold", "hold-over"] * 2
     else:
         assert outcome.code is ExitCode.DONE

@@ -167,7 +167,7 @@ function showFacts(run) {
     if (run.discarded) facts.push(["discarded attempts", run.discarded]);
   } else if (last.last_file) {
     facts.push(["latest run", last.last_file.file], ["it ended", `${last.last_file.status}, exit ${last.last_file.exit}`]);
-  } else facts.push(["run", "none yet; this page follows the next one by itself"]);
+  } else facts.push(["run", "none yet; the next run appears here automatically"]);
   $("facts").replaceChildren(...facts.map(([name, value]) => {
     const pair = element("div");
     pair.append(element("dt", name), element("dd", value));
@@ -199,8 +199,9 @@ function showNumbers(run) {
 function addEvent(event) {
   events.push(event);
   if (events.length > 200) events.shift();
-  const item = element("li", `${event.t.toFixed(2)} s  ${event.code}: ${event.text}`);
-  item.className = ["warning", "error"].includes(event.level) ? event.level : "";
+  const marked = ["warning", "error"].includes(event.level);
+  const item = element("li", `${event.t.toFixed(2)} s  ${marked ? event.level + ", " : ""}${event.code}: ${event.text}`);
+  item.className = marked ? event.level : "";
   $("events").prepend(item);
   while ($("events").children.length > 200) $("events").lastChild.remove();
 }
@@ -229,7 +230,7 @@ function chart(id, title, labels, scales, axes, opts = {}) {
     legend: {live: true},
     axes: axes.map(axis => ({stroke: ink, grid, ticks: grid, ...axis})),
     series: [{label: axes[0].label, value: (_, v) => v === null ? "–" : v.toPrecision(6)},
-      ...labels.map((label, c) => ({label, stroke: colour("--c" + c % 4), width: 1, points: {show: !!opts.points, size: 5}, paths: opts.points ? () => null : undefined, value: (_, v) => v === null || v === undefined ? "–" : v.toPrecision(4)}))],
+      ...labels.map((label, c) => ({label, stroke: colour("--c" + c % 4), dash: c >= 4 ? [6, 3] : undefined, width: 1, points: {show: !!opts.points, size: 5}, paths: opts.points ? () => null : undefined, value: (_, v) => v === null || v === undefined ? "–" : v.toPrecision(4)}))],
     hooks: opts.events ? {draw: [drawEvents]} : {},
   }, [[], ...labels.map(() => [])], box);
   fits.observe(box); // the grid may get a second column with the next chart
@@ -315,7 +316,7 @@ function showStop() {
   }
   document.body.classList.toggle("stopping", !!course && !(course.over && course.safe));
   $("stop").disabled = !last.may_stop;
-  $("stop").title = last.may_stop ? "Asks the run to end in order (key S)" : "This address may watch only";
+  $("stop").title = last.may_stop ? "Asks the run to end in order (key S)" : "This link is view-only.";
 }
 
 function object(text) { // a refusal may be plain text
@@ -492,7 +493,7 @@ async function blobOf(id, name) {
 
 async function download(id, name) {
   const url = await blobOf(id, name);
-  if (!url) return notice(`${name} is not there any more`);
+  if (!url) return notice(`${name} is no longer available`);
   const link = element("a", undefined, {href: url, download: name});
   link.click();
   setTimeout(() => URL.revokeObjectURL(url), 60000);
