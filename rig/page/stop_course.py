@@ -31,7 +31,7 @@ class StopSigns:
     pid: int
     process_lives: bool
     reacted: bool
-    """A point was given up since, or the END is there."""
+    """A point was given up since, or the run makes the bench safe, or the END is there."""
     ended: bool
     exit: int = 0
     status: str = ""

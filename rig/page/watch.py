@@ -16,9 +16,9 @@ from typing import Any
 from rig.core.errors import RigError
 from rig.files.errors import JournalError
 from rig.files.journal.follow import JournalTail
-from rig.files.journal.format import PointDiscard
+from rig.files.journal.format import JournalRecord, PointDiscard
 from rig.files.journal.reader import DAMAGED, NEVER_CLOSED
-from rig.files.journal.values import End, RunHeader
+from rig.files.journal.values import End, JournalEvent, RunHeader
 from rig.files.naming import JOURNAL_SUFFIX, RUN_SUFFIX
 from rig.files.runfile.reader import RunFile
 from rig.page.folder import FoundFile, ResultsFolder
@@ -202,7 +202,7 @@ class BenchWatch:
                 if self.stop is not None and self.stop.over and not isinstance(record, End):
                     self.stop = None  # another attempt at the same run
                 if self.stop is not None and not self.behind:
-                    self.stop.reacted |= isinstance(record, (PointDiscard, End))
+                    self.stop.reacted |= _reacts(record)
                     if isinstance(record, End):
                         self.stop.end = record
             if records:
@@ -452,6 +452,13 @@ class BenchWatch:
         raise NotStoppedError(
             "no run holds the bench", "to stop all motion and switch all outputs off: make safe"
         )
+
+
+def _reacts(record: JournalRecord) -> bool:
+    """Return whether a run records this once it has noticed that it is to end."""
+    if isinstance(record, JournalEvent):
+        return record.code == "making-safe"
+    return isinstance(record, (PointDiscard, End))
 
 
 def _ending_in(path: Path) -> tuple[dict[str, Any], RunHeader] | None:

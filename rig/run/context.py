@@ -11,6 +11,7 @@ from rig.bench.connected import Bench
 from rig.bench.plan import longest_call_s
 from rig.core.clock import Clock
 from rig.core.errors import InstrumentTimeoutError, RigError
+from rig.files.errors import JournalMovedError
 from rig.files.journal.recorder import Recorder
 from rig.instruments.roles import Record, Scaling
 from rig.run.arming import SHUTDOWN_DEADLINE_S, Arming
@@ -278,6 +279,16 @@ class Run:
                 "message": message,
             }
         )
+
+    def note_making_safe(self) -> None:
+        """Record that the run ends and is about to make the bench safe, for who follows it. Waits
+        for nothing and raises nothing: neither may come before the bench is safe."""
+        try:
+            self.event("info", "making-safe", "the bench is being made safe")
+        except JournalMovedError as moved:  # said to the first that puts something, and only once
+            self.warnings.append(moved.one_line())
+        except Exception:  # noqa: BLE001 - a failed recorder is reported when it is closed
+            pass
 
     def fail(self, error: RigError) -> None:
         """Report a failure without raising it: for a shutdown action that could be done only in

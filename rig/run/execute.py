@@ -267,6 +267,7 @@ class _Execution:
 
     def _make_safe(self) -> None:
         """Switch everything off, and inform the guard if that has worked."""
+        self.run.note_making_safe()
         self.observers.making_safe()
         failures = self._switch_off(False)
         self.outcome.duration_s = self.bench.clock.now() - self._begun_s

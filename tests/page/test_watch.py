@@ -234,3 +234,20 @@ def test_no_link_below_the_results_folder_is_followed_and_a_young_listing_is_rea
     journal_in(results, "b")  # within the step of the file system's clock
     os.utime(results / "day", ns=(now, now))
     assert len(folder.find(".rigj")) == 2
+
+
+def test_a_run_without_an_open_point_is_seen_to_react_as_it_makes_the_bench_safe(
+    results: Path,
+) -> None:
+    path = results / "day" / "a_sweep_r001.rigj"
+    with JournalWriter.create(path, run.header(bench_toml=bench_toml())) as journal:
+        journal.sync()
+        watch = BenchWatch(results)
+        words(watch)
+        holder = holder_of(path) or LockHolder(os.getpid(), "", True)
+        watch.stop = Stop(holder, path)
+        for code, reacted in (("calibration", False), ("making-safe", True)):
+            journal.event({"time": 1.0, "level": "info", "code": code, "message": ""})
+            journal.sync()
+            words(watch)
+            assert watch.stop.reacted is reacted
