@@ -251,3 +251,23 @@ def test_a_run_without_an_open_point_is_seen_to_react_as_it_makes_the_bench_safe
             journal.sync()
             words(watch)
             assert watch.stop.reacted is reacted
+
+
+def test_another_attempt_by_the_same_process_takes_the_bar_of_an_ended_stop_away(
+    results: Path,
+) -> None:
+    path = results / "day" / "a_sweep_r001.rigj"
+    with JournalWriter.create(path, run.header(bench_toml=bench_toml())) as journal:
+        journal.sync()
+        watch = BenchWatch(results)
+        words(watch)
+        watch.stop = Stop(LockHolder(os.getpid(), "", True), path)
+        journal.end(run.end("stopped", exit=143))
+        journal.sync()
+        words(watch)
+        assert watch.stop is not None
+        assert watch.stop.over
+        journal.event({"time": 9.0, "level": "info", "code": "servo", "message": ""})
+        journal.sync()
+        words(watch)
+        assert (watch.stop, watch.view.end) == (None, None)
