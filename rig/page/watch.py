@@ -43,6 +43,8 @@ LOOK_EVERY_S = 0.5
 FILES_TRIED = 20
 """Latest run files of which the first that can be read says how the latest run ended."""
 MOST_BYTES_A_POLL = 16 << 20
+NOT_PRESSED = ("nothing is pressed", "nothing can be pressed")
+"""What a report says of a bench on which nothing is pressed (`rig.run.still_pressed`)."""
 
 
 class Stop:
@@ -375,7 +377,8 @@ class BenchWatch:
         words = str(self._report.get("pressed", ""))
         if words and not words.startswith("nothing"):
             pressed.append(words)
-        return "; ".join(text for text in pressed if "nothing is pressed" not in text)[:500]
+        told = [text for text in pressed if not any(nothing in text for nothing in NOT_PRESSED)]
+        return "; ".join(told)[:500]
 
     def course(self) -> StopCourse | None:
         """Return how far the stop that was asked for has come, None if none was."""

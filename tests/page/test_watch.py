@@ -67,9 +67,9 @@ def words(watch: BenchWatch) -> tuple[str, str]:
     return watch.word.word, watch.word.reason
 
 
-def mark(state: str, number: int = 0) -> None:
+def mark(state: str, number: int = 0, report: str = "still pressed") -> None:
     names = address_names(parse_bench(bench_toml(number), "bench.toml"))
-    found = BenchMark(state=state, bench="bench-1", time="now", user="me", report="still pressed")  # type: ignore[arg-type]
+    found = BenchMark(state=state, bench="bench-1", time="now", user="me", report=report)  # type: ignore[arg-type]
     write_marks(names, found)
 
 
@@ -113,6 +113,8 @@ def test_run_files_alone_make_no_bench_green_without_a_look_at_its_marks_and_loc
     assert words(watch)[0] == "UNSAFE"
     mark("stopped")
     assert words(watch) == ("pressed", "still pressed")
+    mark("stopped", report="it died; nothing can be pressed without a stage_z")
+    assert words(watch)[0] == "safe"
     assert watch.path is None
 
 
