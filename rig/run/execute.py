@@ -349,8 +349,9 @@ class _Execution:
         try:
             if any(not self.procedure.why_invalid(r) for r in self.readings.values()):
                 self.run.references.keep()
-        except RigError as error:
-            self.outcome.warnings.append(error.one_line())
+        except Exception as error:  # noqa: BLE001 - the data come next, whatever a hook raises
+            told = error if isinstance(error, RigError) else internal(error)
+            self.outcome.warnings.append(told.one_line())
 
     def _save(self) -> None:
         """Close the journal and compile it; every step is tried even if an earlier one fails."""
