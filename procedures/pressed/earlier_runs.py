@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
+from procedures.pressed.torque_watch import SUSPECT
 from rig.core.errors import InstrumentError
 
 if TYPE_CHECKING:
@@ -67,6 +68,20 @@ class EarlierPress:
             f"this kind had {self._force_N:g} N after {self._reference.way_mm:.3f} mm (reference "
             f"of {self._reference.time})",
             HINT,
+        )
+
+    def refuse_missed(self, past_mm: float, force_N: float) -> None:
+        """Stop z and raise InstrumentError where nothing is felt although z has gone past the place
+        where this run has felt the object, farther than a press of this kind goes."""
+        if past_mm <= self.largest_way_mm:
+            return
+        self._run.bench.stage_z.stop()
+        raise InstrumentError(
+            "force_sensor",
+            "approach",
+            f"it reads {force_N:.2g} N, {past_mm:.3f} mm below where this run has felt the object "
+            "before",
+            f"look whether the object is still there; otherwise {SUSPECT}",
         )
 
     def judge(self, way_mm: float, stiffness_N_mm: float, zero: ForceZero) -> None:

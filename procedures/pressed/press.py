@@ -134,6 +134,7 @@ class Press:
         z, force = self._z, self._recorder.force
         first_mm, last_mm = contact_range_mm(self._run.bench)
         touched = arrived = False
+        felt_mm = self._series.contact_mm  # by an earlier trial
         watch = ApproachWatch(self._run, CONTACT_N, self._settings.normal_force_N, self._torque)
 
         def on_tick(tick: Tick) -> bool:
@@ -143,6 +144,8 @@ class Press:
             here_mm = polled.position_mm
             step = way_down.step(polled.at_s, here_mm, force.measured_s, force_N, behind_s)
             watch.step(here_mm, force_N, step.touched)
+            if felt_mm is not None and not step.touched:
+                self._earlier.refuse_missed(here_mm - felt_mm, force_N)
             if touched and not step.arrived:
                 self._earlier.refuse_way(here_mm - self._record.contact_mm, force_N)
             if step.touched and not touched:

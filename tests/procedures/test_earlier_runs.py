@@ -150,6 +150,20 @@ def test_a_way_without_its_force_is_refused_while_z_goes(
         earlier.refuse_way(way_mm, force_N)
 
 
+def test_an_object_that_is_not_felt_again_ends_the_approach_soon_below_its_place(
+    tmp_path: Path,
+) -> None:
+    run = Run(tmp_path)
+    run.press()
+    earlier = EarlierPress(run, 4.0, "glass plate")  # type: ignore[arg-type]
+    earlier.refuse_missed(2 * WAY_mm, 0.01)
+    with pytest.raises(InstrumentError, match=r"0\.01 N, 0\.110 mm below where this run") as caught:
+        earlier.refuse_missed(0.11, 0.01)
+    assert caught.value.device == "force_sensor"
+    nothing_known = EarlierPress(Run(tmp_path / "b", skin="skin 2"), 4.0, "")  # type: ignore[arg-type]
+    nothing_known.refuse_missed(0.5, 0.01)
+
+
 def test_another_kind_of_run_is_not_compared(tmp_path: Path) -> None:
     Run(tmp_path).press()
     Run(tmp_path, skin="skin 2").press(stiffness_N_mm=10 * STIFFNESS_N_mm)
