@@ -281,9 +281,14 @@ class ForkedPopen(subprocess.Popen[Any]):
         named = dict(zip(EXECUTE_CHILD, others, strict=True))
         for stream in (sys.stdout, sys.stderr):
             stream.flush()
-        self.pid = os.fork()
-        if self.pid == 0:
-            _become_module(module, list(args), named)
+        # A signal that comes early must not meet the handlers of this process in the other one.
+        mask = signal.pthread_sigmask(signal.SIG_BLOCK, signal.valid_signals())
+        try:
+            self.pid = os.fork()
+            if self.pid == 0:
+                _become_module(module, list(args), named, mask)
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, mask)
         self._child_created = True
         ends = ("p2cread", "p2cwrite", "c2pread", "c2pwrite", "errread", "errwrite")
         self._close_pipe_fds(*(named[end] for end in ends))  # type: ignore[attr-defined]
@@ -305,19 +310,23 @@ def _forked_module(args: Any) -> str | None:
     return None
 
 
-def _become_module(module: str, program: list[str], named: Mapping[str, Any]) -> None:
+def _become_module(
+    module: str, program: list[str], named: Mapping[str, Any], mask: set[int]
+) -> None:
     """Run a module in this process as ``python -P -m`` does, and end it. Of the files of the
-    process before, those stay open that would stay open there."""
+    process before, those stay open that would stay open there. Signals are blocked; `mask` are
+    those that stay blocked."""
     code = 1
     try:
-        if named["start_new_session"]:
-            os.setsid()
-        if named["process_group"] not in (None, -1):
-            os.setpgid(0, named["process_group"])
         signal.set_wakeup_fd(-1)
         for number in signal.valid_signals() - {signal.SIGKILL, signal.SIGSTOP}:
             if callable(signal.getsignal(number)):
                 signal.signal(number, signal.SIG_DFL)
+        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+        if named["start_new_session"]:
+            os.setsid()
+        if named["process_group"] not in (None, -1):
+            os.setpgid(0, named["process_group"])
         if signal.getsignal(signal.SIGINT) is signal.SIG_DFL:
             signal.signal(signal.SIGINT, signal.default_int_handler)
         _take_streams(named)
