@@ -243,7 +243,8 @@ class Rig:
         """The guard's last word, once it has compiled; None where it has not said it in time."""
         deadline = time.monotonic() + GUARD_PATIENCE_S
         while time.monotonic() < deadline:
-            for path in self.results.rglob("*.guard.json"):
+            beside_the_run, of_the_bench = "*.guard.json", "guard-*.json"
+            for path in (*self.results.rglob(beside_the_run), *self.results.glob(of_the_bench)):
                 report: dict[str, Any] = json.loads(path.read_text())
                 if "file" in report:
                     return report

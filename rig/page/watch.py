@@ -43,8 +43,6 @@ LOOK_EVERY_S = 0.5
 FILES_TRIED = 20
 """Latest run files of which the first that can be read says how the latest run ended."""
 MOST_BYTES_A_POLL = 16 << 20
-NOT_PRESSED = ("nothing is pressed", "nothing can be pressed")
-"""What a report says of a bench on which nothing is pressed (`rig.run.still_pressed`)."""
 
 
 class Stop:
@@ -373,12 +371,11 @@ class BenchWatch:
 
     def _pressed(self) -> str:
         """Return what was reported to be still pressed, empty for nothing."""
-        pressed = [mark.report for mark in self._marks if mark.state == "stopped"]
-        words = str(self._report.get("pressed", ""))
-        if words and not words.startswith("nothing"):
-            pressed.append(words)
-        told = [text for text in pressed if not any(nothing in text for nothing in NOT_PRESSED)]
-        return "; ".join(told)[:500]
+        marks = (mark for mark in self._marks if mark.state == "stopped" and not mark.released)
+        pressed = [mark.report for mark in marks]
+        if self._report.get("pressed") and self._report.get("released") is not True:
+            pressed.append(str(self._report["pressed"]))
+        return "; ".join(pressed)[:500]
 
     def course(self) -> StopCourse | None:
         """Return how far the stop that was asked for has come, None if none was."""

@@ -129,8 +129,8 @@ class ShutdownFailure:
     reason: str
     drives: bool = True
     """False for what drives nothing: the bench is safe although it is still on."""
-    still_pressed: bool = False
-    """True for a force over its limit that remains: to stop everything does not release it."""
+    over_limit: bool = False
+    """True if it has left a force over its limit: to stop everything does not release that."""
 
 
 class Arming:

@@ -74,6 +74,8 @@ class BenchMark(BaseModel):
     """All names under which it was written: those of the bench's addresses at that time."""
     report: str = ""
     """Report on what was done and what is known, as a sentence."""
+    released: bool = False
+    """True if z was seen clear of contact, with nothing pressed."""
 
     @property
     def lives(self) -> bool:
@@ -121,10 +123,10 @@ class BenchMarks:
         """Note why the bench could not be made safe, by what is not safe. Raises RigError."""
         self._write("unsafe", failures=failures)
 
-    def stopped(self, report: str) -> None:
-        """Note what the next command has to report of a bench that was made safe. Raises
-        RigError."""
-        self._write("stopped", report=report)
+    def stopped(self, report: str, released: bool = False) -> None:
+        """Note what the next command has to report of a bench that was made safe, and whether z was
+        seen clear of contact, with nothing pressed. Raises RigError."""
+        self._write("stopped", report=report, released=released)
 
     def clear(self) -> None:
         """Note that the bench is safe. Raises RigError."""
@@ -136,6 +138,7 @@ class BenchMarks:
         *,
         failures: Mapping[str, str] | None = None,
         report: str = "",
+        released: bool = False,
         guard: ProcessStamp | None = None,
     ) -> None:
         if not self._names:
@@ -151,6 +154,7 @@ class BenchMarks:
             failures=failures or {},
             names=self._names,
             report=report,
+            released=released,
         )
         write_marks(self._names, mark)
 

@@ -190,21 +190,15 @@ class _Execution:
             self.guard.done()
 
     def _hand_over(self) -> None:
-        """Leave the bench to the guard. It stops everything, but what the run has found pressed
-        over its limit is safe only where the guard has then seen z stand clear."""
+        """Leave the bench to the guard, and mark the bench as that leaves it."""
         if "force_sensor" in self.bench.instruments:
             with contextlib.suppress(RigError, OSError):
                 self.bench.force_sensor.close()  # one program at a time can read it
-        taken = self.guard.take_over()
-        remains = [off.name for off in self.outcome.off_failures if off.still_pressed]
-        if taken.safe and remains and not taken.released:
-            left = f"what held the {', '.join(remains)} was not released: move it away by hand"
-            taken = taken._replace(safe=False, summary=f"{taken.summary}; {left}")
+        over_limit = [off.name for off in self.outcome.off_failures if off.over_limit]
+        taken = self.outcome.taken_over = self.guard.take_over(over_limit)
+        # Between the two the guard's own mark stays: it says what may still be pressed.
+        if taken.released or not taken.safe:
             self._mark()
-        self.outcome.taken_over = taken
-        if taken.safe and taken.released:
-            self._mark()
-        # Else the guard's own mark stays: the next command says what may still be pressed.
 
     def _judge(self) -> ExitCode:
         """Report every invalid reading; return the exit code of a run that has all its points."""

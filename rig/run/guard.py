@@ -112,6 +112,26 @@ class TakenOver(NamedTuple):
     """True if the guard has seen z stand clear of contact."""
 
 
+def judged(report: dict[str, Any], over_limit: Sequence[str] = ()) -> TakenOver:
+    """Return what a guard's report says of the bench that a run has left to it.
+
+    `over_limit` names what the run has found pressed over its limit. To stop everything does not
+    release it, so it is safe only where the guard has then seen z stand clear.
+    """
+    if not report["safe"]:
+        failures = "; ".join(f"{role}: {why}" for role, why in report["failures"].items())
+        return TakenOver(False, f"the guard could not make the bench safe either: {failures}")
+    released = report.get("released") is True
+    pressed = f", {report['pressed']}" if report["pressed"] else ""
+    if over_limit and not released:
+        return TakenOver(
+            False,
+            f"the guard has stopped everything{pressed}; {' and '.join(over_limit)} may still be "
+            "over the limit: move the stage away by hand, then run: rig make-safe",
+        )
+    return TakenOver(True, f"the guard then made the bench safe{pressed}", released)
+
+
 class GuardLink:
     """The run's side of the guard: starts it and keeps it informed."""
 
@@ -225,8 +245,8 @@ class GuardLink:
             self._process.kill()
             self._process.wait()
 
-    def take_over(self) -> TakenOver:
-        """Leave the bench to the guard, and return the result of its try."""
+    def take_over(self, over_limit: Sequence[str] = ()) -> TakenOver:
+        """Leave the bench to the guard, and return the result of its try; see `judged`."""
         assert self._process.stdin is not None
         with contextlib.suppress(OSError):
             self._process.stdin.close()
@@ -248,11 +268,7 @@ class GuardLink:
             return TakenOver(False, f"the guard did not report: it ended with code {code}")
         if report["safe"]:
             _mark_reported(self._report, report)
-            pressed = f", {report['pressed']}" if report["pressed"] else ""
-            summary = f"the guard then made the bench safe{pressed}"
-            return TakenOver(True, summary, report.get("released") is True)
-        failures = "; ".join(f"{role}: {why}" for role, why in report["failures"].items())
-        return TakenOver(False, f"the guard could not make the bench safe either: {failures}")
+        return judged(report, over_limit)
 
     def _unread_bytes(self) -> int:
         assert self._process.stdin is not None
@@ -368,7 +384,7 @@ def _publish(order: dict[str, Any], report: dict[str, Any]) -> None:
     with contextlib.suppress(RigError):
         marks = BenchMarks(order["marks"], order["bench"], order["journal"])
         if report["safe"]:
-            marks.stopped(_in_words(report))
+            marks.stopped(_in_words(report), report["released"])
         else:
             marks.unsafe(report["failures"])
     with contextlib.suppress(OSError):

@@ -95,25 +95,26 @@ def _measured(whole: BenchPlan, orders: Orders) -> PressedState:
                         readers |= other.instruments
                 store = InterlockStore(whole, lasting=orders.lasting)
                 lift = Lift(bench, readers, store, until_s)
-                return _lifted(_Looks(bench, sensor, lift), lift, orders)
+                return _lifted(bench, sensor, lift, orders)
         finally:
             bench.stage_z.make_safe()  # connecting may have lifted a stop that stood
 
 
-def _lifted(looks: _Looks, lift: Lift, orders: Orders) -> PressedState:
+def _lifted(bench: Bench, sensor: _Sensor, lift: Lift, orders: Orders) -> PressedState:
     """Lift z where it stands in the range of contact, and return what is pressed then; with the
     reason where it is not lifted."""
-    before = looks.look()
+    before = _look(bench, sensor, lift)
     if before.clear or not orders.lifts:
         return before.state()
     try:
-        lift.carry_out(looks.sensor.latest_N)
+        lift.carry_out(sensor.latest_N)
     except (RigError, OSError) as error:
-        return looks.look().state(f"; not lifted: {_why(error)}")
-    after = looks.look()
-    return replace(
-        after.state(), text=f"{before.in_words(past=True)}; stage_z was lifted: {after.in_words()}"
-    )
+        return _look(bench, sensor, lift).state(f"; not lifted: {_why(error)}")
+    after = _look(bench, sensor, lift)
+    text = f"{before.in_words(past=True)}; stage_z was lifted: {after.in_words()}"
+    # It has moved off what it pressed, whether or not a force sensor shows it.
+    released = after.clear and not after.is_pressed
+    return replace(after.state(), text=text, released=released)
 
 
 def _why(error: BaseException) -> str:
@@ -169,6 +170,8 @@ class _Look:
     limit_N: float
     no_force: str
     """Reason why the force is not known."""
+    has_sensor: bool
+    """False on a bench without a force sensor."""
 
     def in_words(self, past: bool = False) -> str:
         """Return the end of a sentence on the bench, as it is or as it was."""
@@ -182,7 +185,7 @@ class _Look:
                 f"{stands} {at}, the force sensor {reads} {self.force_N:.1f} N and was not zeroed "
                 "by the run"
             )
-        if self.force_N > PRESSED_N:
+        if self.is_pressed:
             return f"{'was' if past else 'still'} pressed {at}, {self.force_N:.1f} N"
         if self.clear:
             return f"nothing is pressed {at}, {self.force_N:.1f} N"
@@ -194,23 +197,30 @@ class _Look:
         over = None
         if self.force_N is not None and self.force_N > self.limit_N:
             over = f"{self.in_words()}, over the limit of {self.limit_N:g} N{more}"
-        pressed = self.zeroed and self.force_N is not None and self.force_N > PRESSED_N
-        return PressedState(f"{self.in_words()}{more}", over, self.clear and not pressed)
+        # Of what lies on a sensor that cannot be read, the place of z says nothing.
+        felt = not self.has_sensor or self.force_N is not None
+        released = self.clear and felt and not self.is_pressed
+        return PressedState(f"{self.in_words()}{more}", over, released)
+
+    @property
+    def is_pressed(self) -> bool:
+        """Whether a force is felt that the zero of the sensor does not explain."""
+        return self.zeroed and self.force_N is not None and self.force_N > PRESSED_N
 
 
-class _Looks:
-    """Looks at z and the force sensor."""
-
-    def __init__(self, bench: Bench, sensor: _Sensor, lift: Lift):
-        self._bench, self.sensor, self._lift = bench, sensor, lift
-
-    def look(self) -> _Look:
-        """Return where z stands and what is pressed there."""
-        sensor = self.sensor
-        force_N = sensor.mean_N()
-        position_mm = self._bench.stage_z.position_mm()
-        clear = not self._lift.is_needed()
-        return _Look(position_mm, clear, force_N, sensor.zeroed, sensor.limit_N, sensor.trouble)
+def _look(bench: Bench, sensor: _Sensor, lift: Lift) -> _Look:
+    """Return where z stands and what is pressed there."""
+    force_N = sensor.mean_N()
+    position_mm, clear = bench.stage_z.position_mm(), not lift.is_needed()
+    return _Look(
+        position_mm,
+        clear,
+        force_N,
+        sensor.zeroed,
+        sensor.limit_N,
+        sensor.trouble,
+        sensor.is_there,
+    )
 
 
 class _Sensor:
@@ -219,7 +229,7 @@ class _Sensor:
     def __init__(self, bench: Bench | BaseException | None, orders: Orders):
         """`bench` has the sensor alone; None where there is none, or the reason why it is not
         connected."""
-        self.zeroed = orders.zero is not None
+        self.is_there, self.zeroed = bench is not None, orders.zero is not None
         self.limit_N = orders.limit_N
         self.trouble = "without a force sensor"
         """Reason why the latest force is not known."""

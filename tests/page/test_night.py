@@ -58,6 +58,15 @@ def batch(results: Path, name: str, ctime_order: int) -> BatchFolder:
     return folder
 
 
+@contextmanager
+def recording(results: Path) -> Iterator[tuple[BatchFolder, Path]]:
+    """A batch that runs, and the journal of its run under way."""
+    night = batch(results, "night", 1)
+    journal = night.journal(1, "sweep")
+    with held(night.path / "supervisor.lock", journal):
+        yield night, journal
+
+
 @pytest.fixture
 def asked(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
     """What batches were asked for, by the page's server."""
@@ -110,10 +119,8 @@ def test_the_batch_that_runs_is_shown_before_a_later_one_that_does_not(tmp_path:
 def test_a_stop_without_a_choice_in_a_run_of_a_batch_is_for_the_whole_night(
     tmp_path: Path, asked: list[Any]
 ) -> None:
-    night = batch(tmp_path, "night", 1)
-    journal = night.journal(1, "sweep")
     signalled: list[Path] = []
-    with held(night.path / "supervisor.lock", journal):
+    with recording(tmp_path) as (night, journal):
         assert batch_of(journal) == night
         assert stop(tmp_path, journal, {}, signalled)[0] == 200
         assert (asked, signalled) == ([("night", "stop-now")], [journal])
@@ -138,11 +145,9 @@ def test_a_run_beside_a_batch_is_stopped_itself_and_the_batch_is_not_asked(
 def test_a_batch_that_cannot_be_asked_is_stopped_by_the_signal_all_the_same(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    night = batch(tmp_path, "night", 1)
-    journal = night.journal(1, "sweep")
-    (night.path / QUEUE).write_bytes(b"no database")
     signalled: list[Path] = []
-    with held(night.path / "supervisor.lock", journal):
+    with recording(tmp_path) as (night, journal):
+        (night.path / QUEUE).write_bytes(b"no database")
         status, said = stop(tmp_path, journal, {"what": "night"}, signalled)
     assert (status, signalled) == (200, [journal])
     assert "could not be asked" in said["problem"]
@@ -151,10 +156,8 @@ def test_a_batch_that_cannot_be_asked_is_stopped_by_the_signal_all_the_same(
 def test_a_further_press_without_a_choice_makes_no_stop_wider(
     tmp_path: Path, asked: list[Any]
 ) -> None:
-    night = batch(tmp_path, "night", 1)
-    journal = night.journal(1, "sweep")
     signalled: list[Path] = []
-    with held(night.path / "supervisor.lock", journal):
+    with recording(tmp_path) as (_, journal):
         status, said = stop(tmp_path, journal, {}, signalled, SimpleNamespace(presses=2))
     assert (status, said["presses"], asked, signalled) == (200, 2, [], [])
 

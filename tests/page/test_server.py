@@ -247,7 +247,7 @@ def test_a_run_that_was_killed_is_unsafe_until_its_guard_has_reported(page):
         assert "guard has not reported" in dead["reason"]
         report = {"journal": str(path.resolve()), "run_pid": writer.pid, "safe": True,
                   "stopped": True, "cause": "died",
-                  "pressed": "nothing is pressed at 1.00 mm, 0.0 N"}  # fmt: skip
+                  "pressed": "nothing is pressed at 1.00 mm, 0.0 N", "released": True}  # fmt: skip
         path.with_suffix(".guard.json").write_text(json.dumps(report))
         assert "guard reported" in page.frames(lambda f: f["word"] == "safe")["reason"]
         os.truncate(path, path.stat().st_size // 2)

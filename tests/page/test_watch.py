@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -67,9 +68,18 @@ def words(watch: BenchWatch) -> tuple[str, str]:
     return watch.word.word, watch.word.reason
 
 
-def mark(state: str, number: int = 0, report: str = "still pressed") -> None:
+def mark(
+    state: str, number: int = 0, report: str = "still pressed", released: bool = False
+) -> None:
     names = address_names(parse_bench(bench_toml(number), "bench.toml"))
-    found = BenchMark(state=state, bench="bench-1", time="now", user="me", report=report)  # type: ignore[arg-type]
+    found = BenchMark(
+        state=state,  # type: ignore[arg-type]
+        bench="bench-1",
+        time="now",
+        user="me",
+        report=report,
+        released=released,
+    )
     write_marks(names, found)
 
 
@@ -113,7 +123,7 @@ def test_run_files_alone_make_no_bench_green_without_a_look_at_its_marks_and_loc
     assert words(watch)[0] == "UNSAFE"
     mark("stopped")
     assert words(watch) == ("pressed", "still pressed")
-    mark("stopped", report="it died; nothing can be pressed without a stage_z")
+    mark("stopped", report="it died; stage_z stands at 5.00 mm", released=True)
     assert words(watch)[0] == "safe"
     assert watch.path is None
 
@@ -238,38 +248,44 @@ def test_no_link_below_the_results_folder_is_followed_and_a_young_listing_is_rea
     assert len(folder.find(".rigj")) == 2
 
 
-def test_a_run_without_an_open_point_is_seen_to_react_as_it_makes_the_bench_safe(
-    results: Path,
-) -> None:
-    path = results / "day" / "a_sweep_r001.rigj"
-    with JournalWriter.create(path, run.header(bench_toml=bench_toml())) as journal:
-        journal.sync()
-        watch = BenchWatch(results)
-        words(watch)
-        holder = holder_of(path) or LockHolder(os.getpid(), "", True)
-        watch.stop = Stop(holder, path)
-        for code, reacted in (("calibration", False), ("making-safe", True)):
-            journal.event({"time": 1.0, "level": "info", "code": code, "message": ""})
-            journal.sync()
-            words(watch)
-            assert watch.stop.reacted is reacted
-
-
-def test_another_attempt_by_the_same_process_takes_the_bar_of_an_ended_stop_away(
-    results: Path,
-) -> None:
+@pytest.fixture
+def stopping(results: Path) -> Iterator[tuple[JournalWriter, BenchWatch]]:
+    """The journal of a run under way, and a page on which STOP has been pressed."""
     path = results / "day" / "a_sweep_r001.rigj"
     with JournalWriter.create(path, run.header(bench_toml=bench_toml())) as journal:
         journal.sync()
         watch = BenchWatch(results)
         words(watch)
         watch.stop = Stop(LockHolder(os.getpid(), "", True), path)
-        journal.end(run.end("stopped", exit=143))
-        journal.sync()
+        yield journal, watch
+
+
+def noted(journal: JournalWriter, code: str) -> None:
+    """Record an event."""
+    journal.event({"time": 1.0, "level": "info", "code": code, "message": ""})
+    journal.sync()
+
+
+def test_a_run_without_an_open_point_is_seen_to_react_as_it_makes_the_bench_safe(
+    stopping: tuple[JournalWriter, BenchWatch],
+) -> None:
+    journal, watch = stopping
+    for code, reacted in (("calibration", False), ("making-safe", True)):
+        noted(journal, code)
         words(watch)
         assert watch.stop is not None
-        assert watch.stop.over
-        journal.event({"time": 9.0, "level": "info", "code": "servo", "message": ""})
-        journal.sync()
-        words(watch)
-        assert (watch.stop, watch.view.end) == (None, None)
+        assert watch.stop.reacted is reacted
+
+
+def test_another_attempt_by_the_same_process_takes_the_bar_of_an_ended_stop_away(
+    stopping: tuple[JournalWriter, BenchWatch],
+) -> None:
+    journal, watch = stopping
+    journal.end(run.end("stopped", exit=143))
+    journal.sync()
+    words(watch)
+    assert watch.stop is not None
+    assert watch.stop.over
+    noted(journal, "servo")
+    words(watch)
+    assert (watch.stop, watch.view.end) == (None, None)

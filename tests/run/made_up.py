@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -106,8 +106,8 @@ class Guard:
     def done(self) -> None:
         self._log.append("guard: done")
 
-    def take_over(self) -> TakenOver:
-        self._log.append("guard: take over")
+    def take_over(self, over_limit: Sequence[str] = ()) -> TakenOver:
+        self._log.append(f"guard: take over {', '.join(over_limit)}")
         return self.taken_over
 
 

@@ -17,7 +17,7 @@ import itertools
 import signal
 import tempfile
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
@@ -223,7 +223,7 @@ class Guard:
     def done(self) -> None:
         self._story.append(("guard", "done"))
 
-    def take_over(self) -> TakenOver:
+    def take_over(self, over_limit: Sequence[str]) -> TakenOver:
         self._story.append(("guard", "take over"))
         return TakenOver(True, "the guard then made the bench safe")
 

@@ -10,7 +10,7 @@ import pytest
 from rig.core.errors import ExitCode, InstrumentError, RigError, UnsafeError
 from rig.core.settings import Settings
 from rig.run.context import Run
-from rig.run.guard import TakenOver
+from rig.run.guard import judged
 
 STILL_OVER = UnsafeError("stage_z: unload: 20 N, over the limit of 15 N", "move it away by hand")
 NO_ANSWER = InstrumentError("stage_z", "stop", "no answer within 1 s", "check its cable")
@@ -28,23 +28,26 @@ class Pressing(made_up.Example):
         run.arm("normal force", off, done="normal force released")
 
 
-@pytest.mark.parametrize(
-    ("why", "released", "safe"),
-    [
-        (STILL_OVER, False, False),
-        (STILL_OVER, True, True),
-        (NO_ANSWER, False, True),
-    ],
-)
-def test_a_force_that_remains_over_its_limit_is_safe_only_where_z_was_seen_clear(
-    why: RigError, released: bool, safe: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(("why", "named"), [(STILL_OVER, "normal force"), (NO_ANSWER, "")])
+def test_the_guard_hears_what_is_still_pressed_over_its_limit(
+    why: RigError, named: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    taken = TakenOver(True, "the guard then made the bench safe", released)
-    monkeypatch.setattr(made_up.Guard, "taken_over", taken)
     procedure = Pressing(Settings())
     procedure.why = why
     outcome = made_up.run_of(procedure, tmp_path, monkeypatch)
     assert outcome.code is ExitCode.UNSAFE
-    assert outcome.taken_over is not None
-    assert outcome.taken_over.safe is safe
-    assert safe or "was not released: move it away by hand" in outcome.taken_over.summary
+    assert procedure.log[-1] == f"guard: take over {named}"
+
+
+@pytest.mark.parametrize(
+    ("over_limit", "released", "safe"),
+    [(["normal force"], False, False), (["normal force"], True, True), ([], False, True)],
+)
+def test_a_force_that_remains_over_its_limit_is_safe_only_where_z_was_seen_clear(
+    over_limit: list[str], released: bool, safe: bool
+) -> None:
+    pressed = "still pressed at 12.44 mm, 20.0 N"
+    taken = judged({"safe": True, "pressed": pressed, "released": released}, over_limit)
+    assert (taken.safe, taken.released) == (safe, released)
+    assert pressed in taken.summary
+    assert ("normal force may still be over the limit" in taken.summary) == (not safe)

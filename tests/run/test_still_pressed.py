@@ -10,13 +10,19 @@ import numpy as np
 import pytest
 
 from rig.bench.connected import Bench
+from rig.bench.plan import BenchPlan, InstrumentPlan
+from rig.bench.settings import BenchSettings
 from rig.core.errors import ConfigurationError
+from rig.core.settings import Settings
 from rig.instruments.roles import Reach
 from rig.run.still_pressed import Orders, PressedState, pressed_state
 
 FIRST_mm, CLEAR_mm, STANDS_mm, TOUCHES_mm = 12.0, 11.7, 12.44, 12.4
 N_mm = 100.0
 ZERO = (0.0, 0.0, 0.0)
+CONTACT = {"contact_from_mm": FIRST_mm, "contact_to_mm": 13.0}
+DRIVER: Any = SimpleNamespace()
+"""`connect` is replaced whole: what a driver does is shown where runs are killed (test_killed)."""
 
 
 class Rig:
@@ -101,39 +107,28 @@ def rig(monkeypatch: pytest.MonkeyPatch) -> Rig:
     """A bench whose z presses with 4 N; `rig.sensor` answers, or is the error that it gives."""
     found: Any = Rig()
     found.sensor = Sensor(found)
-    parts = tuple(SimpleNamespace(role=role) for role in ("stage_z", "force_sensor"))
-    fixture = SimpleNamespace(parked_mm=5.0, contact_from_mm=FIRST_mm)
-    settings = SimpleNamespace(fixture=fixture, interlock=())
-    whole = SimpleNamespace(instruments=parts, settings=settings)
+    reach = {"position": Reach(0.0, 14.0, "mm", "z"), "speed": Reach(0.001, 50.0, "mm/s", "z")}
+    found.reach = lambda: reach
+    own = BenchSettings.model_validate(
+        {"name": "b", "fixture": {"mounted": "plate", "parked_mm": 5.0} | CONTACT}
+    )
+    roles = ("stage_z", "force_sensor")
+    parts = tuple(InstrumentPlan(role, "made-up", DRIVER, Settings()) for role in roles)
 
-    def off(role: str) -> None:
-        found.off.append(role)
-
-    def connect(plan: Any, clock: object) -> Bench:
+    def connect(plan: BenchPlan, clock: object) -> Bench:
         (part,) = plan.instruments
         if part.role == "force_sensor" and isinstance(found.sensor, Exception):
             raise found.sensor
         instrument: Any = found if part.role == "stage_z" else found.sensor
-        instrument.make_safe = lambda: off(part.role)
+        instrument.make_safe = lambda: found.off.append(part.role)
         links: Any = SimpleNamespace(close=lambda: None)
         return Bench(plan, found, {part.role: instrument}, links)
 
-    reach = {"position": Reach(0.0, 14.0, "mm", "z"), "speed": Reach(0.001, 50.0, "mm/s", "z")}
-    found.reach = lambda: reach
     module = "rig.run.still_pressed."
     monkeypatch.setattr(f"{module}connect", connect)
-    monkeypatch.setattr(f"{module}parse_bench", lambda text, source: whole)
-    monkeypatch.setattr(f"{module}replace", replaced)
+    monkeypatch.setattr(f"{module}parse_bench", lambda *_: BenchPlan(own, parts, "", "b.toml"))
     monkeypatch.setattr(f"{module}WallClock", lambda: found)
-    monkeypatch.setattr(f"{module}apply_calibrations", lambda *a, **k: ([], []))
-    monkeypatch.setattr(f"{module}InterlockStore", lambda *a, **k: None)
     return found
-
-
-def replaced(one: Any, **changes: Any) -> Any:
-    if isinstance(one, PressedState):
-        return PressedState(**(vars(one) | changes))
-    return SimpleNamespace(**(vars(one) | changes))
 
 
 def test_what_is_pressed_is_lifted_and_both_are_said(rig: Any) -> None:
@@ -161,6 +156,13 @@ def test_z_is_lifted_although_the_force_sensor_sends_nothing(rig: Any) -> None:
     state = pressed_state("", "", Orders(ZERO))
     assert (rig.moves, state.released) == ([CLEAR_mm], True)
     assert "too few frames" in state.text
+
+
+def test_z_that_stands_clear_says_nothing_of_a_sensor_that_cannot_be_read(rig: Any) -> None:
+    rig.mm = rig.target_mm = 5.0
+    rig.sensor.read = lambda: None
+    state = pressed_state("", "", Orders(ZERO))
+    assert (rig.moves, state.released) == ([], False)
 
 
 def test_a_sensor_that_reads_nothing_where_z_stands_in_contact_is_not_believed(rig: Any) -> None:

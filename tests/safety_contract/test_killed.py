@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import time
+import tomllib
 from dataclasses import asdict
 from pathlib import Path
 
@@ -82,6 +83,36 @@ def test_what_a_killed_run_leaves_pressed_is_lifted_and_said_first_by_the_next_c
     again = rig.run("sweep", "--json", "--no-figures", "--frequencies", "210")
     first = again.stderr.splitlines()[:3]
     assert any(report["pressed"] in line for line in first), first
+
+
+@pytest.mark.thorough
+def test_what_a_killed_run_leaves_pressed_is_lifted_although_its_force_sensor_is_unplugged(rig):
+    """The port of the sensor is gone when the guard comes; z is lifted by where it stands."""
+    path = rig.folder / "a-bench.toml"
+    serving = rig.start("simulate", "--write", str(path), "--world-log", str(rig.world_log))
+    serving.wait_for("Ctrl-C ends it")
+    port = Path(tomllib.loads(path.read_text())["force_sensor"]["port"])
+    running = rig.start(
+        "sweep", "--bench", str(path), "--no-figures", "--frequencies", "210,310,410,510,610,710"
+    )
+    running.wait_for(r"^2/6 ")
+    port.unlink()
+    running.send(signal.SIGKILL)
+    running.process.wait()
+    report = rig.guard_report()
+    serving.send(signal.SIGINT)
+    serving.finish()
+    assert report is not None, "the guard never reported"
+    assert (report["safe"], report["released"]) == (True, True), report
+    assert re.search(
+        r"stage_z stood at 12\.\d\d mm; what is pressed is not known since .*; "
+        r"stage_z was lifted: stage_z stands at 11\.70 mm",
+        report["pressed"],
+    ), report
+    assert str(port) in report["pressed"]
+    stage = [e for e in rig.log() if e["device"] == "stage_z"]
+    *_, lifted_mm = (e["value"] for e in stage if e["what"] == "at-rest")
+    assert lifted_mm == pytest.approx(11.7, abs=0.02)
 
 
 @pytest.mark.thorough

@@ -99,7 +99,11 @@ def test_a_stop_on_the_way_down_to_the_parking_place_does_not_continue_down(rig)
     assert second < stopped_mm
 
 
-STILL_PRESSED = {"a little": (3.0, 3, "error: stage_z: unload: "), "over the limit": (60.0, 7, "")}
+STILL_PRESSED = {
+    "a little": (3.0, 3, "error: stage_z: unload: "),
+    "over the limit of the run": (45.0, 7, ""),
+    "over that of the sensor, too": (60.0, 7, ""),
+}
 
 
 @pytest.mark.parametrize("how", mostly_thorough(STILL_PRESSED, ["a little"]))
@@ -114,6 +118,8 @@ def test_what_is_still_pressed_after_the_last_way_up_is_reported(rig, how):
     assert told.startswith(begins)
     assert " N at 5.0" in told
     assert ("over the limit of 40 N" in told) == (code == 7)
+    assert ("preload may still be over the limit" in ended.stderr) == (code == 7)
+    assert "the guard then made the bench safe" not in ended.stderr
     assert ended.object["points_done"] == 2
     assert motion(rig)[-1] == ("at-rest", pytest.approx(5.0, abs=0.02))
 

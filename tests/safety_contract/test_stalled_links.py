@@ -22,7 +22,7 @@ pytestmark = [
 PARKED_mm = 5.0
 PRESSED_mm = 12.0
 SILENT = 'kind = "silence"\n'
-ONCE = SILENT
+"""By itself: one answer is lost."""
 FOR_EVER = f"{SILENT}count = 0\n"
 PAUSE = f"{SILENT}for_s = 2.0\n"
 """Longer than the drives wait where their time-outs are as `rig simulate` writes them."""
@@ -38,8 +38,8 @@ STALLS = {
     "slip: daq, the end of the record": (SLIP, "daq", "STOP", FIRST_RECORD, FOR_EVER),
     "slip: x, a look in the slide": (SLIP, "stage_x", "FC3 100", SLIDE, FOR_EVER),
     "slip: x, its stop": (SLIP, "stage_x", "FC16", f"{SLIDE}after_s = 0.5\n", FOR_EVER),
-    "slip: z, one look": (SLIP, "stage_z", "FC3 100", SLIDE, ONCE),
-    "slip: z, one target": (SLIP, "stage_z", "FC16", SLIDE, ONCE),
+    "slip: z, one look": (SLIP, "stage_z", "FC3 100", SLIDE, SILENT),
+    "slip: z, one target": (SLIP, "stage_z", "FC16", SLIDE, SILENT),
     "slip: force, its frames": (SLIP, "force_sensor.stream", "", SLIDE, f"{SILENT}for_s = 8.0\n"),
     # Nothing but its end is asked of a stream that runs, and then nothing is pressed any more.
     "slip: force, the end of its stream": (SLIP, "force_sensor", "", FIRST_RECORD, FOR_EVER),
@@ -48,7 +48,7 @@ STALLS = {
     "sweep: generator, its output": (SWEEP, "generator", "OUTP1", LATER, FOR_EVER),
     "sweep: daq, a record": (SWEEP, "daq", "DIG", LATER, FOR_EVER),
     "sweep: daq, a look": (SWEEP, "daq", "WAV", LATER, FOR_EVER),
-    "sweep: z, one look": (SWEEP, "stage_z", "FC3 100", LATER, ONCE),
+    "sweep: z, one look": (SWEEP, "stage_z", "FC3 100", LATER, SILENT),
 }
 """Procedure, device, command, moment, and what becomes of its answers."""
 PAUSES = {

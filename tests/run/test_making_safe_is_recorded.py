@@ -1,4 +1,4 @@
-"""Who follows a run is told that it makes the bench safe; that must not keep it from doing so."""
+"""A run records that it makes the bench safe; no failure of that record keeps it from doing so."""
 
 from __future__ import annotations
 
