@@ -44,8 +44,9 @@ def run_panel(watch: BenchWatch) -> Group:
     with watch.lock:
         view, word = watch.view, watch.word
         shown = view.summary()
+        latest = watch.last_file if not shown else None
         parts: list[Text | Table] = []
-        if mark := shown.get("mark", ""):
+        if mark := (latest or shown).get("mark", ""):
             text = printable(f" {mark}: these are not measurements ")
             parts.append(Text(text, "bold white on purple"))
         line = Text(f" {word.word} ", COLOURS[word.word])
@@ -61,7 +62,11 @@ def run_panel(watch: BenchWatch) -> Group:
                     f"{shown['sample'] or 'not named'}; {shown['last_s']:.1f} s"
                 )
             )
-        parts.append(_values(watch))
+        if latest:
+            text = f"latest run: {latest['file']}, {latest['status']}, exit {latest['exit']}"
+            parts.append(plain(text))
+        if view.rings:
+            parts.append(_values(watch))
         parts += [
             plain(f"{event['t']:.2f} s {event['code']}: {event['text']}")
             for event in list(view.events)[-SHOWN_EVENTS:]

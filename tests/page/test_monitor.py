@@ -10,6 +10,7 @@ import recorded_run as run
 from rich.console import Console
 
 from rig.files.journal.values import RunHeader
+from rig.files.runfile.compile import compile_run
 from rig.page.sensors import come
 from rig.page.terminal import bars, run_panel
 from rig.page.watch import BenchWatch
@@ -25,6 +26,19 @@ def test_a_sensor_that_always_has_something_new_is_left_for_the_next_drawing():
     assert set(come(lambda: 1)) == {1}
     left = [2, 1]
     assert list(come(lambda: left.pop() if left else None)) == [1, 2]
+
+
+def test_the_latest_run_is_named_where_only_its_file_is_left(rig):
+    day = rig.results / "2026-11-21"
+    day.mkdir(parents=True)
+    path = day / "2026-11-21T22-00-00_sweep_r001.rigj"
+    run.write_run(path)
+    compile_run(path, retire=True)
+    ended = rig.run("monitor", "--seconds", "0.5")
+    assert ended.code == 0, ended.stderr
+    assert "SIMULATED: these are not measurements" in ended.stdout
+    assert f"latest run: {path.stem}.h5, complete, exit 0" in ended.stdout
+    assert "last seconds" not in ended.stdout
 
 
 def test_a_file_cannot_control_the_terminal(tmp_path):
