@@ -68,7 +68,7 @@ def next_frame(
             and watch.bench_holder is None,
             "late": _late(view.ticks, view.late_ticks),
             "series": _series(watch, cursor),
-            "events": [event for event in view.events if event["n"] > cursor.event],
+            "events": [event for event in (*view.events, *view.slips) if event["n"] > cursor.event],
             "curve": [list(point) for point in view.curve[cursor.curve :]],
         }
         cursor.event, cursor.curve = view.event_count, len(view.curve)

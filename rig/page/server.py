@@ -45,6 +45,7 @@ from rig.page.access import HEADERS, Access, RefusedError
 from rig.page.frames import Cursor, as_event, next_frame, plain
 from rig.page.history import RunIndex
 from rig.page.night import ask_batch, batch_of, is_running, night, running_batch
+from rig.page.slips import SlipFollower
 from rig.page.watch import BenchWatch, Stop
 from rig.run.lock_holder import LockHolder, NotStoppedError, holder_of
 
@@ -61,6 +62,7 @@ PARTS = {
 }
 MOST_VIEWERS = 32
 POLL_EVERY_S = 0.1
+SLIPS_EVERY_S = 0.2
 INDEX_EVERY_S = 2.0
 NIGHT_EVERY_S = 4.0
 """Age in s up to which an answer about the batch is given to further viewers."""
@@ -386,7 +388,7 @@ def serve(state: PageState, port: int, ready: Callable[[str], None]) -> None:
             "another page may run; choose another port, or --port 0 for any",
         ) from error
     over = threading.Event()
-    for name, work in (("watch", _watch), ("index", _index)):
+    for name, work in (("watch", _watch), ("index", _index), ("slips", _slips)):
         start_thread(threading.Thread(target=work, args=(state, over), name=name, daemon=True))
     server = uvicorn.Server(
         uvicorn.Config(
@@ -418,6 +420,13 @@ def _watch(state: PageState, over: threading.Event) -> None:
         except Exception:
             log.exception("the page cannot read the journal")
             over.wait(1.0)
+
+
+def _slips(state: PageState, over: threading.Event) -> None:
+    follower, more = SlipFollower(state.watch), False
+    while not over.wait(0.0 if more else SLIPS_EVERY_S):
+        more = follower.look()
+    follower.close()
 
 
 def _index(state: PageState, over: threading.Event) -> None:

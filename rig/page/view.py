@@ -22,6 +22,7 @@ from rig.page.ring import Ring
 
 MOST_CHANNELS = 16
 MOST_EVENTS = 200
+"""Latest events that are kept, and as many slips: many slips push no hold out."""
 MOST_CURVE_POINTS = 4000
 SPECTRUM_SAMPLES = 1024
 LONGEST_ROW_S = 1.0
@@ -99,6 +100,8 @@ class RunView:
         """True if it was recorded that something could not be switched off."""
         self.discards = 0
         self.events: deque[dict[str, Any]] = deque(maxlen=MOST_EVENTS)
+        self.slips: deque[dict[str, Any]] = deque(maxlen=MOST_EVENTS)
+        """Slips that the page's own detector has found (`rig.page.slips`), as events."""
         self.event_count = 0
         self.rings: dict[str, Ring] = {}
         self.curve: list[tuple[float, float]] = []
@@ -180,16 +183,22 @@ class RunView:
 
     def note(self, level: str, code: str, text: str, time_s: float | None = None) -> None:
         """Add an event, at the latest time of the journal unless another is given."""
+        time_s = self.last_s if time_s is None else time_s
+        self.events.append(self._event(level, code, text, time_s))
+
+    def note_slip(self, time_s: float, what: str, text: str) -> None:
+        """Add an early warning or a slip."""
+        self.slips.append(self._event("slip", what, text, time_s))
+
+    def _event(self, level: str, code: str, text: str, time_s: float) -> dict[str, Any]:
         self.event_count += 1
-        self.events.append(
-            {
-                "n": self.event_count,
-                "t": self.last_s if time_s is None else time_s,
-                "level": level[:20],
-                "code": code[:60],
-                "text": text[:500],
-            }
-        )
+        return {
+            "n": self.event_count,
+            "t": time_s,
+            "level": level[:20],
+            "code": code[:60],
+            "text": text[:500],
+        }
 
     def _begin_point(self, record: PointBegin) -> None:
         self.point, self.holding = record.id, ""

@@ -449,6 +449,11 @@ class BenchWatch:
             file = lock_file(name)
             if holder_of(file) is not None:
                 return file, None
+        if path is not None and self.view.end is None and not self._report:
+            raise NotStoppedError(
+                "the run's process is gone, and its guard has not reported yet",
+                "the guard makes the bench safe; if no report comes, switch it off by hand",
+            )
         raise NotStoppedError(
             "no run holds the bench", "to stop all motion and switch all outputs off: make safe"
         )

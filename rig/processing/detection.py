@@ -20,6 +20,7 @@ from rig.detector.fir import StreamingFir
 from rig.detector.settings import DetectorSettings
 from rig.files.checksum import checksum_findings, sha256_of
 from rig.files.errors import RunFileError
+from rig.files.journal.strips import STRIPS, stream_of_strips
 from rig.files.naming import checksum_path
 from rig.files.processed.reader import ProcessedFile, is_processed
 from rig.files.processed.values import DetectedTrial, ProcessedSource, processed_path
@@ -33,11 +34,8 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from rig.files.journal.layout import Layout
     from rig.files.journal.values import RunHeader
     from rig.files.runfile.reader import Waveform
-
-STRIPS = ("v_1", "v_2")
 
 
 @dataclass(frozen=True)
@@ -128,13 +126,6 @@ def detect_trials(run: RunFile, settings: DetectorSettings) -> list[DetectedTria
             except ValueError as error:
                 raise ConfigurationError(f"{run.path}: trial {point}: {error}") from error
     return trials
-
-
-def stream_of_strips(layout: Layout) -> str | None:
-    """Return the stream that holds v_1 and v_2 according to the file's own layout, or None."""
-    return next(
-        (trace.stream for trace in layout.traces if set(STRIPS) <= set(trace.channels())), None
-    )
 
 
 def _detect(job: DetectionJob) -> DetectionResult:

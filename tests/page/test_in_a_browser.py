@@ -9,10 +9,15 @@ from typing import Any
 
 import pytest
 from chromium import DRIVER, chromium, wait_for
+from nights import ask, await_answer, folder_of
 from selenium.webdriver.common.keys import Keys
+from stops import WORLD, State, plan, read_stop
 from test_server import Page, serve
 
+from rig.detector import DEFAULT_DETECTOR
+from rig.detector.settings import named_detectors
 from rig.files.runfile.reader import RunFile
+from rig.processing.detection import detect_trials
 
 pytestmark = [
     pytest.mark.browser,
@@ -24,6 +29,17 @@ LONG = (
     *("sweep", "--json", "--no-figures", "--settling", "5s"),
     *("--frequencies", "160,180,200,220,240"),
 )
+LONG_RUNS = """
+[batch]
+name = "night"
+figures = false
+detect = false
+
+[[experiment]]
+procedure = "slip-trial"
+settings = { trials = 30 }
+repeat = 3
+"""
 
 
 @pytest.fixture
@@ -75,6 +91,12 @@ def test_a_slip_trial_is_watched_to_its_end_and_the_values_are_those_of_its_file
             assert float(shown) == pytest.approx(latest, abs=5.1e-4)
         facts = browser.find_element("id", "facts").text
         assert f"{len(run.point_ids())} of {run.outcome.points_planned}" in facts
+        (trial,) = detect_trials(run, named_detectors()[DEFAULT_DETECTOR])
+    slips = [event.time_s for event in trial.events if event.kind == "incipient slip"]
+    assert slips
+    for time_s in slips:
+        said = f"incipient slip: trial-001: at {time_s:.3f} s of its record"
+        wait_for(browser, "#events", lambda text, said=said: said in text)
     assert browser.find_elements("css selector", "#charts canvas")
 
 
@@ -140,11 +162,10 @@ def test_a_killed_run_is_never_green_before_its_guard_has_reported(rig, browser)
         ".textContent)).observe(document.getElementById('word'), {subtree: true, childList: true})"
     )
     running.send(signal.SIGKILL)
-    word(browser, "UNSAFE")
-    wait_for(browser, "#word", lambda text: "guard reported" in text or "pressed" in text)
+    wait_for(browser, "#word", lambda text: "guard reported" in text or "still pressed" in text)
     seen = browser.execute_script("return window.seen")
-    first_safe = next((n for n, text in enumerate(seen) if text.startswith("safe")), len(seen))
-    assert any(text.startswith("UNSAFE") for text in seen[:first_safe])
+    green = [text for text in seen if text.startswith("safe")]
+    assert all("its guard reported" in text for text in green), seen
 
 
 def test_a_page_that_is_killed_costs_its_run_nothing_and_a_late_one_shows_all_of_it(
@@ -165,3 +186,100 @@ def test_a_page_that_is_killed_costs_its_run_nothing_and_a_late_one_shows_all_of
     finally:
         late.kill()
         late.wait()
+
+
+APPROACH = State((), 'move = 3\nof = "stage_z"\n', 0.5)
+"""A sweep's way down to the film, half a second after its begin."""
+
+
+def test_stop_in_an_approach_ends_it_before_anything_is_pressed(rig, browser):
+    bench = rig.folder / "bench.toml"
+    serving = rig.start(
+        "simulate", "--write", str(bench), "--world", rig.world(WORLD),
+        "--world-log", str(rig.world_log), "--fault", rig.fault(plan(APPROACH, "SIGTERM")),
+    )  # fmt: skip
+    serving.wait_for("Ctrl-C ends it")
+    running = rig.start("sweep", "--bench", str(bench), "--json", "--no-figures")
+    rig.await_world("injected")
+    word(browser, "running")
+    browser.find_element("id", "stop").click()
+    course(browser, "ended")
+    ended = running.finish()
+    serving.send(signal.SIGINT)
+    assert serving.finish().code == 0
+    assert ended.code == 143, ended.stderr
+    stop = read_stop(rig.log())
+    assert stop.moving == ("stage_z",)
+    assert stop.clear_s is not None
+    assert True not in rig.outputs(), "the film was never loaded"
+    word(browser, "safe")
+
+
+def test_stop_in_a_hold_ends_the_run_that_waits(rig, browser):
+    running = rig.start(*SLIP, "--trials", "30", fresh=True)
+    word(browser, "pressed")
+    running.send(signal.SIGTSTP)  # Ctrl-Z: the bench is made safe, and the run waits
+    word(browser, "holding")
+    browser.find_element("id", "stop").click()
+    course(browser, "ended")
+    assert running.finish().code == 143
+    word(browser, "safe")
+
+
+def test_a_stop_whose_run_is_then_killed_is_red_until_the_guards_report(rig, browser):
+    running = rig.start(*LONG, fresh=True)
+    running.wait_for("^1/5 ")
+    os.kill(running.process.pid, signal.SIGSTOP)
+    browser.find_element("id", "stop").click()
+    course(browser, "asked", "hanging")
+    running.send(signal.SIGKILL)
+    told = wait_for(browser, "#course", lambda text: text.startswith("guard"))
+    if "no report yet" in told:
+        assert colour(browser, "#course") == RED
+    wait_for(browser, "#course", lambda text: "had to act" in text)
+    assert running.finish().code == -signal.SIGKILL
+    word(browser, "safe")
+
+
+def test_stop_after_kill_9_sends_nothing_and_says_who_makes_the_bench_safe(rig, browser):
+    running = rig.start(*LONG, fresh=True)
+    running.wait_for("^1/5 ")
+    word(browser, "running", "pressed")
+    running.send(signal.SIGKILL)
+    assert running.finish().code == -signal.SIGKILL
+    browser.find_element("id", "stop").click()
+    told = wait_for(browser, "#notice", lambda text: text != "")
+    assert "its guard has not reported yet" in told or "no run holds the bench" in told
+    word(browser, "safe")
+    assert "its guard reported" in browser.find_element("id", "word").text
+
+
+def queue_of(rig: Any) -> list[tuple[int, str]]:
+    """Number and state of the runs of the one batch."""
+    return ask(folder_of(rig.results), "SELECT number, state FROM run ORDER BY number")
+
+
+def test_in_a_batch_this_run_is_stopped_and_the_next_follows_until_the_night_is_stopped(
+    rig, browser
+):
+    (rig.folder / "night.toml").write_text(LONG_RUNS)
+    running = rig.start("batch", "run", "night.toml", fresh=True)
+    word(browser, "pressed")
+    wait_for(browser, "#facts", lambda text: "night: 0 of 3 runs over" in text)
+    browser.find_element("tag name", "body").send_keys("s")
+    dialog = browser.find_element("id", "ask")
+    assert dialog.is_displayed()
+    dialog.find_element("css selector", "[value=run]").click()
+    await_answer(folder_of(rig.results), "SELECT state FROM run WHERE number = 1", "failed")
+    await_answer(folder_of(rig.results), "SELECT state FROM run WHERE number = 2", "running")
+    wait_for(browser, "#facts", lambda text: "night: 1 of 3 runs over" in text)
+    word(browser, "pressed")
+    browser.find_element("id", "stop").click()
+    browser.find_element("css selector", "#ask [value=night]").click()
+    ended = running.finish()
+    assert ended.code == 143, ended.stderr
+    states = dict(queue_of(rig))
+    assert states[1] == "failed"
+    assert states[2] != "done"
+    assert states[3] == "queued"
+    word(browser, "safe")

@@ -19,7 +19,7 @@ from rig.page.folder import ResultsFolder
 from rig.page.watch import BenchWatch, Stop
 from rig.run.bench_mark import BenchMark, write_marks
 from rig.run.lock import address_names
-from rig.run.lock_holder import LockHolder, holder_of, lock_file
+from rig.run.lock_holder import LockHolder, NotStoppedError, holder_of, lock_file
 from rig.run.shared_folder import VARIABLE
 
 BENCH = """
@@ -195,6 +195,18 @@ def test_a_stop_is_over_once_its_run_is_resumed(results: Path) -> None:
     with held(path):  # by another process
         words(watch)
         assert watch.stop is None
+
+
+def test_a_stop_after_the_run_died_says_that_its_guard_makes_the_bench_safe(results: Path) -> None:
+    path = journal_in(results, ended=False)
+    watch = BenchWatch(results)
+    words(watch)
+    with pytest.raises(NotStoppedError, match="its guard has not reported yet"):
+        watch.ask_to_stop()
+    report(path, 4242)
+    words(watch)
+    with pytest.raises(NotStoppedError, match="no run holds the bench"):
+        watch.ask_to_stop()
 
 
 def test_a_further_press_counts_and_only_an_explicit_one_reaches_the_process(

@@ -229,8 +229,8 @@ def _run_file(journal: Path) -> Path:
 
 def _kind_of(file: Path) -> tuple[bool, bool]:
     """Return whether a run file has points, and whether it has the strips' signals."""
+    from rig.files.journal.strips import stream_of_strips
     from rig.files.runfile.reader import RunFile
-    from rig.processing.detection import stream_of_strips
 
     with RunFile.open(file) as run:
         return bool(run.point_ids()), stream_of_strips(run.header.layout) is not None

@@ -2,7 +2,7 @@
 // nothing. Text from files goes into the page as text only, never as markup.
 "use strict";
 
-const BIN_S = 0.05, KEPT = 3600, LOST_MS = 2500, OLD_S = 2;
+const BIN_S = 0.05, KEPT = 3600, MOST_EVENTS = 200, LOST_MS = 2500, OLD_S = 2;
 const $ = id => document.getElementById(id);
 const token = takeToken();
 let series = {}, curve = [], events = [], spectrum = null, generation = -1, charts = {};
@@ -29,8 +29,17 @@ function element(name, text, attributes = {}) {
   return made;
 }
 
-function say(id, text) { // written only when it changes: a screen reader says each writing
-  if ($(id).textContent !== text) $(id).textContent = text;
+function write(node, text) { // only when it changes: a screen reader says each writing, a selection is lost
+  if (node.textContent !== String(text)) node.textContent = text;
+}
+
+function say(id, text) {
+  write($(id), text);
+}
+
+function fill(list, items, make, update) { // keeps the elements that are there
+  while (list.children.length > items.length) list.lastChild.remove();
+  items.forEach((item, n) => update(list.children[n] || list.appendChild(make()), item));
 }
 
 function notice(text) {
@@ -91,7 +100,7 @@ function take(frame) {
   for (const [name, news] of Object.entries(frame.series)) merge(name, news, frame.run.streams[name]);
   curve = curve.concat(frame.curve);
   if (frame.spectrum !== undefined) spectrum = frame.spectrum;
-  for (const event of frame.events) addEvent(event);
+  addEvents(frame.events);
   last = frame;
   lastFrameAt = performance.now();
   show();
@@ -157,9 +166,10 @@ function show() {
 
 function showFacts(run) {
   const facts = [];
+  if (night.running) facts.push(["batch", `${night.name}: ${ended(night.runs)} of ${total(night.runs)} runs over`]);
   if (run.procedure) {
     facts.push(["run", run.procedure + (run.end ? ` (${run.end.status}, exit ${run.end.exit})` : "")]);
-    facts.push(["point", `${run.n} of ${run.planned}`], ["open", run.point || "none"]);
+    facts.push(["point", `${run.n} of ${run.planned}`], ["open point", run.point || "none"]);
     facts.push(["time left", run.end ? "ended" : (run.left_s === null ? "" : "about ") + span(run.left_s)], ["time in the run", span(run.last_s)]);
     facts.push(["sample", run.sample || "not named"], ["started", (run.start || "").slice(0, 19).replace("T", " ")]);
     facts.push(["process", last.holder ? `${last.holder.pid} (${last.holder.user})` : "none"]);
@@ -168,11 +178,12 @@ function showFacts(run) {
   } else if (last.last_file) {
     facts.push(["latest run", last.last_file.file], ["it ended", `${last.last_file.status}, exit ${last.last_file.exit}`]);
   } else facts.push(["run", "none yet; the next run appears here automatically"]);
-  $("facts").replaceChildren(...facts.map(([name, value]) => {
-    const pair = element("div");
-    pair.append(element("dt", name), element("dd", value));
-    return pair;
-  }));
+  const pair = () => {
+    const made = element("div");
+    made.append(element("dt"), element("dd"));
+    return made;
+  };
+  fill($("facts"), facts, pair, (one, [name, value]) => { write(one.firstChild, name); write(one.lastChild, value); });
 }
 
 function readOut(value, units) { // volts of a film are small: 85.7 µV, not 0.0000857 V
@@ -188,26 +199,37 @@ function showNumbers(run) {
     about.channels.forEach((channel, c) => {
       if (!about.latest.length) return;
       const old = !last.holder || run.end || about.age_s > OLD_S || last.silent_s > OLD_S;
-      const one = element("span", `${channel} `, {"data-channel": `${name}.${channel}`, class: old ? "old" : ""});
       const [number, units] = readOut(about.latest[c], about.units);
-      one.append(element("b", number), ` ${units}${old ? " (old)" : ""}`);
-      shown.push(one);
+      shown.push({channel, of: name, old, number, units: ` ${units}${old ? " (old)" : ""}`});
     });
-  $("numbers").replaceChildren(...shown);
+  const box = () => {
+    const made = element("span");
+    made.append(element("span"), element("b"), element("span"));
+    return made;
+  };
+  fill($("numbers"), shown, box, (one, about) => {
+    one.dataset.channel = `${about.of}.${about.channel}`;
+    one.className = about.old ? "old" : "";
+    [`${about.channel} `, about.number, about.units].forEach((text, n) => write(one.children[n], text));
+  });
 }
 
-function addEvent(event) {
-  events.push(event);
-  if (events.length > 200) events.shift();
-  const marked = ["warning", "error"].includes(event.level);
-  const item = element("li", `${event.t.toFixed(2)} s  ${marked ? event.level + ", " : ""}${event.code}: ${event.text}`);
-  item.className = marked ? event.level : "";
-  $("events").prepend(item);
-  while ($("events").children.length > 200) $("events").lastChild.remove();
+function addEvents(news) {
+  if (!news.length) return;
+  const latest = slips => [...events, ...news].filter(event => (event.level === "slip") === slips).slice(-MOST_EVENTS);
+  events = [...latest(false), ...latest(true)]; // many slips push no hold out
+  const latestFirst = [...events].sort((a, b) => b.t - a.t || b.n - a.n);
+  $("events").replaceChildren(...latestFirst.map(event => {
+    const marked = ["warning", "error"].includes(event.level);
+    const item = element("li", `${event.t.toFixed(2)} s  ${marked ? event.level + ", " : ""}${event.code}: ${event.text}`);
+    item.className = event.level;
+    return item;
+  }));
 }
 
 // --- drawing ------------------------------------------------------------------------------------
 
+const EVENT_COLOURS = {error: "--unsafe", warning: "--holding", slip: "--slip"};
 const TITLES = {signals: "PVDF strips", force: "Forces", position: "Positions", servo_error: "Servo error", waveform: "Waveform", load_rate: "Load rate"};
 const fits = new ResizeObserver(() => {
   for (const one of Object.values(charts)) {
@@ -218,7 +240,7 @@ const fits = new ResizeObserver(() => {
 const colour = name => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
 
 function chart(id, title, labels, scales, axes, opts = {}) {
-  if (charts[id] && charts[id].labels === labels.join()) return charts[id];
+  if (charts[id] && charts[id].named === title + labels) return charts[id];
   if (charts[id]) { charts[id].plot.destroy(); charts[id].box.remove(); }
   const box = element("div", undefined, {class: "chart"});
   box.append(element("h3", title));
@@ -234,23 +256,30 @@ function chart(id, title, labels, scales, axes, opts = {}) {
     hooks: opts.events ? {draw: [drawEvents]} : {},
   }, [[], ...labels.map(() => [])], box);
   fits.observe(box); // the grid may get a second column with the next chart
-  return charts[id] = {plot, box, labels: labels.join()};
+  return charts[id] = {plot, box, named: title + labels};
+}
+
+function importance(event) {
+  return {"incipient slip": 0, "early warning": 3}[event.code] ?? (["warning", "error"].includes(event.level) ? 1 : 2);
 }
 
 function drawEvents(plot) {
-  const context = plot.ctx, {left, top, width, height} = plot.bbox;
+  const context = plot.ctx, {left, top, width, height} = plot.bbox, size = 11 * devicePixelRatio;
+  const rows = [[], [], []]; // where labels are already, from x to x
+  const seen = events.filter(event => event.code !== "discarded" && event.t >= plot.scales.x.min && event.t <= plot.scales.x.max);
   context.save();
-  context.textAlign = "left";
-  let line = 0;
-  for (const event of events) {
-    if (event.code === "discarded" || event.t < plot.scales.x.min || event.t > plot.scales.x.max) continue;
+  context.font = `${10 * devicePixelRatio}px sans-serif`;
+  for (const event of seen.sort((a, b) => importance(a) - importance(b) || a.t - b.t)) {
     const x = plot.valToPos(event.t, "x", true);
-    if (x < left || x > left + width) continue;
-    context.strokeStyle = context.fillStyle = event.level === "error" ? "#d2001c" : event.level === "warning" ? "#c07600" : colour("--faint");
-    context.setLineDash([4, 3]);
+    context.strokeStyle = context.fillStyle = colour(EVENT_COLOURS[event.level] || "--faint");
+    context.setLineDash(event.code === "incipient slip" ? [] : [4, 3]);
     context.beginPath(); context.moveTo(x, top); context.lineTo(x, top + height); context.stroke();
-    context.font = `${10 * devicePixelRatio}px sans-serif`;
-    context.fillText(event.code.slice(0, 14), x + 3, top + (11 + 11 * (line++ % 3)) * devicePixelRatio);
+    const label = event.code.slice(0, 14), wide = context.measureText(label).width;
+    const from = x + wide + 3 > left + width ? x - wide - 3 : x + 3, to = from + wide;
+    const row = rows.findIndex(taken => taken.every(([a, b]) => to < a - 3 || from > b + 3));
+    if (row < 0) continue; // the list below has it
+    context.fillText(label, from, top + size * (row + 1));
+    rows[row].push([from, to]);
   }
   context.restore();
 }
@@ -260,8 +289,8 @@ function draw(run) {
   for (const [name, about] of Object.entries(run.streams || {})) {
     const mine = series[name];
     if (!mine || !mine.k.length) continue;
-    const labels = about.channels.map(channel => about.units ? `${channel} (${about.units})` : channel);
-    const one = chart(name, TITLES[name] || name, labels, {x: {time: false}}, [{label: "s since the run's start", labelSize: 18, size: 34}, {size: 58, values: (_, ticks) => ticks.map(v => String(Number(v.toPrecision(6))))}], {events: true});
+    const labels = about.channels;
+    const one = chart(name, (TITLES[name] || name) + (about.units ? ` (${about.units})` : ""), labels, {x: {time: false}}, [{label: "s since the run's start", labelSize: 18, size: 34}, {size: 58, values: (_, ticks) => ticks.map(v => String(Number(v.toPrecision(6))))}], {events: true});
     const last = mine.k[mine.k.length - 1] * BIN_S;
     const to = Math.max(newest - last > length ? last : newest, length), from = to - length;
     let first = mine.k.length;
@@ -395,6 +424,14 @@ function table(heads, rows) {
   return wide;
 }
 
+function total(runs) {
+  return Object.values(runs).reduce((a, b) => a + b, 0);
+}
+
+function ended(runs) { // those that are not taken again
+  return runs.done + runs.failed + runs["set-aside"];
+}
+
 function showNight() {
   const body = $("night-body");
   if (night.problem) return body.replaceChildren(element("p", night.problem, {class: "warning"}));
@@ -402,10 +439,9 @@ function showNight() {
   const parts = [];
   for (const text of night.bench_warnings) parts.push(element("p", text, {class: "warning"}));
   parts.push(element("h2", `${night.simulated ? "SIMULATED " : ""}batch ${night.name}: ${night.state}${night.running ? "" : " (not running)"}`));
-  const total = Object.values(night.runs).reduce((a, b) => a + b, 0);
-  parts.push(element("progress", undefined, {max: total, value: night.runs.done + night.runs.failed + night.runs["set-aside"]}));
+  parts.push(element("progress", undefined, {max: total(night.runs), value: ended(night.runs)}));
   const list = element("dl");
-  const facts = [["done", `${night.runs.done} of ${total}`], ["queued", night.runs.queued], ["running", night.runs.running], ["failed", night.runs.failed], ["set aside", night.runs["set-aside"]], ["retried", night.retried], ["holds", night.holds], ["presses", night.presses], ["left", span(night.left_s)], ["expected end", night.running && !night.simulated ? night.finish.slice(0, 16).replace("T", " ") : "–"]];
+  const facts = [["done", `${night.runs.done} of ${total(night.runs)}`], ["queued", night.runs.queued], ["running", night.runs.running], ["failed", night.runs.failed], ["set aside", night.runs["set-aside"]], ["retried", night.retried], ["holds", night.holds], ["presses", night.presses], ["left", span(night.left_s)], ["expected end", night.running && !night.simulated ? night.finish.slice(0, 16).replace("T", " ") : "–"]];
   if (night.heartbeat) facts.push(["now", `${night.heartbeat.state}: ${night.heartbeat.message}`]);
   for (const [name, value] of facts) {
     const pair = element("div");
