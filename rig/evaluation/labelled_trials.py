@@ -35,7 +35,7 @@ Label = Literal["slip", "roll", "lift-off", "hold", "tap", "slip in a roll"]
 """Labels of trials, by their truth."""
 LABELS: tuple[Label, ...] = get_args(Label)
 
-_FORMAT = 1
+_FORMAT = 2
 _RAMP_S = 0.05
 _SETTLE_S = 0.1
 _AFTER_GROSS_S = 0.06

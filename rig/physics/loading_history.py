@@ -281,7 +281,7 @@ class _Plate:
         self._dt = dt
         self._mass = settings.object_mass_g * 1e-6
         self._speed = 0.0
-        self._slip = np.zeros(body.ridge.size)
+        self._bonded = np.ones(body.ridge.size)
         self.status: Statuses = np.zeros(body.ridge.size, np.int8)
         self.friction_N = 0.0
 
@@ -292,8 +292,7 @@ class _Plate:
         height = self._gap - u[self._y] - self._dt * v[self._y]
         pressing = _pressing(height, stiffness, normal_N)
         f = self._friction
-        weakened = np.exp(-self._slip / (f.weakening_distance_um * 1e-3))
-        mu = f.kinetic_coefficient + (f.static_coefficient - f.kinetic_coefficient) * weakened
+        mu = f.kinetic_coefficient + (f.static_coefficient - f.kinetic_coefficient) * self._bonded
         limit = mu * pressing
         drag = _Drag(v[self._x].copy(), 1.0 / self._per_N, limit)
         self._speed = drag.plate_speed(self._speed, tangential_N, self._mass / self._dt)
@@ -305,9 +304,12 @@ class _Plate:
 
     def _judge(self, slide: Floats, pressing: Floats, force: Floats, limit: Floats) -> None:
         slips = (np.abs(force) >= limit * (1 - 1e-12)) & (pressing > 0)
-        healing = math.exp(-self._dt / (self._friction.healing_time_ms * 1e-3))
-        self._slip = np.where(slips, self._slip + np.abs(slide) * self._dt, self._slip * healing)
-        self._slip[pressing <= 0] = 0.0
+        law, speed = self._friction, np.abs(slide) * slips
+        self._bonded *= np.exp(-speed * self._dt / (law.weakening_distance_um * 1e-3))
+        rests = speed <= law.healing_speed_um_s * 1e-3
+        left = math.exp(-self._dt / (law.healing_time_ms * 1e-3))
+        self._bonded = np.where(rests, 1 - (1 - self._bonded) * left, self._bonded)
+        self._bonded[pressing <= 0] = 1.0
         direction = np.where(force > 0, SLIP_PLUS, SLIP_MINUS)
         self.status = np.where(pressing <= 0, OPEN, np.where(slips, direction, STICK)).astype(
             np.int8

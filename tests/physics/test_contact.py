@@ -413,7 +413,7 @@ def test_a_step_without_an_answer_is_raised_and_undone(skin6: CondensedSkin):
     stepper.state = before
     stepper.advance(np.full(done, 4.0), 1e-3 * np.arange(1, done + 1))
     before = stepper.state
-    for name in ("force_N", "status", "downward_mm", "sideways_mm", "slip_mm", "scalars"):
+    for name in ("force_N", "status", "downward_mm", "sideways_mm", "bonded", "scalars"):
         assert np.array_equal(getattr(before, name), getattr(after, name)), name
 
 

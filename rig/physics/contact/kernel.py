@@ -56,8 +56,8 @@ NODES, COUNTING, ORDER, MARKED, WHICH, ANSWERED, HELD = range(7)
 ) = range(7)
 SUMMARY = 7
 # Constants of a stepper.
-ALPHA, MU_S, MU_K, D_C, HEAL, MASS_DT2, DT, CURVATURE = range(8)
-CONSTANTS = 8
+ALPHA, MU_S, MU_K, D_C, BROKEN_LEFT, REST, MASS_DT2, DT, CURVATURE = range(9)
+CONSTANTS = 9
 
 SET_TOLERANCE_N = 1e-11
 SET_TOLERANCE_MM = 1e-11
@@ -76,8 +76,8 @@ FRICTION_SETTLED = 1e-9
 EAGER = 4.0
 """Factor used by `_outdated`. It trades more updates of the inverse for fewer whole steps; chosen
 by measurement."""
-WEAKENED = 40.0
-"""Weakening distances after which no digit of the coefficient changes any more."""
+NEGLIGIBLE_SHARE = 1e-18
+"""Share of the bonds, whole or broken, that changes no digit of the coefficient any more."""
 REFRESH_UPDATES = 4000
 FORGOTTEN_N = 1e-18
 """Force behind the rule of the time step that is taken as zero."""
@@ -1089,6 +1089,24 @@ def _step(
 
 
 @njit(cache=True, error_model="numpy")
+def _bonded(before: float, status: int, slide: float, constants: Any) -> float:
+    """Returns the share of a touching node's bonds that are whole after a step.
+
+    Slip breaks them, exp(-1) of them remaining after the weakening distance. At rest, or creeping
+    slower than the healing speed, broken bonds form again with the healing time. A slipping node
+    that has stopped thereby gains friction, would be dragged backwards by it, and so sticks.
+    """
+    bonded = before
+    if status != STICK:
+        bonded *= np.exp(-slide / constants[D_C])
+    if status == STICK or slide <= constants[REST]:
+        bonded = 1.0 - (1.0 - bonded) * constants[BROKEN_LEFT]
+    if bonded < NEGLIGIBLE_SHARE:
+        return 0.0
+    return bonded
+
+
+@njit(cache=True, error_model="numpy")
 def _touch_somewhere(height: Any, w: Any, beta: float, status: Any) -> None:
     """Makes the highest node touch, because a pressed object touches at least one node."""
     highest = 0
@@ -1104,7 +1122,7 @@ def _touch_somewhere(height: Any, w: Any, beta: float, status: Any) -> None:
 def advance(
     C: Any, x: Any, gap: Any, tributary: Any, ridge: Any, constants: Any, modes: Any,
     normal: Any, tangent: Any, rotation: Any,
-    w: Any, u: Any, slip: Any, mu: Any, slopes: Any, status: Any, held: Any, force: Any,
+    w: Any, u: Any, bonded: Any, mu: Any, slopes: Any, status: Any, held: Any, force: Any,
     filtered: Any, seen: Any, slots: Any, owner: Any, ints: Any, scalars: Any, inverse: Any,
     work: Any, listed: Any, nodes: Any, packed: Any, compact: Any, answers: Any, slides: Any,
     small: Any,
@@ -1152,7 +1170,7 @@ def advance(
             )  # fmt: skip
             motion[0], motion[1] = scalars[D], new_x
             iterations, dissipated, area = 0, 0.0, 0.0
-            _fill(slip, 0.0)
+            _fill(bonded, 1.0)
             _fill(mu, constants[MU_S])
         else:
             iterations = _again(
@@ -1185,22 +1203,13 @@ def advance(
             for i in range(m):
                 slide = new_u[i] - u[i] - spin[i] - motion[1]
                 if status[i] == OPEN:
-                    slip[i] = 0.0
-                elif status[i] == STICK:
-                    slip[i] *= constants[HEAL]
-                    area += tributary[i]
+                    bonded[i] = 1.0
                 else:
-                    slip[i] += abs(slide)
-                    dissipated -= force[m + i] * slide
                     area += tributary[i]
-                if slip[i] < 1e-9 * constants[D_C]:
-                    slip[i] = 0.0
-                    mu[i] = constants[MU_S]
-                elif slip[i] > WEAKENED * constants[D_C]:
-                    mu[i] = constants[MU_K]
-                else:
-                    fresh = np.exp(-slip[i] / constants[D_C])
-                    mu[i] = constants[MU_K] + (constants[MU_S] - constants[MU_K]) * fresh
+                    if status[i] != STICK:
+                        dissipated -= force[m + i] * slide
+                    bonded[i] = _bonded(bonded[i], status[i], abs(slide), constants)
+                mu[i] = constants[MU_K] + (constants[MU_S] - constants[MU_K]) * bonded[i]
                 w[i] = new_w[i]
                 u[i] = new_u[i]
         scalars[D] = motion[0]

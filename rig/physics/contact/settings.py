@@ -10,10 +10,13 @@ from rig.core.settings import Settings
 
 
 class FrictionSettings(Settings):
-    """Coulomb friction at every node, with slip weakening and healing.
+    """Coulomb friction at every node, with slip weakening and healing (decision 0078).
 
-    μ = μ_k + (μ_s - μ_k) exp(-D/D_c), where D is the distance slipped since the node last stuck.
-    While a node sticks D decays with the healing time; when it lifts off D returns to 0.
+    μ = μ_k + (μ_s - μ_k) ψ, where ψ is the share of the bonds between skin and object that are
+    whole. Slip breaks them: ψ falls by a factor of exp(-D/D_c) over a distance D. While a node
+    sticks or creeps, they form again: 1 - ψ falls by a factor of exp(-t/t_h) over a time t. After a
+    long slide and a rest of t the static coefficient is therefore μ_s - (μ_s - μ_k) exp(-t/t_h).
+    When a node lifts off and touches again, ψ is 1.
     """
 
     static_coefficient: float = 0.8
@@ -23,7 +26,9 @@ class FrictionSettings(Settings):
     weakening_distance_um: float = Field(5.0, gt=0)
     """Weakening distance D_c. Without it the drop of friction would depend on the mesh."""
     healing_time_ms: float = Field(20.0, gt=0)
-    """Time constant of healing while a node sticks."""
+    """Healing time t_h: time constant with which friction recovers at rest."""
+    healing_speed_um_s: float = Field(1.0, gt=0)
+    """Speed of slip up to which friction heals (assumed); slower than any commanded slide."""
 
     @model_validator(mode="after")
     def _weakens(self) -> Self:

@@ -82,12 +82,12 @@ class ContactState:
 
     Displacements of open nodes may be those of an earlier step. The present ones are the compliance
     times ``filtered_N``, the force behind the rule of the time step. ``drift_mm`` is how far open
-    nodes could have moved when each was last computed.
+    nodes could have moved when each was last computed. ``bonded`` is the share of whole bonds ψ.
     """
 
     downward_mm: Floats
     sideways_mm: Floats
-    slip_mm: Floats
+    bonded: Floats
     friction: Floats
     slopes: Floats
     status: Statuses
@@ -220,7 +220,7 @@ class ContactStepper:
         done = kernel.advance(
             self.skin.compliance_mm_N, self.skin.contact_x_mm, self.skin.gap_mm, self._tributary,
             self.skin.ridge, self._constants, modes, normals, tangents, rotations,
-            s.downward_mm, s.sideways_mm, s.slip_mm, s.friction, s.slopes, s.status, s.held_status,
+            s.downward_mm, s.sideways_mm, s.bonded, s.friction, s.slopes, s.status, s.held_status,
             s.force_N, s.filtered_N, s.drift_mm, s.slots, s.owner, s.integers, s.scalars, s.inverse,
             self._work, self._listed, self._nodes, self._packed, self._compact, self._answers,
             self._slides, self._small,
@@ -265,6 +265,7 @@ class ContactStepper:
                 friction.kinetic_coefficient,
                 friction.weakening_distance_um * 1e-3,
                 np.exp(-dt / (friction.healing_time_ms * 1e-3)),
+                friction.healing_speed_um_s * 1e-3 * dt,
                 self.settings.object_mass_kg * 1e-3 / dt**2,
                 dt,
                 1.0 / self.body.radius_mm if isinstance(self.body, Cylinder) else 0.0,
@@ -277,7 +278,7 @@ class ContactStepper:
         return ContactState(
             downward_mm=np.zeros(m),
             sideways_mm=np.zeros(m),
-            slip_mm=np.zeros(m),
+            bonded=np.ones(m),
             friction=np.full(m, self.settings.friction.static_coefficient),
             slopes=np.zeros(m),
             status=np.zeros(m, np.int8),
