@@ -77,7 +77,7 @@ def test_a_block_on_a_spring_sticks_and_slips_with_the_period_of_the_closed_form
     stepper.advance(
         np.full(400, NORMAL_N), press(spring_N_mm * stretched_mm), tangential_control="force"
     )
-    origin, forces = stepper.position_mm - stretched_mm, []
+    origin, forces = stepper.position_mm + stretched_mm, []
     for k in range(1, round(3.5 / STEP_S) + 1):
         stretch = pull_mm_s * STEP_S * k - (stepper.position_mm - origin)
         stepper.advance(NORMAL_N, spring_N_mm * stretch, tangential_control="force")
