@@ -65,6 +65,11 @@ class ForceHold:
         like it."""
         self._servo.slide_begins(expected)
 
+    def hold_at(self, force_N: float) -> None:
+        """Change the held force, from the next step on; the servo brings it there at its own
+        rate."""
+        self._servo.hold_at(force_N)
+
     def step(self, force_N: float, torque_too: bool) -> None:
         """Give z a new target, and read its torque if it is due and `torque_too`.
 

@@ -117,8 +117,9 @@ class PressedProcedure(TrialProcedure):
         """Do what the procedure is about. The skin is pressed and the normal force is held.
 
         Use `trial.hold(seconds)` and `trial.move_x(to_mm, speed_mm_s)`; the force is held during
-        both, and everything is recorded. Do not wait in any other way: outside of them nothing
-        controls the force. An exception ends the run; the skin is lifted all the same.
+        both, and everything is recorded; `trial.hold_at(force_N)` changes it. Do not wait in any
+        other way: outside of them nothing controls the force. An exception ends the run; the skin
+        is lifted all the same.
         """
 
     @abstractmethod

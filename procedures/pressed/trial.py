@@ -229,6 +229,19 @@ class PressedTrial:
         self._held().step(force_N, self.recorder.leaves_time)
         return True
 
+    def hold_at(self, force_N: float) -> None:
+        """Change the normal force that is held, from the next tick on.
+
+        ValueError for a force that is not above 0 N and below `largest_force_N`. The reading's
+        errors of the force stay those from `normal_force_N`.
+        """
+        if not 0 < force_N < self.settings.largest_force_N:
+            raise ValueError(
+                f"a held force of {force_N:g} N is not between 0 and largest_force_N "
+                f"{self.settings.largest_force_N:g} N"
+            )
+        self._held().hold_at(force_N)
+
     def since_s(self) -> float:
         """Return the time since the record began."""
         return self.run.clock.now() - self.record.begun_s

@@ -36,7 +36,7 @@ from __future__ import annotations
 import math
 from bisect import bisect_right
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 MEMORY = 1.3
 """Memory of the disturbance filter, in units of the time from a command to the middle of its
@@ -207,6 +207,15 @@ class ForceServo:
         """
         self._since_s = None
         self._expected, self.shift = expected or ContactShift(), ContactShift()
+
+    def hold_at(self, target_N: float) -> None:
+        """Changes the set point, from the next step on. The stiffness is taken to stay what it is.
+
+        Raises ValueError for a force that is not finite or not above 0.
+        """
+        if not (target_N > 0 and math.isfinite(target_N)):
+            raise ValueError(f"target_N {target_N:g} must be a number above 0")
+        self.settings = replace(self.settings, target_N=target_N)
 
     @property
     def commanded_mm(self) -> float:

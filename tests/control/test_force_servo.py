@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Container
 
 import numpy as np
@@ -293,3 +294,14 @@ def test_no_move_of_the_servo_is_faster_than_its_bound() -> None:
     step = servo.step(force_N=0.5)
     assert step.speed_mm_s == 1.5, "and not 200 N/s on 10 N/mm"
     assert abs(step.increment_mm) <= 1.5 * 0.01
+
+
+def test_a_new_set_point_is_reached_and_held() -> None:
+    servo = ForceServo(settings_from(4.0, STIFFNESS_N_mm, 0.01, 0.005))
+    assert servo.step(4.0).increment_mm == pytest.approx(0.0)
+    servo.hold_at(4.5)
+    # The next step goes all the way: half a newton on the known stiffness.
+    assert servo.step(4.0).increment_mm == pytest.approx(0.5 / STIFFNESS_N_mm)
+    for wrong in (0.0, -1.0, math.nan, math.inf):
+        with pytest.raises(ValueError, match="target_N"):
+            servo.hold_at(wrong)

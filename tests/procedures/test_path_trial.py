@@ -1,0 +1,70 @@
+"""Path trials: what they refuse, the moves along a path, and a run on the simulated bench."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+from procedures.path_trial.path import Course, moves_along
+from procedures.path_trial.settings import PathTrialSettings
+from rig.files.runfile.reader import RunFile
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"path_times_s": (0, 1)}, "path_times_s has 2 values, path_positions_mm has 0"),
+        ({"path_times_s": (0, 1, 1), "path_positions_mm": (0, 1, 2)}, "has to ascend from 0"),
+        ({"path_times_s": (0.1, 1), "path_positions_mm": (0, 1)}, "has to ascend from 0"),
+        ({"path_times_s": (0, 1), "path_positions_mm": (1, 2)}, "has to begin with 0, not 1"),
+        ({"force_times_s": (0, 1), "force_shares": (0.5, 1)}, "has to begin with 1, not 0.5"),
+        ({"force_times_s": (0, 1), "force_shares": (1, 0.01)}, "force_shares has 0.01, less than"),
+        ({"force_times_s": (0, 1), "force_shares": (1, 4)}, "ask for 16 N, which is not below"),
+    ],
+)
+def test_a_path_or_course_that_cannot_be_followed_is_refused(given: dict, words: str) -> None:
+    with pytest.raises(ValidationError, match=words):
+        PathTrialSettings(**given)
+
+
+def test_a_change_of_speed_does_not_stop_the_stage_and_a_rest_does() -> None:
+    course = Course((0.0, 1.0, 2.0, 3.0, 4.0), (0.0, 2.0, 3.0, 3.0, 1.0))
+    told = [(one.at_s, one.to_mm, one.speed_mm_s) for one in moves_along(course)]
+    assert told == [(0.0, 3.0, 2.0), (1.0, 3.0, 1.0), (3.0, 1.0, 2.0)]
+
+
+def test_a_course_is_straight_between_its_corners_and_constant_after_them() -> None:
+    course = Course((0.0, 1.0, 2.0), (1.0, 0.5, 0.7))
+    assert [course.at(t, 1.0) for t in (0.0, 0.5, 1.5, 9.0)] == pytest.approx([1.0, 0.75, 0.6, 0.7])
+    assert Course((), ()).at(3.0, 1.0) == 1.0
+
+
+@pytest.mark.thorough
+def test_x_follows_the_path_and_the_force_its_course_and_the_skin_is_lifted(rig: Any) -> None:
+    done = rig.run(
+        "path-trial", "--json", "--no-figures", "--world-log", str(rig.world_log),
+        "--normal-force", "3N", "--tick", "200", "--path-times", "0,0.2,0.5,0.6",
+        "--path-positions", "0,0.06,0.06,0", "--force-times", "0,0.8,1.1",
+        "--force-shares", "1,1,0.5", "--stay", "0.4", "--force-error-rms", "100",
+        "--force-error-peak", "100",
+    )  # fmt: skip
+    assert done.code == 0, done.stderr
+    z = [e for e in rig.log() if e["device"] == "stage_z" and e["what"] in ("move", "at-rest")]
+    assert (z[-1]["what"], z[-1]["value"]) == ("at-rest", pytest.approx(5.0, abs=0.01))
+    with RunFile.open(rig.only("*.h5")) as run:
+        (reading,) = run.readings()
+        (force,) = run.waveforms("trial-001", stream="force")
+        (ticks,) = run.waveforms("trial-001", stream="ticks")
+        (position,) = run.waveforms("trial-001", stream="position")
+        begun_s = reading["motion_from_s"]
+        since_s = ticks.values("elapsed") - begun_s
+        x_mm = position.values("x") - 10.0
+        normal_N = force.values("F_n")
+        at_s = np.arange(normal_N.size) / 1000 - begun_s
+    for time_s, wanted_mm in ((-0.05, 0.0), (0.1, 0.03), (0.35, 0.06), (0.9, 0.0)):
+        assert np.interp(time_s, since_s, x_mm) == pytest.approx(wanted_mm, abs=0.008)
+    for time_s, wanted_N in ((-0.1, 3.0), (0.6, 3.0), (0.95, 2.25), (1.4, 1.5)):
+        near = np.abs(at_s - time_s) < 0.01
+        assert normal_N[near].mean() == pytest.approx(wanted_N, abs=0.12)
+    assert reading["smallest_normal_N"] == pytest.approx(1.5, abs=0.1)
