@@ -1,16 +1,14 @@
-"""``rig score`` scores detectors on random trials of the skin model or on labelled run files.
+"""``rig score`` scores detectors on random trials, of the skin model or made on the whole simulated
+bench, or on labelled run files.
 
 Modules that are slow to import are imported inside. stdout carries the tables, stderr the progress.
-Nothing is written before everything has been computed.
 """
 
 from __future__ import annotations
 
-import csv
-import json
 import math
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
@@ -18,6 +16,7 @@ import typer
 
 from rig.cli.model_errors import model_errors
 from rig.cli.outcome import reported, say
+from rig.cli.score_report import report, write
 from rig.core.errors import ConfigurationError
 from rig.core.toml_files import MAX_JSON_BYTES, read_text
 from rig.detector import DEFAULT_DETECTOR
@@ -28,64 +27,46 @@ if TYPE_CHECKING:
     from rig.evaluation.scored_trials import Population
     from rig.evaluation.scoring.baselines import BaselineSettings
     from rig.evaluation.scoring.contenders import Contender
-    from rig.evaluation.scoring.results import ContenderResult, ScoredTrial
     from rig.evaluation.scoring.seeds import SeedRange
-    from rig.evaluation.scoring.tables import ScoredNumber
+    from rig.evaluation.wire.judging import WireScore
+    from rig.evaluation.wire.kinds import WireKind
 
     Model = TypeVar("Model", bound=Settings)
 else:
     Model = TypeVar("Model")
+Word = TypeVar("Word", bound=str)
 
-BY_TRAIT = ("found", "roll_alarms", "after_ridge_50", "armed")
-"""Quantities that are also printed by trait; the files contain all of them."""
-SHOWN_TRAITS = ("noise_mV", "speed_mm_s", "static_coefficient", "friction_ratio", "pattern")
-"""Traits by which they are printed; the files contain more."""
-TRAIT_WORDS = {
-    "noise_mV": ("noise", "mV"),
-    "speed_mm_s": ("speed", "mm/s"),
-    "static_coefficient": ("static friction", ""),
-    "friction_ratio": ("friction ratio μ_k/μ_s", ""),
-    "pattern": ("roll pattern", ""),
-}
-"""Words and unit of the traits in printed tables."""
-LABELS = {
-    "found": "slips found",
-    "early": "slips with an alarm before the first node slipped",
-    "late": "slips with an alarm too late",
-    "found_in_roll": "slips within rolls found",
-    "early_in_roll": "slips within rolls with an alarm before the first node slipped",
-    "roll_alarms": "rolls with a false alarm",
-    "hold_alarms": "holds with a false alarm",
-    "tap_alarms": "taps with a false alarm",
-    "lift_off_alarms_before": "lift-offs with an alarm before the lift-off",
-    "lift_off_alarms": "lift-offs with any alarm",
-    "rolls_recognised": "rolls recognised",
-    "taken_for_rolls": "slips, holds and taps classified as roll",
-    "pressing_alarms": "trials with an alarm while pressing on",
-    "armed": "slips with an early warning",
-    "armings_in_vain": "early warnings without slip",
-    "roll_armed": "rolls with an early warning",
-    "lift_off_armed": "lift-offs with an early warning",
-    "hold_armed": "holds with an early warning",
-    "tap_armed": "taps with an early warning",
-    "after_node": "delay after first node slip",
-    "after_ridge": "delay after slip of the whole ridge",
-    "before_gross": "time from the alarm to gross slip",
-    "arming_lead": "time from early warning to slip of the whole ridge",
-}
-"""Labels of the quantities in printed tables; JSON and CSV contain the keys."""
-ORDINALS = {"5": "5th percentile", "50": "median", "95": "95th percentile"}
-LEGEND = "Rates: share (95 % interval) of the number of cases. Times: value (95 % interval) in ms."
+PROGRESS_S = 10.0
+"""Time between two reports of progress."""
+
+MODEL_SEEDS, WIRE_SEEDS = "1000000:1001000", "1000000:1000020"
+"""Seeds that are scored where none are given."""
 Seeds = Annotated[
-    str, typer.Option(help="Seeds of the random trials, END excluded.", metavar="FIRST:END")
+    str | None,
+    typer.Option(
+        help=f"Seeds of the random trials, END excluded. Default: {MODEL_SEEDS}; with --wire "
+        f"{WIRE_SEEDS}.",
+        metavar="FIRST:END",
+    ),
 ]
 Tuning = Annotated[
     bool, typer.Option("--tuning", help="Use seeds reserved for tuning; the tables are marked.")
 ]
 Kinds = Annotated[
-    str,
+    str | None,
     typer.Option(
-        help="Kinds of trials, separated by commas: slide, roll, hold, tap.", metavar="LIST"
+        help="Kinds of trials, separated by commas: slide, roll, hold, tap; with --wire slide, "
+        "ramp, hold, roll a, roll b, reversal, tremor, re-grip, falling force, tap, lift-off, "
+        "rest. Default: all.",
+        metavar="LIST",
+    ),
+]
+Wire = Annotated[
+    bool,
+    typer.Option(
+        "--wire",
+        help="Make the trials on the whole simulated bench, each as a command of its own (5 s of a "
+        "processor or more); what was made is stored, an interrupted score continues.",
     ),
 ]
 Files = Annotated[
@@ -160,9 +141,10 @@ Debug = Annotated[bool, typer.Option("--debug", help="Show tracebacks of errors.
 
 
 def score(
-    seeds: Seeds = "1000000:1001000",
+    seeds: Seeds = None,
+    wire: Wire = False,
     tuning: Tuning = False,
-    kinds: Kinds = "slide,roll,hold,tap",
+    kinds: Kinds = None,
     files: Files = None,
     detectors: Detectors = None,
     settings: DetectorFile = None,
@@ -206,20 +188,34 @@ def score(
             typer.echo((ranges if show_population else front).model_dump_json(indent=2))
             return
         _check_new(out)
+        of_the_model = {
+            "--population": population, "--front-end": front_end, "--skin": skin,
+            "--elements": elements, "--ridge": ridge, "--youngs-modulus": youngs_modulus,
+            "--speed": speed, "--swapped-gains": swapped_gains or None,
+        }  # fmt: skip
+        if wire and (given := [name for name, value in of_the_model.items() if value is not None]):
+            raise ConfigurationError(
+                f"--wire cannot be combined with {given[0]}, which is of the skin model's trials",
+                "leave it out: --wire draws the bench itself",
+            )
         contenders = _detectors(detectors or [DEFAULT_DETECTOR], settings)
         beside = _baselines(baselines or tune is not None, baseline_settings)
         if files is not None:
-            if tune is not None or tuning:
+            if tune is not None or tuning or wire:
                 raise ConfigurationError(
-                    "--files cannot be combined with --tune or --tuning", "tune on --seeds"
+                    "--files cannot be combined with --tune, --tuning or --wire", "tune on --seeds"
                 )
             contenders += map(BaselineContender, beside)
             listed = judge_files(files, contenders, sweep=roc, done=_Progress("files"))
             use = f"labelled files of {files}"
-            _report(contenders, listed.judged, use, listed.simulated, {}, out, as_json)
+            report(contenders, listed.judged, use, listed.simulated, {}, out, as_json)
             return
-        drawn = seed_range(seeds)
+        drawn = seed_range(seeds or (WIRE_SEEDS if wire else MODEL_SEEDS))
         check_use(drawn, tuning=tuning)
+        if tune is not None and wire:
+            raise ConfigurationError(
+                "--wire cannot be combined with --tune", "tune on trials of the skin model"
+            )
         if tune is not None and not tuning:
             raise ConfigurationError(
                 f"--tune {tune}: thresholds are chosen on tuning seeds only",
@@ -228,6 +224,22 @@ def score(
         if not tuning:
             for one in [*contenders, *map(BaselineContender, beside)]:
                 check_unseen(one.name, one.tuned_on, drawn)
+        use = f"{'TUNING' if tuning else 'reporting'} seeds {drawn}"
+        if wire:
+            contenders += map(BaselineContender, beside)
+            found = _wire(kinds, drawn, contenders, roc, jobs)
+            for name, reason in found.failed.items():
+                say(f"score: {name} could not be made: {reason}")
+            told = {
+                "seeds": str(drawn),
+                "kinds": list(_wire_kinds(kinds)),
+                "failed": found.failed,
+                "code": found.code,
+            }
+            report(
+                contenders, found.judged, f"on the simulated bench, {use}", True, told, out, as_json
+            )
+            return
         trials = _population(ranges, front, swapped_gains, kinds, drawn)
         if tune is not None:
             beside = _tuned(trials, beside, tune, jobs)
@@ -241,8 +253,7 @@ def score(
             "population": ranges.model_dump(mode="json"),
             "front_end": front.model_dump(mode="json"),
         }  # fmt: skip
-        use = f"{'TUNING' if tuning else 'reporting'} seeds {drawn}"
-        _report(contenders, judged, use, True, said, out, as_json)
+        report(contenders, judged, use, True, said, out, as_json)
 
 
 class _Progress:
@@ -259,7 +270,11 @@ class _Progress:
 
 
 def _population(
-    ranges: PopulationSettings, front: Any, swapped_gains: bool, kinds: str, drawn: SeedRange
+    ranges: PopulationSettings,
+    front: Any,
+    swapped_gains: bool,
+    kinds: str | None,
+    drawn: SeedRange,
 ) -> Population:
     from typing import get_args
 
@@ -269,16 +284,70 @@ def _population(
     from rig.physics.skin.condensed import build_skin
 
     known: tuple[Kind, ...] = get_args(Kind)
+    chosen = _chosen(kinds, known)
+    cache = user_cache()
+    skin = build_skin(ranges.skin, cache)
+    return Population(skin, ranges, front, swapped_gains, chosen, drawn, cache)
+
+
+def _chosen(kinds: str | None, known: tuple[Word, ...]) -> tuple[Word, ...]:
+    """Returns the kinds of trials of the option --kinds, in their usual order."""
+    if kinds is None:
+        return known
     words = [word.strip() for word in kinds.split(",")]
     if unknown := [word for word in words if word not in known]:
         raise ConfigurationError(
             f"--kinds {kinds}: {unknown[0]!r} is not a kind of trial",
             f"choose among {','.join(known)}",
         )
-    chosen = tuple(kind for kind in known if kind in words)
-    cache = user_cache()
-    skin = build_skin(ranges.skin, cache)
-    return Population(skin, ranges, front, swapped_gains, chosen, drawn, cache)
+    return tuple(kind for kind in known if kind in words)
+
+
+def _wire_kinds(kinds: str | None) -> tuple[WireKind, ...]:
+    from rig.evaluation.wire.kinds import WIRE_KINDS
+
+    return _chosen(kinds, WIRE_KINDS)
+
+
+def _wire(
+    kinds: str | None, drawn: SeedRange, contenders: Sequence[Contender], roc: bool, jobs: int
+) -> WireScore:
+    """Makes and scores the trials on the simulated bench."""
+    from rig.core.cache import user_cache
+    from rig.evaluation.wire.judging import judge_wire
+
+    chosen = _wire_kinds(kinds)
+    progress = _WireProgress(jobs)
+    try:
+        return judge_wire(
+            chosen, drawn.seeds(), contenders, user_cache(), sweep=roc, jobs=jobs, done=progress
+        )
+    except (KeyboardInterrupt, SystemExit):
+        say(
+            f"score: interrupted after {progress.number} trials; they are stored, and the same "
+            "command continues"
+        )
+        raise
+
+
+class _WireProgress:
+    """Reports progress on stderr every ten seconds, with the time left at the pace so far."""
+
+    def __init__(self, jobs: int):
+        self.number = 0
+        self._begun_s = self._said_s = time.monotonic()
+        say(f"score: making trials on the simulated bench, {jobs} at a time")
+
+    def __call__(self, number: int, total: int, made: int) -> None:
+        self.number, now_s = number, time.monotonic()
+        if now_s - self._said_s < PROGRESS_S and number < total:
+            return
+        self._said_s = now_s
+        left = ""
+        if made and number < total:
+            left_s = (now_s - self._begun_s) / made * (total - number)
+            left = f", about {math.ceil(left_s / 60)} min left"
+        say(f"score: {number} of {total} trials, {made} of them made now{left}")
 
 
 def _with_options(
@@ -366,201 +435,8 @@ def _tuned(
             f"{one.floor_mV:g} mV, finds {share:.0%} of the slips of the tuning seeds"
         )
     chosen = Baselines(baselines=tuple(one for one, _ in found))
-    _write(file, chosen.model_dump_json(indent=2) + "\n")
+    write(file, chosen.model_dump_json(indent=2) + "\n")
     return list(chosen.baselines)
-
-
-def _report(
-    contenders: Sequence[Contender],
-    judged: Sequence[ScoredTrial],
-    use: str,
-    simulated: bool,
-    said: dict[str, Any],
-    out: Path,
-    as_json: bool,
-) -> None:
-    """Writes tables and figures to `out` and prints the tables."""
-    from rig.core.settings import fingerprint
-    from rig.detector.detector import DETECTOR_VERSION
-    from rig.evaluation.scoring.results import ROW, results, rows
-
-    scored = results(contenders, judged)
-    document = {
-        "simulated": simulated,
-        "use": use,
-        "trials": len(judged),
-        **said,
-        "detector_version": DETECTOR_VERSION,
-        "detectors": [
-            {
-                "name": one.name,
-                "parameters": fingerprint(one.settings),
-                "tuned_on": None if one.tuned_on is None else str(one.tuned_on),
-            }
-            for one in contenders
-        ],
-        "results": [dict(zip(ROW, map(_plain, row), strict=True)) for row in rows(scored, use)],
-    }
-    _make(out)
-    drawn = _draw(scored, use, simulated, out)
-    _write_csv(out / "trials.csv", _TRIAL, _trials(contenders, judged))
-    _write_csv(out / "score.csv", ROW, rows(scored, use))
-    # Written last: its presence shows that the folder is complete.
-    _write(out / "score.json", json.dumps(document, indent=1) + "\n")
-    if as_json:
-        files = [out / name for name in ("score.json", "score.csv", "trials.csv")]
-        typer.echo(json.dumps({**document, "files": [str(file) for file in [*files, *drawn]]}))
-        return
-    heading = f"{'simulated trials, ' if simulated else ''}{use}, {len(judged)} trials"
-    for line in _tables(scored, heading):
-        typer.echo(line)
-    figures = len({file.stem for file in drawn})
-    typer.echo(
-        f"saved in {out}: score.json, score.csv, trials.csv, {figures} figures (PNG and SVG)"
-    )
-
-
-def _tables(scored: Sequence[ContenderResult], heading: str) -> Iterator[str]:
-    names = [one.contender.name for one in scored]
-    known = dict.fromkeys(quantity for one in scored for quantity in one.score)
-    table = [
-        [_label(quantity), *(_shown(one.score.get(quantity)) for one in scored)]
-        for quantity in known
-    ]
-    yield from _aligned(f"All trials: {heading}", ["", *names], table)
-    yield LEGEND
-    yield ""
-    for quantity in BY_TRAIT:
-        groups = [
-            {(group.trait, group.bin): group.score.get(quantity) for group in one.groups}
-            for one in scored
-        ]
-        table = [
-            [_condition(trait, name), *(_shown(each.get((trait, name))) for each in groups)]
-            for trait, name in groups[0]
-            if trait in SHOWN_TRAITS and any(each.get((trait, name)) for each in groups)
-        ]
-        if table:
-            yield from _aligned(f"{_label(quantity)}, by condition: {heading}", ["", *names], table)
-
-
-def _aligned(title: str, head: list[str], table: list[list[str]]) -> Iterator[str]:
-    widths = [max(map(len, column)) for column in zip(head, *table, strict=True)]
-    yield title
-    for line in (head, *table):
-        yield "  ".join(
-            cell.ljust(width) for cell, width in zip(line, widths, strict=True)
-        ).rstrip()
-    yield ""
-
-
-def _label(quantity: str) -> str:
-    """Returns the label of a quantity in a printed table.
-
-    >>> _label("after_node_5")
-    'delay after first node slip, 5th percentile (ms)'
-    """
-    stem, _, percent = quantity.rpartition("_")
-    if percent in ORDINALS:
-        return f"{LABELS[stem]}, {ORDINALS[percent]} (ms)"
-    return LABELS[quantity]
-
-
-def _condition(trait: str, bin_: str) -> str:
-    """Returns a bin of a trait as text.
-
-    >>> _condition("noise_mV", "0.2 to 0.5")
-    'noise 0.2 to 0.5 mV'
-    """
-    word, unit = TRAIT_WORDS[trait]
-    return f"{word} {bin_} {unit}".rstrip()
-
-
-def _shown(number: ScoredNumber | None) -> str:
-    """Returns a number with its 95 % interval; a rate also with the number of its cases."""
-    if number is None or not number.of:
-        return "-"
-    if number.unit == "1":
-        return f"{number.value:.3f} ({number.low:.3f} to {number.high:.3f}) of {number.of}"
-    interval = f" ({number.low:.1f} to {number.high:.1f})" if math.isfinite(number.low) else ""
-    return f"{number.value:.1f}{interval}"
-
-
-_TRIAL = (
-    "trial", "detector", "label", "found", "early", "late", "alarmed", "after_node_s",
-    "after_ridge_s", "before_gross_s", "armed", "arming_lead_s", "in_vain", "pattern", "noise_mV",
-    "speed_mm_s", "static_coefficient", "friction_ratio", "normal_force_N", "gain_mismatch",
-)  # fmt: skip
-
-
-def _trials(
-    contenders: Sequence[Contender], judged: Sequence[ScoredTrial]
-) -> Iterator[tuple[Any, ...]]:
-    for trial in judged:
-        for one, outcome in zip(contenders, trial.outcomes, strict=True):
-            values = {"trial": trial.name, "detector": one.name, **outcome.traits, **vars(outcome)}
-            yield tuple(values.get(name, "") for name in _TRIAL)
-
-
-def _draw(scored: Sequence[ContenderResult], use: str, simulated: bool, out: Path) -> list[Path]:
-    from rig.figures import score as figures
-    from rig.figures.style import save
-
-    title = f"{use}{', simulated' if simulated else ''}"
-    drawn = {
-        "score-found": figures.draw_found(scored, title),
-        "score-delays": figures.draw_delays(scored, title),
-    }
-    if any(one.rocs for one in scored):
-        drawn["score-roc"] = figures.draw_roc(scored, title)
-    return [
-        file
-        for name, figure in drawn.items()
-        for file in save(figure, out / f"{name}.png", simulated)
-    ]
-
-
-def _plain(value: Any) -> Any:
-    """Returns a value for JSON; numbers that are not finite become None."""
-    if isinstance(value, float):
-        return float(f"{value:.6g}") if math.isfinite(value) else None
-    return value
-
-
-def _write_csv(file: Path, head: Sequence[str], rows: Iterator[tuple[Any, ...]]) -> None:
-    with _writing(file), file.open("w", newline="", encoding="utf-8") as stream:
-        writer = csv.writer(stream)
-        writer.writerow(head)
-        for row in rows:
-            writer.writerow([_cell(value) for value in row])
-
-
-def _cell(value: Any) -> Any:
-    """Returns a value for CSV: missing numbers are empty, flags 0 and 1."""
-    if isinstance(value, bool):
-        return int(value)
-    plain = _plain(value)
-    return "" if plain is None else plain
-
-
-def _write(file: Path, text: str) -> None:
-    with _writing(file):
-        file.write_text(text, encoding="utf-8")
-
-
-def _make(folder: Path) -> None:
-    with _writing(folder):
-        folder.mkdir(parents=True, exist_ok=True)
-
-
-@contextmanager
-def _writing(file: Path) -> Iterator[None]:
-    try:
-        yield
-    except OSError as error:
-        raise ConfigurationError(
-            f"{file} cannot be written: {error.strerror}", "choose another place"
-        ) from error
 
 
 def _check_new(out: Path) -> None:

@@ -5,14 +5,13 @@ A list is CSV with a header. The columns ``file`` (relative to the list) and ``p
 file has only one) name a trial. ``label``, ``motion_s``, ``node_slip_s``, ``ridge_slip_s``,
 ``gross_slip_s`` and ``lift_off_s`` are its truth, in s of the record, empty for never. Any further
 column is a trait of that name. If the list lacks a column of the truth, the value that a simulated
-bench stored in the run file is used.
+bench stored in the run file is used, up to the end of the record.
 """
 
 from __future__ import annotations
 
 import csv
 import io
-import json
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -24,17 +23,16 @@ from numpy.typing import NDArray
 
 from rig.core.errors import ConfigurationError
 from rig.core.toml_files import read_text
+from rig.evaluation import simulated_truth
 from rig.evaluation.scored_trials import judge_one
 from rig.evaluation.scoring.contenders import Contender
-from rig.evaluation.scoring.outcomes import Truth
+from rig.evaluation.scoring.outcomes import LABELS, Truth
 from rig.evaluation.scoring.results import ScoredTrial
 from rig.evaluation.scoring.tables import NAMES
 from rig.files.runfile.reader import RunFile
 
 Floats = NDArray[np.float64]
 
-LABELS = ("slip", "roll", "lift-off", "hold", "tap", "slip in a roll")
-"""Labels that a trial may have."""
 TIMES = ("motion_s", "node_slip_s", "ridge_slip_s", "gross_slip_s", "lift_off_s")
 """Columns of the truth that are times, in s of the record."""
 MAX_LIST_BYTES = 16 << 20
@@ -141,37 +139,19 @@ def _recorded(path: Path, point: str, where: str) -> tuple[_Recorded, bool]:
         volts = np.column_stack([wave.values("v_1"), wave.values("v_2")])
         time_s = run.entry[f"{wave.path}/time"][:2]
         rate_Hz = wave.rate_Hz or round(1 / float(time_s[1] - time_s[0]), 6)
-        truth = _simulated_truth(reading.get("simulated_truth"), run.header.procedure)
+        truth = _known(run, point, reading, len(volts) / rate_Hz)
         return _Recorded(point, volts, rate_Hz, truth), run.outcome.simulated is True
 
 
-def _simulated_truth(told: str | None, procedure: str) -> dict[str, Any]:
-    """Returns label and times of a trial on the simulated bench, in s from the start of its
-    record."""
-    if told is None:
+def _known(run: RunFile, point: str, reading: dict[str, Any], record_s: float) -> dict[str, Any]:
+    """Returns label, times and quiet intervals that a simulated bench stored; empty for others."""
+    times = simulated_truth.times_of(reading, record_s)
+    if not times:
         return {}
-    known = json.loads(told)
-    ridge = known["ridge"] - 1
-    lifts = known.get("ridge_lift_off_us", [])
-    moved_us = known["slide_us"]
-    lifts = [at for at in lifts if moved_us is not None and at >= moved_us]
-
-    def seconds(us: float | None) -> float:
-        return math.nan if us is None else 1e-6 * (us - known["record_begun_us"])
-
-    slipped = known["whole_slip_us"][ridge] is not None
-    if procedure == "roll-trial":
-        label = "lift-off" if lifts else "slip in a roll" if slipped else "roll"
-    else:
-        label = "slip" if slipped else "hold"
-    return {
-        "label": label,
-        "motion_s": seconds(moved_us),
-        "node_slip_s": seconds(known["first_slip_us"][ridge]),
-        "ridge_slip_s": seconds(known["whole_slip_us"][ridge]),
-        "gross_slip_s": seconds(known["gross_slip_us"]),
-        "lift_off_s": seconds(lifts[0] if lifts else None),
-    }
+    ends_s = simulated_truth.motion_end_of(run, point, reading)
+    quiet_s = simulated_truth.quiet_of(times, run.settings, reading, ends_s, record_s)
+    label = simulated_truth.label_of(times, run.header.procedure, ends_s)
+    return {**times, "label": label, "quiet_s": quiet_s}
 
 
 def _truth(row: dict[str, str], recorded: _Recorded, where: str) -> Truth:
@@ -186,13 +166,17 @@ def _truth(row: dict[str, str], recorded: _Recorded, where: str) -> Truth:
         if name in row:
             times[name] = _number(row[name], f"{where}: {name}") if row[name] else math.nan
         else:
-            times[name] = recorded.truth.get(name, math.nan)
+            at_s = recorded.truth.get(name)
+            times[name] = math.nan if at_s is None else at_s
     if not math.isfinite(times["motion_s"]):
         raise ConfigurationError(
             f"{where}: motion_s is missing; it separates alarms before the motion from the others",
             "add the start of the motion, in s of the record",
         )
-    return Truth(label=label, **times)
+    record_s = len(recorded.volts) / recorded.rate_Hz
+    # Where the list states the truth itself, the bench's quiet intervals may contradict it.
+    quiet_s = () if set(TIMES) & set(row) else recorded.truth.get("quiet_s", ())
+    return Truth(label=label, record_s=record_s, quiet_s=quiet_s, **times)
 
 
 def _traits(row: dict[str, str], where: str) -> dict[str, float | str]:

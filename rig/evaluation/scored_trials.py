@@ -7,6 +7,7 @@ The result does not depend on their number.
 
 from __future__ import annotations
 
+import math
 import signal
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -28,7 +29,7 @@ from rig.evaluation.labelled_trials import (
 )
 from rig.evaluation.scoring.baselines import BaselineSettings, baseline_score
 from rig.evaluation.scoring.contenders import FACTORS, Contender
-from rig.evaluation.scoring.outcomes import Truth, judge
+from rig.evaluation.scoring.outcomes import FOUND_WITHIN_S, Truth, judge
 from rig.evaluation.scoring.patterns import roll_pattern
 from rig.evaluation.scoring.results import ScoredTrial
 from rig.evaluation.scoring.roc import tune
@@ -43,6 +44,8 @@ Each = Callable[[LabelledTrial, Floats, Traits], Result]
 
 FLOORS_mV = (0.1, 0.2, 0.4, 0.8, 1.5, 3.0)
 """Floors of the noise from which that of a baseline is chosen."""
+RESTS_AFTER_S = 0.02
+"""Time after pressing on from which the rubber rests."""
 _CHUNK = 4
 
 
@@ -111,7 +114,7 @@ def judge_one(
     swept = [outcomes[1:] for outcomes in judged]
     return ScoredTrial(
         name=name,
-        label=truth.label,
+        truth=truth,
         outcomes=tuple(outcomes[0] for outcomes in judged),
         found=np.array([[one.found for one in each] for each in swept], bool),
         alarmed=np.array([[one.alarmed for one in each] for each in swept], bool),
@@ -174,8 +177,19 @@ def recorded_volts(population: Population, trial: LabelledTrial) -> tuple[Floats
 
 
 def _truth(trial: LabelledTrial) -> Truth:
+    """Returns the truth of a trial. Its record ends at its last sample; the motion of a slide
+    continues until then."""
+    record_s = len(trial.volts) / trial.rate_Hz
+    label: str = trial.label
+    if trial.kind == "slide" and trial.ridge_slip_s + FOUND_WITHIN_S < record_s:
+        label = "slip in a slide"
+    elif label == "hold" and math.isfinite(trial.node_slip_s):
+        label = "partial slip"
+    rests_from_s = trial.motion_s - trial.traits["rest_s"] + RESTS_AFTER_S
     return Truth(
-        label=trial.label,
+        record_s=record_s,
+        quiet_s=((rests_from_s, trial.motion_s),) if rests_from_s < trial.motion_s else (),
+        label=label,
         motion_s=trial.motion_s,
         node_slip_s=trial.node_slip_s,
         ridge_slip_s=trial.ridge_slip_s,

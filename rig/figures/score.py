@@ -9,12 +9,12 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from rig.evaluation.scoring.outcomes import FOUND_WITHIN_S
+from rig.evaluation.scoring.outcomes import EARLY_WITHIN_S, FOUND_WITHIN_S, SLIPS
 from rig.evaluation.scoring.results import ContenderResult
 from rig.evaluation.scoring.roc import AXES, ROLL_ALARMS
 from rig.figures.style import STYLE
 
-COLOURS = ("#4477aa", "#ee6677", "#228833", "#ccbb44", "#66ccee", "#aa3377", "#555555")
+COLOURS = ("#4477aa", "#ee6677", "#228833", "#ccbb44", "#66ccee", "#aa3377", "#555555", "#cc9966")
 SHOWN_TRAITS = {
     "noise_mV": "noise, rms (mV)",
     "friction_ratio": "drop of friction, $μ_k / μ_s$",
@@ -22,8 +22,8 @@ SHOWN_TRAITS = {
 }
 MOST_SHOWN_ALARMS = 0.5
 """End of the ROC's axis of false alarms; a detector with more is useless."""
-DELAYS_MS = (-60.0, 1e3 * FOUND_WITHIN_S)
-"""Range of the histograms; earlier alarms are contained in the first bar."""
+DELAYS_MS = (-1e3 * EARLY_WITHIN_S, 1e3 * FOUND_WITHIN_S)
+"""Range of the histograms: the time in which a slip is found."""
 BAR_MS = 2.0
 
 
@@ -97,20 +97,19 @@ def draw_delays(results: Sequence[ContenderResult], title: str) -> Figure:
         panels = figure.subplots(len(results), 1, sharex=True, squeeze=False)[:, 0]
         edges = np.arange(DELAYS_MS[0], DELAYS_MS[1] + BAR_MS, BAR_MS)
         for axes, (one, colour) in zip(panels, _coloured(results), strict=True):
-            slips = [each for each in one.outcomes if each.label == "slip"]
+            slips = [each for each in one.outcomes if each.label in SLIPS]
             delays = np.array([1e3 * each.after_ridge_s for each in slips if each.found])
             axes.hist(np.clip(delays, *DELAYS_MS), edges, color=colour)
             axes.axvline(0, color="0.3", lw=0.8)
             axes.annotate(
                 f"{one.contender.name}: {delays.size} of {len(slips)} found", (0.99, 0.8),
                 xycoords="axes fraction", ha="right", fontsize=8,
+                bbox={"facecolor": "white", "alpha": 0.7, "edgecolor": "none"},
             )  # fmt: skip
             _whole_numbers(axes)
         figure.supylabel("slips", fontsize=9)
         panels[-1].set_xlim(*DELAYS_MS)
-        panels[-1].set_xlabel(
-            "detection delay after full-ridge slip (ms); the first bar contains all earlier alarms"
-        )
+        panels[-1].set_xlabel("detection delay after full-ridge slip (ms)")
         figure.suptitle(f"Delay of the alarms that found a slip, {title}")
     return figure
 

@@ -77,6 +77,12 @@ def population(tmp_path: Path) -> Path:
         ),
         (["--seeds", "10"], "--seeds 10: not a range of seeds"),
         (["--tune", "x.json"], "--tune x.json: thresholds are chosen on tuning seeds only"),
+        (["--wire", "--tuning", "--seeds", "0:9", "--tune", "x.json"], "--wire cannot be combined"),
+        (
+            ["--wire", "--kinds", "tap,fall"],
+            "'fall' is not a kind of trial; choose among slide,ramp",
+        ),
+        (["--wire", "--elements", "8"], "--wire cannot be combined with --elements"),
         (["--kinds", "slide,fall"], "'fall' is not a kind of trial; choose among slide,roll"),
         (["--detector", "ouija"], "--detector ouija: has to be one of rig, paper-literal"),
         (["--speed", "0"], "--speed 0: must be a speed above 0 mm/s"),
@@ -86,7 +92,7 @@ def population(tmp_path: Path) -> Path:
         (["--files", "nowhere.csv"], "nowhere.csv: No such file"),
         (
             ["--files", "list.csv", "--tune", "x.json"],
-            "--files cannot be combined with --tune or --tuning",
+            "--files cannot be combined with --tune, --tuning or --wire",
         ),
     ],
 )
@@ -152,10 +158,13 @@ def test_trials_are_scored_the_same_by_one_process_and_by_two(tmp_path, populati
     rows = table(tmp_path / "one" / "score.csv")
     assert {row["use"] for row in rows} == {"reporting seeds 1000000:1000003"}
     detectors = ["paper-hp", "band power", "wavelet", "cusum", "single channel"]
-    assert list(dict.fromkeys(row["detector"] for row in rows)) == detectors
+    told = list(dict.fromkeys(row["detector"] for row in rows))
+    assert told[:5] == detectors
+    assert (told[5], told[-1], len(told)) == ("blind 50 ms", "always", 8)
     trials = table(tmp_path / "one" / "trials.csv")
-    assert len(trials) == 12 * 5
-    found = [row["found"] for row in trials if (row["label"], row["detector"]) == ("slip", "cusum")]
+    assert len(trials) == 12 * 8
+    slips = [row for row in trials if row["label"] in ("slip", "slip in a slide")]
+    found = [row["found"] for row in slips if row["detector"] == "cusum"]
     (told,) = [
         r for r in rows if (r["detector"], r["trait"], r["quantity"]) == ("cusum", "", "found")
     ]
@@ -178,7 +187,8 @@ def test_tuned_thresholds_are_written_with_their_seeds_and_every_table_says_tuni
     assert told["use"] == "TUNING seeds 0:3"
     assert {row["use"] for row in told["results"]} == {"TUNING seeds 0:3"}
     rolls = [r for r in told["results"] if r["quantity"] == "roll_alarms" and not r["trait"]]
-    assert [r["value"] for r in rolls if r["detector"] != "paper-literal"] == [0.0] * 4
+    others = {one["name"] for one in told["trivial_answers"]} | {"paper-literal"}
+    assert [r["value"] for r in rolls if r["detector"] not in others] == [0.0] * 4
     written = json.loads(tuned.read_text())["baselines"]
     assert [one["tuned_on"] for one in written] == [{"first": 0, "end": 3}] * 4
 
@@ -240,7 +250,10 @@ def scored(folder: Path, listing: str, out: str) -> dict:
 
 
 def values(told: dict) -> dict[str, float]:
-    return {row["quantity"]: row["value"] for row in told["results"] if not row["trait"]}
+    """The values of the one detector that was scored."""
+    (detector,) = told["detectors"]
+    rows = [row for row in told["results"] if row["detector"] == detector["name"]]
+    return {row["quantity"]: row["value"] for row in rows if not row["trait"]}
 
 
 def test_labelled_files_are_scored_by_their_list_or_by_what_a_simulated_bench_knows(tmp_path):
@@ -275,7 +288,7 @@ def test_without_a_name_the_default_detector_is_scored(tmp_path):
         ("name\nslip.h5\n", "has no column 'file'"),
         ("file\n", "lists no file"),
         ("file,label\nslip.h5\n", "line 2: the number of cells differs from the header"),
-        ("file,label\nslip.h5,fall\n", "line 2: label 'fall' is not one of slip, roll"),
+        ("file,label\nslip.h5,fall\n", "line 2: label 'fall' is not one of slip, slip in a slide"),
         ("file,point\nslip.h5,trial-9\n", "slip.h5 has no point 'trial-9'"),
         ("file,motion_s\nslip.h5,\n", "line 2: motion_s is missing"),
         ("file,motion_s\nslip.h5,soon\n", "line 2: motion_s 'soon' is not a number"),

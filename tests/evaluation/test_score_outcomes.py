@@ -8,7 +8,7 @@ import pytest
 from rig.evaluation.scoring.outcomes import DetectorReport, TrialOutcome, Truth, judge
 
 SLIP = Truth(
-    label="slip", motion_s=0.5, node_slip_s=0.8, ridge_slip_s=1.0, gross_slip_s=1.2
+    label="slip", motion_s=0.5, node_slip_s=0.8, ridge_slip_s=1.0, gross_slip_s=1.2, record_s=2.0
 )  # fmt: skip
 
 
@@ -20,38 +20,73 @@ def judged(truth: Truth, alarms: list[float], armings: list[float] | None = None
     ("alarms", "found", "early", "late"),
     [
         ([], False, False, False),
-        ([0.79], False, True, False),
-        ([0.81], True, False, False),
+        ([0.81], False, True, False),
+        ([0.989], False, True, False),
+        ([0.991], True, False, False),
         ([1.029], True, False, False),
         ([1.031], False, False, True),
-        ([0.2, 0.9], True, True, False),
-        ([0.9, 1.5], True, False, False),
+        ([0.6, 0.995], True, True, False),
+        ([0.995, 1.5], True, False, False),
         ([0.7, 1.5], False, True, True),
+        ([0.49], False, False, False),
     ],
 )
-def test_a_slip_is_found_from_its_first_node_to_30_ms_after_its_whole_ridge(
+def test_a_slip_is_found_from_10_ms_before_to_30_ms_after_its_whole_ridge(
     alarms, found, early, late
 ):
     told = judged(SLIP, alarms)
     assert (told.found, told.early, told.late) == (found, early, late)
+    assert told.found_first == (found and not early)
 
 
-def test_delays_are_those_of_the_first_alarm_that_finds():
-    told = judged(SLIP, [0.6, 0.95, 1.01])
-    assert told.after_node_s == pytest.approx(0.15)
-    assert told.after_ridge_s == pytest.approx(-0.05)
-    assert told.before_gross_s == pytest.approx(0.25)
+def test_a_slip_is_not_found_by_an_alarm_when_its_first_node_slips():
+    assert not judged(SLIP, [SLIP.node_slip_s + 0.01]).found
+
+
+def test_delays_are_those_of_the_first_alarm_that_finds_and_of_the_first_early_one():
+    told = judged(SLIP, [0.6, 0.7, 0.995, 1.01])
+    assert told.after_node_s == pytest.approx(0.195)
+    assert told.after_ridge_s == pytest.approx(-0.005)
+    assert told.before_gross_s == pytest.approx(0.205)
+    assert told.early_by_s == pytest.approx(0.4)
     assert math.isnan(judged(SLIP, [0.6]).after_ridge_s)
 
 
 def test_every_alarm_without_a_slip_is_false_and_those_of_pressing_on_are_distinguished():
-    roll = Truth(label="roll", motion_s=0.5)
+    roll = Truth(label="roll", motion_s=0.5, record_s=1.0)
     assert not judged(roll, []).alarmed
     told = judged(roll, [0.7])
     assert told.alarmed
+    assert told.alarmed_moving
     assert not told.alarmed_pressing
     assert not told.found
-    assert judged(roll, [0.4]).alarmed_pressing
+    pressing = judged(roll, [0.4])
+    assert pressing.alarmed_pressing
+    assert not pressing.alarmed_moving
+
+
+def test_false_alarms_and_the_time_in_which_they_can_occur_end_where_a_slip_is_found():
+    told = judged(SLIP, [0.2, 0.7, 0.995, 1.5])
+    assert told.false_alarms == 2
+    assert told.without_slip_s == pytest.approx(0.99)
+    hold = judged(Truth(label="hold", motion_s=0.5, record_s=2.0), [0.2, 0.7, 1.5])
+    assert (hold.false_alarms, hold.without_slip_s) == (3, 2.0)
+
+
+def test_alarms_of_quiet_are_those_in_its_intervals():
+    truth = Truth("hold", 0.5, record_s=2.0, quiet_s=((0.2, 0.5), (1.0, 2.0)))
+    told = judged(truth, [0.1, 0.3, 0.7, 1.5, 1.9])
+    assert told.quiet_alarms == 3
+    assert told.quiet_s == pytest.approx(1.3)
+
+
+def test_phases_within_the_tick_are_those_of_early_and_false_alarms_in_the_motion():
+    ticked = {"record_s": 2.0, "tick_s": 0.01, "tick_from_s": 0.5}
+    slip = Truth("slip", 0.5, 0.8, 1.0, **ticked)
+    told = judged(slip, [0.403, 0.605, 0.707, 1.0])
+    assert told.tick_phases == pytest.approx((0.5, 0.7))
+    assert judged(Truth("hold", 0.5, **ticked), [0.608]).tick_phases == pytest.approx((0.8,))
+    assert judged(Truth("hold", 0.5, **ticked | {"tick_s": 0.002}), [0.608]).tick_phases == ()
 
 
 def test_where_the_ridge_lifts_off_the_alarms_before_count_apart():

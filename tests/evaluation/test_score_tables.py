@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from rig.evaluation.scoring.outcomes import DetectorReport, TrialOutcome, Truth, judge
-from rig.evaluation.scoring.tables import by_trait, percentiles, rate, score
+from rig.evaluation.scoring.tables import by_trait, per_hour, percentiles, rate, rayleigh_p, score
 
 
 @pytest.mark.parametrize(
@@ -55,18 +55,20 @@ def outcome(
     label: str, alarms: list[float], armings: list[float], rolls: tuple[float, ...] = (), **traits
 ) -> TrialOutcome:
     times = {"node_slip_s": 0.8, "ridge_slip_s": 1.0, "gross_slip_s": 1.2}
-    truth = Truth(label=label, motion_s=0.5, **(times if label.startswith("slip") else {}))
+    times = times if label.startswith("slip") else {}
+    truth = Truth(label=label, motion_s=0.5, record_s=2.0, quiet_s=((0.2, 0.5),), **times)
     return judge(truth, DetectorReport(*map(np.array, (alarms, armings, rolls))), traits)
 
 
 OUTCOMES = [
-    outcome("slip", [0.9], [0.8], noise_mV=0.1),
-    outcome("slip", [0.6, 1.01], [0.7], (1.1,), noise_mV=0.2),  # a roll told after it: no matter
+    outcome("slip", [0.995], [0.8], noise_mV=0.1),
+    outcome("slip in a slide", [0.6, 1.01], [0.7], (1.1,), noise_mV=0.2),  # a roll after it
     outcome("slip", [], [], noise_mV=3.0),
-    outcome("slip in a roll", [0.9], [], noise_mV=0.1, pattern="b"),
+    outcome("slip in a roll", [0.991], [], noise_mV=0.1, pattern="b"),
     outcome("roll", [0.9], [0.8, 0.9], (0.6,), noise_mV=0.1, pattern="a"),
     outcome("roll", [], [], noise_mV=0.1, pattern="b"),
     outcome("hold", [], [0.7], (0.8,), noise_mV=0.1),
+    outcome("partial slip", [1.5], [], noise_mV=0.1),
     outcome("tap", [0.3], [], noise_mV=0.1),
 ]
 
@@ -76,29 +78,71 @@ def test_a_score_tells_every_kind_of_right_and_wrong():
     shares = {name: (one.value, one.of) for name, one in told.items() if one.unit == "1"}
     assert shares == {
         "found": (pytest.approx(2 / 3), 3),
+        "found_first": (pytest.approx(1 / 3), 3),
         "early": (pytest.approx(1 / 3), 3),
         "late": (0.0, 3),
+        "alarms_after": (0.0, 3),
+        "found_at_a_stop": (0.5, 2),
+        "early_at_a_stop": (0.0, 2),
+        "found_in_a_slide": (1.0, 1),
+        "early_in_a_slide": (1.0, 1),
         "found_in_roll": (1.0, 1),
         "early_in_roll": (0.0, 1),
+        "no_slip_alarms": (pytest.approx(3 / 5), 5),
+        "no_slip_alarms_moving": (pytest.approx(2 / 5), 5),
         "roll_alarms": (0.5, 2),
+        "roll_alarms_moving": (0.5, 2),
         "hold_alarms": (0.0, 1),
+        "hold_alarms_moving": (0.0, 1),
+        "partial_slip_alarms": (1.0, 1),
+        "partial_slip_alarms_moving": (1.0, 1),
         "tap_alarms": (1.0, 1),
+        "tap_alarms_moving": (0.0, 1),
         "rolls_recognised": (0.5, 2),
-        "taken_for_rolls": (pytest.approx(1 / 5), 5),
-        "pressing_alarms": (1 / 8, 8),
+        "taken_for_rolls": (pytest.approx(1 / 6), 6),
+        "pressing_alarms": (1 / 9, 9),
+        "cannot_judge": (0.0, 9),
         "armed": (pytest.approx(2 / 3), 3),
         "armings_in_vain": (pytest.approx(3 / 5), 5),
         "roll_armed": (0.5, 2),
         "hold_armed": (1.0, 1),
+        "partial_slip_armed": (0.0, 1),
         "tap_armed": (0.0, 1),
     }
-    assert told["after_ridge_50"].value == pytest.approx(-45.0)
+    assert told["after_ridge_50"].value == pytest.approx(2.5)
+    assert told["early_by_50"].value == pytest.approx(400.0)
     assert told["arming_lead_50"].value == pytest.approx(250.0)
     assert told["before_gross_95"].unit == "ms"
 
 
+def test_alarms_per_hour_are_those_of_the_time_without_a_slip_and_of_quiet():
+    told = score(OUTCOMES)
+    # Alarms: 0.6 s of a slip, one of a roll, a partial slip and a tap; 4 slips have 0.99 s each.
+    without_s = 4 * 0.99 + 5 * 2.0
+    assert told["false_per_hour"].value == pytest.approx(4 / without_s * 3600)
+    assert told["false_per_hour_of"].value == pytest.approx(without_s / 3600)
+    assert told["quiet_per_hour"].value == pytest.approx(1 / (9 * 0.3) * 3600)
+    assert (told["quiet_per_hour"].unit, told["quiet_per_hour"].of) == ("1/h", 9)
+
+
+@pytest.mark.parametrize(
+    ("count", "low", "high"), [(0, 0.0, 3.689), (1, 0.0253, 5.572), (10, 4.795, 18.39)]
+)
+def test_the_interval_of_a_count_is_the_published_one(count, low, high):
+    """Garwood 1936, as tabulated by Ulm 1990, Am. J. Epidemiol. 131, 373."""
+    found = per_hour(count, 3600.0, 1)
+    assert (found.low, found.high) == (pytest.approx(low, abs=2e-3), pytest.approx(high, rel=1e-3))
+
+
+def test_uniform_phases_are_rejected_as_often_as_the_test_says():
+    chance = np.random.default_rng(8)
+    rejected = sum(rayleigh_p(list(chance.uniform(0, 1, 25))) < 0.05 for _ in range(400))
+    assert 7 <= rejected <= 33  # 20 expected, 3 standard deviations
+    assert rayleigh_p([0.5, 0.52, 0.47, 0.55, 0.5, 0.45, 0.51, 0.53, 0.49, 0.5]) < 1e-3
+
+
 def test_groups_are_bins_of_a_number_or_names_and_hold_each_outcome_once():
     groups = {one.bin: len(one.outcomes) for one in by_trait(OUTCOMES, "noise_mV")}
-    assert groups == {"below 0.2": 6, "0.2 to 0.5": 1, "1 and more": 1}
+    assert groups == {"below 0.2": 7, "0.2 to 0.5": 1, "1 and more": 1}
     assert [one.bin for one in by_trait(OUTCOMES, "pattern")] == ["a", "b"]
     assert by_trait(OUTCOMES, "speed_mm_s") == []

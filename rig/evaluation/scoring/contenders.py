@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.core.settings import Settings
+from rig.detector import kernel
 from rig.detector.detector import IncipientSlipDetector
 from rig.detector.settings import DetectorSettings
 from rig.evaluation.scoring.baselines import BaselineSettings, baseline_reports
@@ -22,8 +23,18 @@ FACTORS: tuple[float, ...] = tuple(2.0 ** (-half / 2) for half in range(-6, 7))
 multiplied by the square of the factor."""
 
 
-class Contender(Protocol):
-    """A detector or baseline that can be scored."""
+CANNOT_JUDGE = tuple(
+    kernel.REASONS[reason]
+    for reason in (
+        kernel.SATURATED, kernel.NOT_QUIET, kernel.FIRST_DEAD, kernel.SECOND_DEAD,
+        kernel.ONE_INVERTED,
+    )
+)  # fmt: skip
+"""Reasons of a rejected event that say that a recording, or a part of it, cannot be judged."""
+
+
+class Named(Protocol):
+    """What a table states of the one whose alarms are scored."""
 
     @property
     def name(self) -> str:
@@ -39,6 +50,10 @@ class Contender(Protocol):
     def tuned_on(self) -> SeedRange | None:
         """Seeds of the trials on which its parameters were chosen; None if unknown."""
         ...
+
+
+class Contender(Named, Protocol):
+    """A detector or baseline that can be scored: it sees the recording and nothing else."""
 
     def reports(
         self, volts: Floats, rate_Hz: float, factors: tuple[float, ...]
@@ -78,7 +93,10 @@ class DetectorContender:
         armings = [one.time_s for one in events if one.kind == "predictive"]
         rolls = [one.time_s for one in events if one.kind == "roll"]
         return DetectorReport(
-            *(np.array(times, dtype=np.float64) for times in (slips, armings, rolls))
+            alarms_s=np.array(slips, dtype=np.float64),
+            armings_s=np.array(armings, dtype=np.float64),
+            rolls_s=np.array(rolls, dtype=np.float64),
+            cannot_judge=any(one.reason in CANNOT_JUDGE for one in events),
         )
 
 

@@ -1,10 +1,11 @@
 """Compares what a detector reported of a trial with what happened in it.
 
-A slip is found by an alarm between the first slipping node of the ridge that is read and 30 ms
-after the whole ridge has slipped. An alarm before that is early, one after it is late; neither
-finds the slip, and both are recorded separately. In a trial in which the ridge does not slip as a
-whole every alarm is false. One exception: a ridge that lifts off does slip, so in those trials the
-alarms before the lift-off are recorded separately.
+A slip is found in time by an alarm from 10 ms before to 30 ms after the whole ridge that is read
+has slipped. An alarm since the motion began that is earlier is early, one that is later is late;
+neither finds the slip in time, and both are recorded separately. An alarm before the motion is
+false, and so is every alarm in a trial in which the ridge does not slip as a whole. One exception:
+a ridge that lifts off does slip, so in those trials the alarms before the lift-off are recorded
+separately. What happens after the end of a record is not in its truth.
 """
 
 from __future__ import annotations
@@ -18,10 +19,21 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 
+EARLY_WITHIN_S = 0.010
+"""Time before the slip of the whole ridge from which an alarm finds the slip in time, in s."""
 FOUND_WITHIN_S = 0.030
 """Time after the slip of the whole ridge within which an alarm still finds the slip, in s."""
-SLIPPED = ("slip", "slip in a roll")
+LEAST_TICK_S = 0.004
+"""Shortest tick for which the phase of an alarm is computed: four samples at 1000 Hz."""
+SLIPS = ("slip", "slip in a slide")
+"""Labels of trials with a slip of the whole ridge on which detectors are compared: the motion ends
+with it, or continues."""
+SLIPPED = (*SLIPS, "slip in a roll")
 """Labels of trials in which the ridge slips as a whole."""
+NO_SLIP = ("roll", "lift-off", "hold", "partial slip", "tap")
+"""Labels of the others. In a partial slip some of the ridge slips, never all of it."""
+LABELS = (*SLIPPED, *NO_SLIP)
+"""Labels that a trial may have."""
 
 _NOTHING = np.zeros(0)
 
@@ -31,7 +43,7 @@ class Truth:
     """Truth of a trial. Times are in s from its first sample, NaN for never."""
 
     label: str
-    """Kind of trial: slip, roll, lift-off, hold, tap or slip in a roll."""
+    """Kind of trial, one of `LABELS`."""
     motion_s: float
     """Start of the slide, roll or tap. Before it the object is pressed on."""
     node_slip_s: float = math.nan
@@ -42,6 +54,14 @@ class Truth:
     """Slip of the whole contact."""
     lift_off_s: float = math.nan
     """Time at which the ridge leaves the object."""
+    record_s: float = math.nan
+    """Length of the record."""
+    quiet_s: tuple[tuple[float, float], ...] = ()
+    """Intervals in which the skin is pressed, nothing moves on purpose and nothing slips whole."""
+    tick_s: float = math.nan
+    """Time from one tick of the bench's servo to the next; NaN without a servo."""
+    tick_from_s: float = math.nan
+    """Begin of one of these ticks."""
 
     @property
     def slipped(self) -> bool:
@@ -49,8 +69,12 @@ class Truth:
         return self.label in SLIPPED
 
     def window_s(self) -> tuple[float, float]:
-        """Returns the interval in which an alarm finds the slip."""
-        return self.node_slip_s, self.ridge_slip_s + FOUND_WITHIN_S
+        """Returns the interval in which an alarm finds the slip in time."""
+        return self.ridge_slip_s - EARLY_WITHIN_S, self.ridge_slip_s + FOUND_WITHIN_S
+
+    def without_slip_s(self) -> float:
+        """Returns the length of the part of the record in which every alarm is early or false."""
+        return min(self.window_s()[0], self.record_s) if self.slipped else self.record_s
 
 
 @dataclass(frozen=True)
@@ -63,6 +87,8 @@ class DetectorReport:
     """Early warnings, (m,)."""
     rolls_s: Floats = field(default_factory=lambda: _NOTHING)
     """Recognised rolls, (j,)."""
+    cannot_judge: bool = False
+    """True if the detector said that it cannot judge the recording."""
 
 
 @dataclass(frozen=True)
@@ -74,19 +100,29 @@ class TrialOutcome:
     traits: Mapping[str, float | str]
     """Conditions of the trial, by name and unit."""
     found: bool
-    """True if an alarm found the slip."""
+    """True if an alarm found the slip in time."""
+    found_first: bool
+    """True if the first alarm since the start of the motion found it."""
     early: bool
-    """True if, in a slip, there was an alarm before the first node slipped, pressing on
-    included."""
+    """True if, in a slip, there was an alarm in the motion before the time in which it is found."""
     late: bool
-    """True if, in a slip, the first alarm came too late to find it."""
+    """True if, in a slip, the first alarm in the motion came too late to find it."""
     alarmed: bool
     """True if there was any alarm at all."""
     alarmed_pressing: bool
     """True if there was an alarm before the motion, while the object was pressed on."""
+    alarmed_moving: bool
+    """True if there was an alarm since the start of the motion."""
     alarmed_touching: bool
     """True if there was an alarm before the ridge lifted off, or any alarm if it did not lift
     off."""
+    alarmed_after: bool
+    """True if, in a slip, there was an alarm after the time in which it is found, whether it was
+    found or not."""
+    cannot_judge: bool
+    """True if the detector said that it cannot judge the recording."""
+    early_by_s: float
+    """Time from the first early alarm to the slip of the whole ridge."""
     after_node_s: float
     """Delay from the slip of the first node to the alarm that found it."""
     after_ridge_s: float
@@ -105,12 +141,24 @@ class TrialOutcome:
     """Number of early warnings in a motion without a slip of the whole ridge."""
     classified_as_roll: bool
     """True if the detector recognised a roll; in a slip, only before the whole ridge slipped."""
+    false_alarms: int
+    """Number of alarms that are early or false."""
+    without_slip_s: float
+    """Time in which they could occur (`Truth.without_slip_s`)."""
+    quiet_alarms: int
+    """Number of alarms while nothing moved (`Truth.quiet_s`)."""
+    quiet_s: float
+    """Length of that time."""
+    tick_phases: tuple[float, ...]
+    """Phases, from 0 to 1, within the servo's tick of the alarms in the motion that are early or
+    false; empty without a servo, or where a tick has too few samples (`LEAST_TICK_S`)."""
 
 
 def judge(truth: Truth, said: DetectorReport, traits: Mapping[str, float | str]) -> TrialOutcome:
     """Returns the outcome of a trial, given the truth, the report of a detector and the conditions.
 
-    Raises ValueError for a trial labelled as a slip without the times of node and ridge.
+    Raises ValueError for a trial labelled as a slip without the time at which the ridge slipped, or
+    with one before its first node's.
 
     >>> truth = Truth("slip", motion_s=1.0, node_slip_s=1.10, ridge_slip_s=1.12)
     >>> outcome = judge(truth, DetectorReport(alarms_s=np.array([1.125])), {})
@@ -125,25 +173,33 @@ def judge(truth: Truth, said: DetectorReport, traits: Mapping[str, float | str])
             f"ridge_slip_s {truth.ridge_slip_s:g} s: both must be times, the node's not the later"
         )
     alarms, armings = said.alarms_s, said.armings_s
+    moved = alarms[alarms >= truth.motion_s]
     finds = late = early = _NOTHING
     if truth.slipped:
         first, last = truth.window_s()
         finds = alarms[(alarms >= first) & (alarms <= last)]
-        early, late = alarms[alarms < first], alarms[alarms > last]
+        early, late = moved[moved < first], alarms[alarms > last]
     found_s = float(finds[0]) if finds.size else math.nan
+    false = int((alarms < first).sum()) if truth.slipped else int(alarms.size)
     moving = armings[armings >= truth.motion_s]
     predicting = moving[moving <= truth.ridge_slip_s] if truth.slipped else _NOTHING
     rolls = said.rolls_s[said.rolls_s < truth.ridge_slip_s] if truth.slipped else said.rolls_s
     touching = alarms < truth.lift_off_s if math.isfinite(truth.lift_off_s) else alarms == alarms
+    quiet = [((alarms >= begin) & (alarms < end)).sum() for begin, end in truth.quiet_s]
     return TrialOutcome(
         label=truth.label,
         traits=traits,
         found=bool(finds.size),
+        found_first=bool(finds.size) and not early.size,
         early=bool(early.size),
         late=bool(late.size) and not finds.size,
         alarmed=bool(alarms.size),
         alarmed_pressing=bool((alarms < truth.motion_s).any()),
+        alarmed_moving=bool(moved.size),
         alarmed_touching=bool(touching.any()),
+        alarmed_after=bool(late.size),
+        cannot_judge=said.cannot_judge,
+        early_by_s=truth.ridge_slip_s - float(early[0]) if early.size else math.nan,
         after_node_s=found_s - truth.node_slip_s,
         after_ridge_s=found_s - truth.ridge_slip_s,
         before_gross_s=truth.gross_slip_s - found_s,
@@ -152,4 +208,16 @@ def judge(truth: Truth, said: DetectorReport, traits: Mapping[str, float | str])
         followed=int(predicting.size),
         in_vain=0 if truth.slipped else int(moving.size),
         classified_as_roll=bool(rolls.size),
+        false_alarms=false,
+        without_slip_s=truth.without_slip_s(),
+        quiet_alarms=int(sum(quiet)),
+        quiet_s=float(sum(end - begin for begin, end in truth.quiet_s)),
+        tick_phases=_tick_phases(truth, early if truth.slipped else moved),
     )
+
+
+def _tick_phases(truth: Truth, alarms: Floats) -> tuple[float, ...]:
+    if not truth.tick_s >= LEAST_TICK_S:
+        return ()
+    phases: Floats = (alarms - truth.tick_from_s) / truth.tick_s % 1.0
+    return tuple(phases.tolist())

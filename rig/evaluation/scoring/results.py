@@ -9,8 +9,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.evaluation.scoring.contenders import FACTORS, Contender
-from rig.evaluation.scoring.outcomes import TrialOutcome
+from rig.evaluation.scoring.contenders import FACTORS, Named
+from rig.evaluation.scoring.outcomes import SLIPS, TrialOutcome, Truth
 from rig.evaluation.scoring.roc import AXES, ROLL_ALARMS, Roc, roc
 from rig.evaluation.scoring.tables import BINS, NAMES, Score, by_trait, score
 
@@ -26,8 +26,8 @@ class ScoredTrial:
 
     name: str
     """Name of the trial: kind and seed, or file and point."""
-    label: str
-    """Label of the trial (`Truth.label`)."""
+    truth: Truth
+    """What happened in it."""
     outcomes: tuple[TrialOutcome, ...]
     """Outcome of each detector at its own threshold."""
     found: NDArray[np.bool_]
@@ -53,8 +53,8 @@ class GroupScore:
 class ContenderResult:
     """Results of one detector or baseline."""
 
-    contender: Contender
-    """The detector or baseline."""
+    contender: Named
+    """The detector, baseline or trivial answer."""
     outcomes: tuple[TrialOutcome, ...]
     """Outcomes, trial by trial."""
     score: Score
@@ -65,16 +65,16 @@ class ContenderResult:
     """Slips found against false alarms, by the names of `AXES`; empty if no threshold was swept."""
 
 
-def results(
-    contenders: Sequence[Contender], judged: Sequence[ScoredTrial]
-) -> list[ContenderResult]:
-    """Returns the results of each detector from the scored trials."""
-    labels = [one.label for one in judged]
+def results(contenders: Sequence[Named], judged: Sequence[ScoredTrial]) -> list[ContenderResult]:
+    """Returns the results of each detector from the scored trials. Trivial answers, which come
+    last, have no ROC."""
+    labels = [one.truth.label for one in judged]
+    swept = min((len(one.found) for one in judged if one.found.shape[1]), default=0)
     found = []
     for at, contender in enumerate(contenders):
         outcomes = tuple(one.outcomes[at] for one in judged)
         rocs = {}
-        if judged and judged[0].found.shape[1] and "slip" in labels:
+        if at < swept and not set(SLIPS).isdisjoint(labels):
             hits = np.array([one.found[at] for one in judged])
             alarms = np.array([one.alarmed[at] for one in judged])
             for name, among in AXES.items():

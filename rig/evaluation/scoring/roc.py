@@ -9,12 +9,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from rig.evaluation.scoring.outcomes import SLIPS
+
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 ROLL_ALARMS = 0.02
 """Rate of false alarms in rolls to which thresholds are tuned."""
-AXES = {"roll": ("roll",), "hold, tap": ("hold", "tap")}
+AXES = {"roll": ("roll",), "hold, tap": ("hold", "partial slip", "tap")}
 """Labels of the trials whose false alarms are plotted against the slips found, by name of the
 axis."""
 
@@ -54,7 +56,7 @@ def roc(
 
     Raises ValueError if there is no slip or no such trial.
     """
-    slips = np.array([label == "slip" for label in labels], bool)
+    slips = np.array([label in SLIPS for label in labels], bool)
     others = np.array([label in AXES[of] for label in labels], bool)
     if not (slips.any() and others.any()):
         raise ValueError(f"{slips.sum()} slips and {others.sum()} of {of}: both must be there")

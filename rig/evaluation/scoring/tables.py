@@ -10,13 +10,21 @@ from itertools import pairwise
 import numpy as np
 
 from rig.analysis.estimate import COVERAGE_95
-from rig.evaluation.scoring.outcomes import TrialOutcome
+from rig.evaluation.scoring.outcomes import SLIPS, TrialOutcome
 
 PERCENTILES = (5, 50, 95)
 """Percentiles that are computed of every delay."""
 RESAMPLES = 1000
 """Resamples of the bootstrap. The error of an end of its interval is then below a tenth of its
 width."""
+SLIP_CLASSES = {
+    "slip": "at_a_stop", "slip in a slide": "in_a_slide", "slip in a roll": "in_roll",
+}  # fmt: skip
+"""Classes of slips, by label, with the end of the names of their numbers."""
+TOUCHING = ("roll", "hold", "partial slip", "tap")
+"""Labels of trials without a slip of the whole ridge in which it touches to the end."""
+FEWEST_PHASES = 10
+"""Fewest alarms whose phases within the tick are tested."""
 FEWEST_OF_A_SPREAD = 5
 """Fewest values for which the interval of a percentile is computed."""
 
@@ -35,7 +43,7 @@ class ScoredNumber:
     of: int
     """Number of cases."""
     unit: str
-    """Unit of value and interval; "1" for a rate."""
+    """Unit of value and interval; "1" for a rate, "p" for a probability."""
 
 
 Score = dict[str, ScoredNumber]
@@ -59,12 +67,14 @@ BINS: dict[str, tuple[float, ...]] = {
     "speed_mm_s": (0.7, 1.3, 2.5),
     "static_coefficient": (0.6, 0.9),
     "friction_ratio": (0.75, 0.85, 0.92),
-    "normal_force_N": (4.0, 6.0),
+    "normal_force_N": (1.5, 4.0, 6.0),
+    "tick_Hz": (100.0, 200.0),
+    "held_share": (0.8, 0.9),
     "gain_mismatch": (-0.03, 0.03),
 }
 """Traits by which scores are split, with the edges between their bins; the outermost bins are open.
 `friction_ratio`, μ_k / μ_s, is the drop of the friction."""
-NAMES = ("pattern", "kind")
+NAMES = ("pattern", "kind", "stop")
 """Traits that are names. Each name is a bin."""
 
 
@@ -84,6 +94,38 @@ def rate(hits: int, of: int) -> ScoredNumber:
     low = 0.0 if hits == 0 else middle - half
     high = 1.0 if hits == of else middle + half
     return ScoredNumber(share, low, high, of, "1")
+
+
+def per_hour(count: int, seconds: float, of: int) -> ScoredNumber:
+    """Returns events per hour, from a count in a time, with the exact interval of a Poisson count
+    (Garwood 1936, Biometrika 28, 437).
+
+    >>> none = per_hour(0, 3600.0, 1)
+    >>> none.low, round(none.high, 2)
+    (0.0, 3.69)
+    """
+    # Imported here because scipy takes long to import and not every command comes here.
+    from scipy.special import gammaincinv
+
+    hours, tail = seconds / 3600, 0.025
+    low = float(gammaincinv(count, tail)) if count else 0.0
+    high = float(gammaincinv(count + 1, 1 - tail))
+    return ScoredNumber(count / hours, low / hours, high / hours, of, "1/h")
+
+
+def rayleigh_p(phases: Sequence[float]) -> float:
+    """Returns the probability that phases from 0 to 1 that are uniform are as much on one side as
+    these, by Rayleigh's test (Mardia and Jupp 2000, Directional Statistics, 6.3.1).
+
+    >>> round(rayleigh_p([0.0, 0.25, 0.5, 0.75]), 2)
+    1.0
+    >>> rayleigh_p([0.1] * 20) < 1e-6
+    True
+    """
+    count = len(phases)
+    z = count * abs(np.exp(2j * np.pi * np.asarray(phases)).mean()) ** 2
+    correction = 1 + (2 * z - z**2) / (4 * count)
+    return float(min(1.0, max(0.0, math.exp(-z) * correction)))
 
 
 def percentiles(values: Sequence[float], unit: str) -> dict[int, ScoredNumber]:
@@ -145,29 +187,42 @@ def _quantities(outcomes: Sequence[TrialOutcome]) -> Iterator[tuple[str, ScoredN
     def labelled(label: str) -> list[TrialOutcome]:
         return [one for one in outcomes if one.label == label]
 
-    if slips := labelled("slip"):
+    slips = [one for label in SLIPS for one in labelled(label)]
+    if slips:
         yield "found", share(slips, lambda one: one.found)
+        yield "found_first", share(slips, lambda one: one.found_first)
         yield "early", share(slips, lambda one: one.early)
         yield "late", share(slips, lambda one: one.late)
-        for name in ("after_node", "after_ridge", "before_gross"):
+        yield "alarms_after", share(slips, lambda one: one.alarmed_after)
+        for name in ("early_by", "after_node", "after_ridge", "before_gross"):
             times = [1e3 * float(getattr(one, f"{name}_s")) for one in slips]
             for percent, time in percentiles(times, "ms").items():
                 yield f"{name}_{percent}", time
-    if rolling := labelled("slip in a roll"):
-        yield "found_in_roll", share(rolling, lambda one: one.found)
-        yield "early_in_roll", share(rolling, lambda one: one.early)
-    for label in ("roll", "hold", "tap"):
+    for label, where in SLIP_CLASSES.items():
+        if of_class := labelled(label):
+            yield f"found_{where}", share(of_class, lambda one: one.found)
+            yield f"early_{where}", share(of_class, lambda one: one.early)
+    if without := [one for label in TOUCHING for one in labelled(label)]:
+        yield "no_slip_alarms", share(without, lambda one: one.alarmed)
+        yield "no_slip_alarms_moving", share(without, lambda one: one.alarmed_moving)
+    for label in TOUCHING:
         if still := labelled(label):
-            yield f"{label}_alarms", share(still, lambda one: one.alarmed)
+            yield f"{_key(label)}_alarms", share(still, lambda one: one.alarmed)
+            yield f"{_key(label)}_alarms_moving", share(still, lambda one: one.alarmed_moving)
     if lifting := labelled("lift-off"):
         yield "lift_off_alarms_before", share(lifting, lambda one: one.alarmed_touching)
         yield "lift_off_alarms", share(lifting, lambda one: one.alarmed)
     if rolls := labelled("roll"):
         yield "rolls_recognised", share(rolls, lambda one: one.classified_as_roll)
-    if others := [one for label in ("slip", "hold", "tap") for one in labelled(label)]:
+    if others := [*slips, *(o for name in ("hold", "partial slip", "tap") for o in labelled(name))]:
         yield "taken_for_rolls", share(others, lambda one: one.classified_as_roll)
     if outcomes:
         yield "pressing_alarms", share(outcomes, lambda one: one.alarmed_pressing)
+        yield "cannot_judge", share(outcomes, lambda one: one.cannot_judge)
+    yield from _alarms_per_hour(outcomes)
+    phases = [phase for one in outcomes for phase in one.tick_phases]
+    if len(phases) >= FEWEST_PHASES:
+        yield "tick_phase_p", ScoredNumber(rayleigh_p(phases), math.nan, math.nan, len(phases), "p")
     if slips:
         yield "armed", share(slips, lambda one: one.armed)
         leads = [1e3 * one.arming_lead_s for one in slips]
@@ -176,6 +231,24 @@ def _quantities(outcomes: Sequence[TrialOutcome]) -> Iterator[tuple[str, ScoredN
     vain = sum(one.in_vain for one in outcomes)
     if armings := vain + sum(one.followed for one in outcomes):
         yield "armings_in_vain", rate(vain, armings)
-    for label in ("roll", "lift-off", "hold", "tap"):
+    for label in ("roll", "lift-off", "hold", "partial slip", "tap"):
         if still := labelled(label):
-            yield f"{label.replace('-', '_')}_armed", share(still, lambda one: one.in_vain > 0)
+            yield f"{_key(label)}_armed", share(still, lambda one: one.in_vain > 0)
+
+
+def _alarms_per_hour(outcomes: Sequence[TrialOutcome]) -> Iterator[tuple[str, ScoredNumber]]:
+    """Yields false alarms per hour, of all time without a slip and of the quiet part of it."""
+    timed = [one for one in outcomes if math.isfinite(one.without_slip_s)]
+    for name, alarms, seconds in (
+        ("false_per_hour", [o.false_alarms for o in timed], [o.without_slip_s for o in timed]),
+        ("quiet_per_hour", [o.quiet_alarms for o in outcomes], [o.quiet_s for o in outcomes]),
+    ):
+        if total_s := sum(seconds):
+            of = sum(second > 0 for second in seconds)
+            yield name, per_hour(sum(alarms), total_s, of)
+            hours = total_s / 3600
+            yield f"{name}_of", ScoredNumber(hours, math.nan, math.nan, of, "h")
+
+
+def _key(label: str) -> str:
+    return label.replace(" ", "_").replace("-", "_")
