@@ -126,7 +126,9 @@ class RunIndex:
             "id": run_id,
             "name": run.path.name,
             "files": [
-                {"name": name, "bytes": path.stat().st_size} for name, path in sorted(files.items())
+                {"name": name, "bytes": size}
+                for name, path in sorted(files.items())
+                if (size := _size(path)) is not None
             ],
         }
         if run.path.suffix == RUN_SUFFIX:
@@ -165,6 +167,14 @@ class RunIndex:
                 if own and path.suffix in KINDS and path.is_file() and not path.is_symlink():
                     found[path.name] = path
         return found
+
+
+def _size(path: Path) -> int | None:
+    """Return the size of a file; None for one that has gone meanwhile."""
+    try:
+        return path.stat().st_size
+    except OSError:
+        return None
 
 
 def _begun(fields: dict[str, Any]) -> str:

@@ -80,9 +80,15 @@ def night(results: Path) -> dict[str, Any]:
 
 def ask_batch(folder: BatchFolder, request: str) -> str:
     """Leave a request for the supervisor of a batch; return the batch's name. Raises
-    ConfigurationError if it does not run."""
-    if not is_running(folder):
+    ConfigurationError if it does not run, or is another user's."""
+    holder = holder_of(folder.path / "supervisor.lock")
+    if holder is None:
         raise ConfigurationError(f"the batch {folder.path.name} is not running", "stop the run")
+    if not holder.own:  # also where the folder may be written by all
+        raise ConfigurationError(
+            f"the batch {folder.path.name} belongs to {holder.user} (process {holder.pid})",
+            f"only {holder.user} and an administrator can end it",
+        )
     with Queue.open(folder.queue) as queue:
         queue.add_request(request)
         return queue.meta("name")

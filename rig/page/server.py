@@ -256,7 +256,7 @@ def _changing(state: PageState, change: Change) -> Callable[[Request], Any]:
                 return JSONResponse({"problem": "the request is too long"}, 413)
         try:
             wanted = json.loads(body or b"{}")
-        except ValueError:
+        except (ValueError, RecursionError):
             wanted = None
         if not isinstance(wanted, dict):
             return JSONResponse({"problem": "the request is not a JSON object"}, 400)

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from typing import Any
 
 import pytest
+import recorded_run
 from chromium import DRIVER, chromium, wait_for
 from nights import ask, await_answer, folder_of
 from selenium.webdriver.common.keys import Keys
@@ -16,6 +17,8 @@ from test_server import Page, serve
 
 from rig.detector import DEFAULT_DETECTOR
 from rig.detector.settings import named_detectors
+from rig.files.journal.writer import JournalWriter
+from rig.files.runfile.compile import compile_run
 from rig.files.runfile.reader import RunFile
 from rig.processing.detection import detect_trials
 
@@ -138,6 +141,34 @@ def test_stop_is_in_reach_on_a_phone_and_a_viewer_without_the_right_cannot_press
         phone.get(f"http://127.0.0.1:{page.port}/#token={page.watch_token}")
         wait_for(phone, "#word", lambda text: "no run" in text)
         assert not phone.find_element("id", "stop").is_enabled()
+
+
+def test_text_from_files_is_shown_as_text_and_never_becomes_markup(rig, browser):
+    hostile = '<img src=x onerror="window.taken=1"><b>bold</b>\x1b]0;taken\x07\u202e'
+    day = rig.results / "2026-11-21"
+    day.mkdir()
+    journal = day / "2026-11-21T22-00-00_sweep_r001.rigj"
+    named = recorded_run.header(sample={"name": hostile}, title=hostile, procedure="sweep")
+    with JournalWriter.create(journal, named) as writer:
+        writer.event(recorded_run.event(message=hostile))
+        recorded_run.take_point(writer, 0)
+        writer.end(recorded_run.end())
+    wait_for(browser, "#facts", lambda text: "<b>bold</b>" in text)
+    wait_for(browser, "#events", lambda text: "<b>bold</b>" in text)
+    compile_run(journal)
+    browser.find_element("css selector", "[data-tab=history]").click()
+    wait_for(browser, "#runs", lambda text: "<b>bold</b>" in text)
+    browser.find_element("css selector", "#runs tbody tr").click()
+    wait_for(browser, "#detail", lambda text: "<b>bold</b>" in text)
+    assert browser.find_elements("css selector", "main b:not(#numbers b), main img") == []
+    assert browser.execute_script("return window.taken") is None
+    for width in (1280, 390, 320):
+        size = {"width": width, "height": 844, "deviceScaleFactor": 1, "mobile": width < 600}
+        browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+        for tab in ("now", "night", "history"):
+            browser.find_element("css selector", f"[data-tab={tab}]").click()
+            wide = browser.execute_script("return document.documentElement.scrollWidth")
+            assert wide <= width, tab
 
 
 def test_a_run_that_hangs_is_told_as_hanging_and_its_guard_has_the_last_word(rig, browser):

@@ -18,10 +18,12 @@ import pytest
 from rig.batch.folder import QUEUE, BatchFolder
 from rig.batch.plan.conditions import BatchPlan
 from rig.batch.queue import Queue
+from rig.core.errors import ConfigurationError
 from rig.page import server
-from rig.page.night import batch_of, latest_batch, running_batch
+from rig.page.night import ask_batch, batch_of, latest_batch, running_batch
 from rig.page.server import PageState
 from rig.page.watch import BenchWatch
+from rig.run.lock_holder import LockHolder
 
 HOLD = """
 import fcntl, os, sys
@@ -201,6 +203,20 @@ def test_the_night_is_shown_without_a_lock_and_read_once_for_all_viewers(
     for _ in range(2):
         shown = server._night(state)
         assert (shown["name"], shown["running"], shown["drift"]) == ("friction", False, [None])
+
+
+def test_a_batch_of_another_user_is_asked_nothing_although_its_queue_can_be_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = batch(tmp_path, "night", 1)
+    folder.queue.unlink()
+    Queue.create(folder.queue, BatchPlan({}, ()), {}, {"name": "friction"}).close()
+    owner = LockHolder(4242, "somebody", own=False)
+    monkeypatch.setattr("rig.page.night.holder_of", lambda _: owner)
+    with pytest.raises(ConfigurationError, match=r"belongs to somebody \(process 4242\)"):
+        ask_batch(folder, "stop-now")
+    with Queue.open(folder.queue) as queue:
+        assert queue.take_requests() == []
 
 
 def test_a_stop_while_a_batch_rests_is_for_the_night(tmp_path: Path, asked: list[Any]) -> None:

@@ -158,7 +158,8 @@ def test_nothing_is_changed_by_a_get_nor_by_who_may_only_watch(page):
         assert page.ask("GET", path, **page.bearer())[0] == 405
         assert page.ask("POST", path, **page.bearer(page.watch_token))[0] == 403
     assert page.ask("POST", "/api/stop", **page.bearer(), body="x" * 5000)[0] == 413
-    assert page.ask("POST", "/api/stop", **page.bearer(), body="[1]")[0] == 400
+    for body in ("[1]", "[" * 1024, "\xff", "no JSON", '{"what": ["run"]}'):
+        assert page.ask("POST", "/api/stop", **page.bearer(), body=body)[0] == 400
     assert page.ask("POST", "/api/stop", **page.bearer(), body='{"what": "all"}')[0] == 400
     status, _, body = page.ask("POST", "/api/stop", **page.bearer(), body="{}")
     assert (status, b"no run holds the bench" in body) == (409, True)

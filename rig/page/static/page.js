@@ -6,7 +6,7 @@ const BIN_S = 0.05, KEPT = 3600, MOST_EVENTS = 200, LOST_MS = 2500, OLD_S = 2;
 const $ = id => document.getElementById(id);
 const token = takeToken();
 let series = {}, curve = [], events = [], spectrum = null, generation = -1, charts = {};
-let last = null, lastFrameAt = performance.now(), paused = false, night = {}, tab = "now", made = null, listed = "", asked = "", refused = false;
+let last = null, lastFrameAt = performance.now(), paused = false, night = {}, tab = "now", made = null, listed = "", asked = "", chosen = "", refused = false;
 
 function takeToken() {
   const given = new URLSearchParams(location.hash.slice(1)).get("token");
@@ -268,6 +268,7 @@ function drawEvents(plot) {
   const rows = [[], [], []]; // where labels are already, from x to x
   const seen = events.filter(event => event.code !== "discarded" && event.t >= plot.scales.x.min && event.t <= plot.scales.x.max);
   context.save();
+  context.textAlign = "left";
   context.font = `${10 * devicePixelRatio}px sans-serif`;
   for (const event of seen.sort((a, b) => importance(a) - importance(b) || a.t - b.t)) {
     const x = plot.valToPos(event.t, "x", true);
@@ -483,7 +484,7 @@ async function readHistory() {
   for (const name of found.procedures)
     if (name && ![...select.options].some(option => option.value === name)) select.append(element("option", name, {value: name}));
   $("runs").tBodies[0].replaceChildren(...found.runs.map(run => {
-    const line = element("tr", undefined, {tabindex: "0"});
+    const line = element("tr", undefined, {tabindex: "0", "data-run": run.id, "aria-selected": String(run.id === chosen)});
     const start = run.start ? run.start.slice(0, 19).replace("T", " ") : run.name;
     const outcome = run.status + (run.exit ? `, exit ${run.exit}` : "");
     for (const value of [start, run.procedure, run.sample, outcome, run.points, run.duration_s === null ? "" : span(run.duration_s), run.mark]) line.append(element("td", value));
@@ -494,20 +495,27 @@ async function readHistory() {
 }
 
 async function showRun(id) {
+  chosen = id;
+  for (const line of $("runs").tBodies[0].rows) line.setAttribute("aria-selected", String(line.dataset.run === id));
   const answer = await ask("/api/runs/" + encodeURIComponent(id));
-  if (!answer.ok) return;
+  if (!answer.ok) return notice("this run is no longer in the folder");
   const run = await answer.json();
+  if (chosen !== id) return; // another one was chosen meanwhile
   const parts = [element("h2", run.summary ? run.summary.title : run.name)];
   if (run.problem) parts.push(element("p", run.problem, {class: "warning"}));
   const files = element("div", undefined, {class: "files"});
-  for (const file of run.files) {
-    const button = element("button", `${file.name} (${(file.bytes / 1024).toFixed(0)} kB)`, {type: "button"});
+  const stem = run.name.replace(/\.[^.]*$/, "");
+  for (const file of run.files) { // the rest of its name says which it is
+    const rest = file.name.startsWith(stem) ? file.name.slice(stem.length).replace(/^[-.]/, "") : file.name;
+    const size = file.bytes < 1024 ? `${file.bytes} B` : `${(file.bytes / 1024).toFixed(0)} kB`;
+    const button = element("button", `${rest} (${size})`, {type: "button", title: file.name});
     button.addEventListener("click", () => download(id, file.name));
     files.append(button);
   }
   parts.push(files);
   for (const file of run.files.filter(file => file.name.endsWith(".png"))) {
     const picture = element("img", undefined, {alt: file.name});
+    picture.addEventListener("load", () => URL.revokeObjectURL(picture.src)); // else each stays in memory
     blobOf(id, file.name).then(url => { if (url) picture.src = url; });
     parts.push(picture);
   }
