@@ -302,3 +302,23 @@ def test_a_list_that_cannot_be_used_is_refused_with_its_line(listing, words, tmp
     line = refused("--files", tmp_path / "list.csv", "--detector", "paper-hp", "--out",
                    tmp_path / "out")  # fmt: skip
     assert words in line
+
+
+@pytest.mark.nightly
+def test_trials_are_made_on_the_whole_simulated_bench_once(tmp_path):
+    given = ("--wire", "--seeds", "1000000:1000001", "--kinds", "hold", "--detector", "paper-hp",
+             "--no-roc")  # fmt: skip
+    told = json.loads(run(*given, "--json", "--out", tmp_path / "one"))
+    assert told["failed"] == {}
+    assert told["use"] == "on the simulated bench, reporting seeds 1000000:1000001"
+    (trial,) = [
+        row for row in table(tmp_path / "one" / "trials.csv") if row["detector"] == "paper-hp"
+    ]
+    assert (trial["trial"], trial["kind"]) == ("hold 1000000", "hold")
+    assert trial["label"] in ("slip", "slip in a slide", "partial slip")
+    assert float(trial["quiet_s"]) > 0.2
+    assert 50 <= float(trial["tick_Hz"]) <= 500
+    result = CliRunner().invoke(app, [*map(str, given), "--out", str(tmp_path / "two")])
+    assert "score: 1 of 1 trials, 0 of them made now" in result.stderr
+    same = [(tmp_path / out / "trials.csv").read_bytes() for out in ("one", "two")]
+    assert same[0] == same[1]
