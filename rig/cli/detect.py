@@ -18,6 +18,7 @@ from rig.detector import DEFAULT_DETECTOR
 if TYPE_CHECKING:
     from rich.progress import Progress, TaskID
 
+    from rig.detector.settings import DetectorSettings
     from rig.processing.detection import DetectionFailure, DetectionJob, DetectionResult
 
     Answer = DetectionResult | RigError
@@ -86,12 +87,37 @@ def detect(
                 while reported_files in answers:
                     _tell(files[reported_files], answers[reported_files], as_json, debug)
                     reported_files += 1
+        remark = literal_remark(wanted, list(answers.values()))
+        if remark is not None:
+            say(remark)
         code = _code(list(answers.values()))
         if as_json:
             ordered = [answers[number] for number in range(len(files))]
             print(json.dumps(_as_object(files, ordered, code)))  # noqa: T201 - data
         if code is not ExitCode.DONE:
             raise typer.Exit(int(code))
+
+
+def literal_remark(wanted: DetectorSettings, answers: Sequence[Answer]) -> str | None:
+    """Return why the paper's literal logic found nothing where it was armed; None where it did, or
+    for another logic."""
+    if wanted.logic != "paper-literal":
+        return None
+    missed = sum(
+        answer.events.get("predictive", 0) > 0 and not answer.events.get("incipient slip", 0)
+        for answer in answers
+        if not isinstance(answer, RigError)
+    )
+    if not missed:
+        return None
+    return (
+        f"note: in {counted(missed, 'file')} there was an early warning and v_d stayed below "
+        f"{wanted.fire_mV:g} mV. The paper states no threshold; 30 mV is the lowest that alarms in "
+        "at most 2 % of simulated rolls, and the default simulated slide reaches 28.7 mV. So v_d "
+        "itself does not separate slips from rolls here, which DISAGREES with the paper's 4.3 read "
+        "literally: its high-frequency part does (--detector paper-hp). Another threshold: fire_mV "
+        "in a file for --settings."
+    )
 
 
 def _answer(

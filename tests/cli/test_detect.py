@@ -26,8 +26,11 @@ import recorded_trials as trials
 from distributed import Client
 
 import rig as package
+from rig.cli.detect import literal_remark
 from rig.detector.detector import DETECTOR_VERSION
+from rig.detector.settings import named_detectors
 from rig.files.runfile.compile import compile_run
+from rig.processing.detection import DetectionResult
 
 HP = ("--detector", "paper-hp")
 PATIENCE_S = 60.0
@@ -398,3 +401,20 @@ def test_specifications_that_cannot_be_met_are_refused(
     (error,) = done.errors
     assert told in error
     assert not rig.results.exists()
+
+
+def test_the_literal_logic_says_that_it_disagrees_with_the_paper() -> None:
+    """Its threshold is ours, and the default slide stays 1.3 mV below it."""
+    literal = named_detectors()["paper-literal"]
+
+    def found(**events: int) -> DetectionResult:
+        kinds = {name.replace("_", " "): count for name, count in events.items()}
+        return DetectionResult(Path("r.h5"), False, True, 1, kinds, None)
+
+    remark = literal_remark(literal, [found(predictive=2), found(predictive=1, incipient_slip=1)])
+    assert remark is not None
+    assert "in 1 file there was an early warning and v_d stayed below 30 mV" in remark
+    assert "The paper states no threshold" in remark
+    assert "DISAGREES with the paper" in remark
+    assert literal_remark(literal, [found(predictive=1, incipient_slip=1), found()]) is None
+    assert literal_remark(named_detectors()["paper-hp"], [found(predictive=2)]) is None
