@@ -7,6 +7,7 @@ something moves, and lifts off. Whatever ends it, what moves stops first, then z
 
 from __future__ import annotations
 
+import json
 import math
 import statistics
 from typing import TYPE_CHECKING, Any
@@ -234,12 +235,33 @@ def summary_of(readings: Sequence[Reading], names: Sequence[str]) -> dict[str, A
     if readings and "tick_Hz" in readings[-1]:  # not in files of before
         found["tick_Hz"] = readings[-1]["tick_Hz"]
     for name in names:
-        values = [float(value) for r in counting if (value := r[name]) is not None]
+        values = [float(value) for r in counting if (value := r.get(name)) is not None]
         if values:
             found[f"mean_{name}"] = statistics.fmean(values)
         if len(values) > 1:
             found[f"standard_deviation_{name}"] = statistics.stdev(values)
-    return found | _touch_gains_of(readings) | force_zero_of(readings)
+    put_in = {"put_in": sentences} if (sentences := _put_in(readings)) else {}
+    return found | _touch_gains_of(readings) | force_zero_of(readings) | put_in
+
+
+def _put_in(readings: Sequence[Reading]) -> list[str]:
+    """Return what the simulated bench put into the trials, in words; nothing on a real one."""
+    told = [str(truth) for r in readings if (truth := r.get("simulated_truth"))]
+    known = json.loads(told[-1]) if told else {}
+    lines = []
+    if (body := known.get("object", {})).get("shape") in ("cylinder", "sphere"):
+        shape = f"a {body['shape']} of {body['radius_mm']:g} mm radius"
+        other = ", not the paper's semi-spherical head" if body["shape"] == "cylinder" else ""
+        lines.append(f"Put in by the World: the object is {shape}{other} (radius ASSUMED).")
+    if "static_coefficient" in known:
+        lines.append(
+            f"Put in by the World: friction {known['static_coefficient']:g} at rest, "
+            f"{known['kinetic_coefficient']:g} in motion, over "
+            f"{known['weakening_distance_um']:g} um (ASSUMED), and the skin: its finger radius is "
+            "calibrated so that all nine ridges touch at 4 N, its other dimensions are ASSUMED "
+            "where the paper gives none. When and where it slips follows from these."
+        )
+    return lines
 
 
 def _touch_gains_of(readings: Sequence[Reading]) -> dict[str, float]:

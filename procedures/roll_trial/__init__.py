@@ -13,6 +13,7 @@ compensates for it while the object turns.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from procedures.pressed.settings import (
@@ -42,6 +43,11 @@ if TYPE_CHECKING:
     from rig.run.context import Run
 
 
+SLIP_PEAK_mV = 16.0
+"""Peak of v_d above 100 Hz when ridge 3 of the reference skin slips as a whole: computed by the
+model with its assumed friction (decision 0020), not measured."""
+
+
 class RollTrial(TrialProcedure):
     """Roll of an object with a head over the artificial skin at constant normal force: paper 5."""
 
@@ -53,11 +59,20 @@ class RollTrial(TrialProcedure):
     summary_keys = (
         "peak_1_mV",
         "peak_2_mV",
-        "above_100_Hz_percent",
+        "high_roll_rms_mV",
+        "high_rest_rms_mV",
         "largest_tangential_N",
         "angle_error_deg",
         "force_error_rms_percent",
         "force_error_peak_percent",
+    )
+
+    summary_labels = MappingProxyType(
+        {
+            **TrialProcedure.summary_labels,
+            "mean_high_roll_rms_mV": "v_d above 100 Hz in the roll, rms, mean",
+            "mean_high_rest_rms_mV": "v_d above 100 Hz at rest, rms, mean",
+        }
     )
 
     settings: RollTrialSettings
@@ -197,11 +212,15 @@ class RollTrial(TrialProcedure):
     # --- afterwards -----------------------------------------------------------------------------
 
     def summarise(self, readings: Sequence[Reading]) -> Mapping[str, Any]:
-        """Patterns, forces and angle: means of the valid trials, and how many are valid."""
+        """Return means of patterns, forces and angle over the valid trials, how many are valid,
+        and how the roll's high frequencies compare with the noise and with a slip."""
         found = dict(super().summarise(readings))
+        roll_mV, rest_mV = (found.get(f"mean_high_{part}_rms_mV") for part in ("roll", "rest"))
+        if roll_mV is not None and rest_mV is not None:
+            found["high_frequencies"] = [_compared(roll_mV, rest_mV)]
         if readings:
-            found["axis_offset_mm"] = readings[-1]["axis_offset_mm"]
-            found["axis_offset_error_mm"] = readings[-1]["axis_offset_error_mm"]
+            found["axis_offset_mm"] = readings[-1].get("axis_offset_mm")
+            found["axis_offset_error_mm"] = readings[-1].get("axis_offset_error_mm")
         lifted = [r["ridge_lifted"] for r in readings if r.get("ridge_lifted") is not None]
         if lifted:
             found["simulated_ridge_lifted"] = int(sum(float(v or 0) for v in lifted))
@@ -214,3 +233,12 @@ def _stand(run: Run) -> None:
         run.bench.rotary.stop()
     finally:
         run.bench.stage_x.stop()
+
+
+def _compared(roll_mV: float, rest_mV: float) -> str:
+    """Return v_d above 100 Hz in the roll, beside what it has at rest and in a slip, in words."""
+    return (
+        f"v_d above 100 Hz: measured {roll_mV:.3g} mV rms in the roll and {rest_mV:.3g} mV at rest;"
+        f" a slip of the whole ridge has a peak of about {SLIP_PEAK_mV:g} mV there (computed with "
+        "the reference skin, whose friction is ASSUMED)."
+    )

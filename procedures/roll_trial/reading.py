@@ -10,7 +10,7 @@ import numpy as np
 
 from procedures.pressed import reading as pressed_reading
 from procedures.pressed.reading import DECIMATED_Hz, TrialRecord
-from rig.analysis.response.spectrum import share_above
+from rig.analysis.response.spectrum import rms_above
 
 if TYPE_CHECKING:
     from procedures.roll_trial.settings import RollTrialSettings
@@ -80,8 +80,8 @@ def _angles(settings: RollTrialSettings, record: RollTrialRecord) -> Reading:
 
 
 def _strips(settings: RollTrialSettings, record: RollTrialRecord) -> Reading:
-    """Return the largest excursions of both strips on the way there, and the energy of v_d above
-    100 Hz."""
+    """Return the largest excursions of both strips on the way there, and the rms of v_d above
+    100 Hz in the roll and at rest before it."""
     volts = np.concatenate(record.volts)
     t = np.arange(len(volts)) / DECIMATED_Hz - record.filter_delay_s
     before = (t >= _zero_from_s(record)) & (t < record.motion_from_s)
@@ -90,11 +90,12 @@ def _strips(settings: RollTrialSettings, record: RollTrialRecord) -> Reading:
     there = (t >= record.motion_from_s) & (t < record.motion_from_s + way_s)
     rolled = (t >= record.motion_from_s) & (t < record.motion_to_s)
     peaks = [1e3 * float(column[np.argmax(np.abs(column))]) for column in volts[there].T]
-    difference = volts[rolled, 0] - volts[rolled, 1]
+    difference_mV = 1e3 * (volts[:, 0] - volts[:, 1])
     return {
         "peak_1_mV": peaks[0],
         "peak_2_mV": peaks[1],
-        "above_100_Hz_percent": 100 * share_above(difference, DECIMATED_Hz, HIGH_Hz),
+        "high_roll_rms_mV": rms_above(difference_mV[rolled], DECIMATED_Hz, HIGH_Hz),
+        "high_rest_rms_mV": rms_above(difference_mV[before], DECIMATED_Hz, HIGH_Hz),
     }
 
 

@@ -12,6 +12,7 @@ notches that it shows.
 
 from __future__ import annotations
 
+import itertools
 import random
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
@@ -178,11 +179,12 @@ class Sweep(Procedure):
 
         if not readings:
             return {"points": 0}
-        several = len(self.settings.levels_N) > 1
+        settings = self.settings
+        several = len(settings.levels_N) > 1
         return {
             **figures(readings),
             **contact.force_zero_of(readings),
-            **model(readings, several_loads=several),
+            **model(readings, several, settings.bounds),
         }
 
 
@@ -217,11 +219,27 @@ def _points_at(settings: SweepSettings, frequencies: Sequence[float]) -> tuple[P
         conditions.sort(key=lambda c: (c.repeat, -c.frequency_Hz, c.load_N))
     if order == "random":
         random.Random(settings.order_seed).shuffle(conditions)
+    else:
+        conditions = _up_and_down(conditions)
     before = [None, *conditions]
     return tuple(
         _point(settings, condition, last)
         for condition, last in zip(conditions, before, strict=False)
     )
+
+
+def _up_and_down(conditions: Sequence[SweepCondition]) -> list[SweepCondition]:
+    """Return the conditions with the loads rising at one frequency and falling at the next.
+
+    The drive then never changes much between two points. A leap from the largest load to the
+    smallest rings far longer above the tone than one step of load does.
+    """
+    groups = itertools.groupby(conditions, key=lambda c: (c.repeat, c.frequency_Hz))
+    ordered: list[SweepCondition] = []
+    for k, (_, group) in enumerate(groups):
+        loads = list(group)
+        ordered += reversed(loads) if k % 2 else loads
+    return ordered
 
 
 def _point(

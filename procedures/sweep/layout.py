@@ -86,6 +86,7 @@ LAYOUT = Layout(
         Column("repeat", "", "Repeat"),
         Column("drive", "V", "Generator amplitude, peak"),
         Column("preload", "N", "Preload"),
+        Column("preload_error", "N", "Standard error of the preload", key="preload_error_N"),
         Column("degrees", "", "Degrees of freedom of the fit"),
         Column("records", "", "Records that count"),
         Column("taken", "s", "Time the point took"),

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import json
 import math
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from procedures.sweep.settings import CHANNELS
 from rig.analysis.response.levelling import LearnedGain, LearnedMains
+from rig.run.checked_procedure import TRUTH
 
 if TYPE_CHECKING:
     from procedures.sweep.preload import Preload
@@ -50,6 +52,18 @@ class SweepMemory:
     followed_s: float = 0.0
     """Time at which the latest move after the creep ended; earlier force values do not include its
     effect."""
+    _truth_told: bool = False
+    decay_s: float | None = None
+    """Time constant of the latest ringing that was seen to decay; None before the first."""
+
+    def film_truth(self, run: Run) -> Reading:
+        """Return the simulated bench's own account of its film for the first reading that asks;
+        empty afterwards, and on a real bench. No measurement uses it."""
+        if self._truth_told:
+            return {}
+        self._truth_told = True
+        truth = run.clock.truth()
+        return {TRUTH: json.dumps(truth)} if truth else {}
 
     def recall(self, reading: Reading) -> None:
         """Learn from a reading that an earlier attempt has recorded."""
@@ -80,8 +94,9 @@ class SweepMemory:
         """Follow the film's creep until it is slow, before anything vibrates."""
         self.preload.hold(run, FOLLOW_S, FOLLOWED_S)
 
-    def follow_preload(self, run: Run) -> None:
-        """Follow the film's creep by the mean force over whole periods of the present vibration."""
+    def follow_preload(self, run: Run) -> float:
+        """Follow the film's creep by the mean force over whole periods of the present vibration.
+        Return the time in s that the stage takes for it, 0 without a move."""
         now, f = run.clock.now(), self.frequency_Hz
         stretch_s = math.ceil(FOLLOW_S * f) / f
         slow = stretch_s > FOLLOW_S + 1e-3
@@ -90,3 +105,5 @@ class SweepMemory:
         begun_s = self.since_s if slow else self.slow_until_s
         if now - max(begun_s, self.followed_s) >= stretch_s and self.preload.follow(run, stretch_s):
             self.followed_s = now + FOLLOWED_S
+            return FOLLOWED_S
+        return 0.0

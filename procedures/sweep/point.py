@@ -12,11 +12,17 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-from procedures.pressed.contact import felt_N
 from procedures.sweep.layout import reading_of
 from procedures.sweep.sampling import FittedRecord, RecordSampler, refuse_silence, warn_of_mains
 from procedures.sweep.settings import LONG_RECORD_S
-from rig.analysis.response.levelling import AGREEMENT_SIGMAS, RecordNeeds, agreement, combined
+from rig.analysis.response.levelling import (
+    AGREEMENT_SIGMAS,
+    RecordNeeds,
+    agreement,
+    combined,
+    quieter_noise,
+)
+from rig.analysis.response.static_force import static_force
 from rig.core.errors import InstrumentError
 
 if TYPE_CHECKING:
@@ -52,25 +58,27 @@ LEAP = 1.1
 LEAP_S = 0.02
 """Wait after such a leap if the record is too short to average over the ringing."""
 VERY_LONG_RECORD_S = 0.15
-"""Length of a record that needs no wait after a leap."""
+"""Length of a record that needs no wait after a correction of the drive."""
 RINGING_S = 0.015
-"""Wait after a smaller change of frequency."""
+"""Wait before a record that averages over ringing, after a change of frequency."""
 CORRECTED_S = 0.008
 """Wait after a correction of the drive."""
 
 # --- settling -----------------
-AGREEMENT = 8e-4
-"""Relative difference of two successive records, beyond their noise, up to which they are
-settled."""
+AGREEMENT = 2e-4
+"""Relative difference of the responses of two successive records, beyond their noise, up to which
+they are settled."""
+LOAD_AGREEMENT = 2.4e-3
+"""The same of the loads, which need not be as steady: only their ratio to the voltage matters."""
 CLEAR_RINGING = 2.0
-"""Ratio of the first difference to `AGREEMENT` above which it is ringing and not noise."""
+"""Ratio of the first difference to the visible one above which it is ringing and not noise."""
+SUNK = 0.2
+"""Ringing in the valid records that does not matter, in standard errors of a record."""
 SILENCE_S = 2.0
 """Time at a point after which a film without a signal is reported."""
 
 FITTED_PARAMETERS = 7
 """Parameters of a fit, the same for all records: offset, the tone, two mains lines."""
-STATIC_S = 0.05
-"""Shortest time over which the force is averaged for a reading's preload."""
 
 
 class SweepPointRun:
@@ -88,7 +96,7 @@ class SweepPointRun:
         self._driven_s = 0.0
         """Time at which the drive was changed."""
         self._seen_ringing: tuple[float, float] | None = None
-        """Time at which two successive records first disagreed since that change, and their
+        """Time at which two successive records first differed clearly since that change, and their
         difference."""
         self._outlasted = False
         """True after the wait for that ringing to decay."""
@@ -101,12 +109,17 @@ class SweepPointRun:
         """True if the next record only has to check the load, whose prediction is not trusted."""
         self._latest_N = math.nan
         """Load of the latest record; NaN before the first."""
+        self._kept_since_s = self._begun_s
+        """Time at which the first of the valid records began."""
+        self._differed = math.nan
+        """Relative difference of the latest two records that did not agree."""
 
     # --- the phases -----------------------------------------------------------------------------
 
     def follow_preload(self) -> None:
-        """Follow the film's creep before the vibration is changed."""
-        self.memory.follow_preload(self.run)
+        """Follow the film's creep before the vibration is changed, and wait for the stage: a force
+        that changes during a record has no single value."""
+        self._sampler.wait(self.memory.follow_preload(self.run))
 
     def drive_as_predicted(self) -> None:
         """Set the drive that should give the load, or a fraction of it if nothing is known; then
@@ -124,6 +137,8 @@ class SweepPointRun:
 
     def sample(self) -> None:
         """Take one further record at the present drive."""
+        if not self.kept:
+            self._kept_since_s = self.run.clock.now()
         sampled = self._sampler.take(self._needs(), only_load=self._looking)
         self.kept.append(sampled)
         if math.isnan(self._latest_N):
@@ -137,14 +152,18 @@ class SweepPointRun:
 
         Raises InstrumentError if it takes too long and was never steady.
         """
-        late = self.run.clock.now() - self._begun_s > self.settings.longest_point_s
-        if self._is_level() and self._is_settled():
+        late = self._is_late()
+        if self._is_level() and (self._is_settled() or (late and self._last_is_steady())):
             if self._sampler.physics_s > SILENCE_S:
                 refuse_silence(self.kept[-1].voltage)
             return self._is_known() or late
         if late:
             self._refuse_restless()
         return False
+
+    def _is_late(self) -> bool:
+        """Return whether the point has taken longer than it may."""
+        return self.run.clock.now() - self._begun_s > self.settings.longest_point_s
 
     def reading(self) -> Reading:
         """Record the valid samples and return the reading."""
@@ -157,6 +176,7 @@ class SweepPointRun:
         self.memory.learn_noise("load_cell", last.load)
         self.memory.learn_noise("film", last.voltage)
         response = combined([sampled.response for sampled in kept])
+        preload_N, preload_error_N = self._static_force(last.load)
         return reading_of(response, last.load, last.voltage, run.elapsed_s()) | {
             "load_set_N": condition.load_N,
             "repeat": condition.repeat,
@@ -166,9 +186,17 @@ class SweepPointRun:
             "taken_s": run.clock.now() - self._begun_s,
             "physics_s": sampler.physics_s,
             "largest_load_N": sampler.largest_load_N,
-            "preload_N": felt_N(run, max(STATIC_S, 1 / condition.frequency_Hz)),
+            "preload_N": preload_N,
+            "preload_error_N": preload_error_N,
             **self.memory.preload.zero.columns(),
+            **self.memory.film_truth(run),
         }
+
+    def _static_force(self, load: SineFit) -> tuple[float, float]:
+        """Return the static force during the valid records and its standard error, in N."""
+        force = self.run.force
+        frames_N = force.latest_N(self.run.clock.now() - self._kept_since_s)[:, 2].astype(float)
+        return static_force(frames_N, force.rate_S_s, self.condition.frequency_Hz, load.amplitude)
 
     # --- the drive ------------------------------------------------------------------------------
 
@@ -186,8 +214,11 @@ class SweepPointRun:
         self._driven_s = clock.now()
         self._seen_ringing = None
         self._outlasted = False
-        if self._averages() and self._sampler.whole_length_s < VERY_LONG_RECORD_S:
-            self._sampler.wait(RINGING_S if changed else CORRECTED_S)
+        if self._averages():
+            if changed:
+                self._sampler.wait(RINGING_S)
+            elif self._sampler.whole_length_s < VERY_LONG_RECORD_S:
+                self._sampler.wait(CORRECTED_S)
 
     def _is_level(self) -> bool:
         """Return whether the load is within its tolerance; if not, correct the drive."""
@@ -230,55 +261,87 @@ class SweepPointRun:
             return True
         if len(self.kept) < 2:
             return False
-        before, last = (sampled.response for sampled in self.kept[-2:])
-        now = self.run.clock.now()
-        if self._agree():
-            self._outlast_ringing(now, agreement(before, last, AGREEMENT), abs(last.value))
+        visible = self._visible_difference()
+        if self._agree(visible):
+            self._outlast_ringing(visible)
             return bool(self.kept)
-        if self._seen_ringing is None:
-            self._seen_ringing = (now, abs(before.value - last.value))
-        del self.kept[:-1]
+        before, last = (sampled.response.value for sampled in self.kept[-2:])
+        self._differed = abs(before / last - 1)
+        if self._seen_ringing is None and abs(before - last) > CLEAR_RINGING * visible:
+            self._seen_ringing = (self.run.clock.now(), abs(before - last))
+        self._begin_anew_with_last()
         return False
 
-    def _agree(self) -> bool:
+    def _begin_anew_with_last(self) -> None:
+        """Drop all records but the last."""
+        self._kept_since_s = self.run.clock.now() - self.kept[-1].duration_s
+        del self.kept[:-1]
+
+    def _visible_difference(self) -> float:
+        """Return the difference of the last two responses, in V/N, that noise hides."""
+        before, last = self.kept[-2:]
+        return agreement(before.response, last.response, AGREEMENT, (before.load.n, last.load.n))
+
+    def _agree(self, visible: float) -> bool:
         """Return whether load and response of the last two records are equal within their noise."""
         before, last = self.kept[-2:]
         difference_N = abs(before.load.amplitude - last.load.amplitude)
-        noise_N = AGREEMENT_SIGMAS * math.hypot(
-            before.load.standard_error, last.load.standard_error
+        noise_N = AGREEMENT_SIGMAS * quieter_noise(
+            [each.load.standard_error**2 for each in (before, last)],
+            [each.load.n for each in (before, last)],
         )
-        if difference_N > 3 * AGREEMENT * last.load.amplitude + noise_N:
+        if difference_N > LOAD_AGREEMENT * last.load.amplitude + noise_N:
             return False
-        visible = agreement(before.response, last.response, AGREEMENT)
         return abs(before.response.value - last.response.value) <= visible
 
-    def _outlast_ringing(self, now: float, visible: float, size: float) -> None:
-        """Wait until ringing no longer matters, if it was seen to decay below what can be resolved.
+    def _outlast_ringing(self, visible: float) -> None:
+        """Wait until ringing no longer matters, after two records whose difference is below
+        `visible`.
 
-        The time from the first difference to one below ``visible`` gives the longest possible time
-        constant.
+        The time from the first difference to one below `visible` gives the longest possible time
+        constant. If ringing was below the noise all the time, the time constant of the latest one
+        that was seen is used: it may be just below what can be seen, and not small.
         """
-        if self._seen_ringing is None:
-            return
-        since_s, first = self._seen_ringing
+        now, last = self.run.clock.now(), self.kept[-1]
+        if self._seen_ringing is not None:
+            since_s, first = self._seen_ringing
+            self.memory.decay_s = (now - since_s) / math.log(max(first / visible, CLEAR_RINGING))
         self._seen_ringing = None
-        if first > CLEAR_RINGING * visible and visible > AGREEMENT * size:
-            constant_s = (now - since_s) / math.log(first / visible)
-            rest_s = constant_s * math.log(visible / (AGREEMENT * size))
-            under_way_s = self.kept[-1].duration_s / 2  # in the next one
-            self._sampler.wait(max(min(rest_s, now - self._driven_s) - under_way_s, 0.0))
+        if self.memory.decay_s is None:
+            return
+        error = math.sqrt(float(last.response.covariance.trace()) / 2)
+        decay_s = self.memory.decay_s
+        # Two records a duration apart differ by 1 - fall of the ringing in the first.
+        fall = math.exp(-last.duration_s / decay_s)
+        ringing = visible * fall**2 / (1 - fall)  # in the next record
+        rest_s = decay_s * math.log(max(ringing / (SUNK * error), 1.0))
+        if rest_s > 0 and not self._is_late():
+            self._sampler.wait(min(rest_s, now - self._driven_s))
             self.kept.clear()
             self._outlasted = True
 
+    def _last_is_steady(self) -> bool:
+        """Return whether both halves of the last record agree: a long one shows by itself that
+        nothing rings, and the record before it may have differed by chance."""
+        last = self.kept[-1]
+        if last.voltage.block_phasors.size < 2:
+            return False
+        parts = last.voltage.block_phasors / last.load.block_phasors
+        half = parts.size // 2
+        difference = abs(parts[:half].mean() - parts[-half:].mean())
+        noise = 2 * math.sqrt(float(last.response.covariance.trace()))  # of half a record, twice
+        return bool(difference <= AGREEMENT * abs(last.response.value) + AGREEMENT_SIGMAS * noise)
+
     def _is_known(self) -> bool:
-        """Return whether the gain's standard error is below the target; the first record, which may
-        contain the end of the ringing, is left out if that suffices."""
+        """Return whether the noise of the gain is below the target; the first record, which may
+        contain the end of the ringing, is left out if that suffices. What mains lines leak is not
+        noise: more records of the same length would not remove it."""
         target = self.settings.target_error_dB
         for kept in (self.kept[1:], self.kept):
             if not kept:
                 continue
             together = combined([sampled.response for sampled in kept])
-            if together.gain_standard_error_dB <= target:
+            if together.gain_noise_dB <= target:
                 self.kept = list(kept)
                 return self._load_is_right()
         return False
@@ -292,10 +355,20 @@ class SweepPointRun:
     def _refuse_restless(self) -> None:
         """Raise InstrumentError: the time limit has passed and the load was never right and
         steady."""
+        lo, percent = self.condition.load_N, self.settings.load_tolerance_percent
+        if abs(self._latest_N / lo - 1) > 1e-2 * percent:
+            raise InstrumentError(
+                "generator",
+                f"load at {self.condition.frequency_Hz:g} Hz",
+                f"{self._latest_N:.4g} N after {self.settings.longest_point_s:g} s, {lo:g} N "
+                f"± {percent:g} % wanted (--longest-point, --load-tolerance)",
+                "check the vibrator's line for something loose, or allow more time and tolerance",
+            )
         raise InstrumentError(
-            "generator",
-            f"load at {self.condition.frequency_Hz:g} Hz",
-            f"{self._latest_N:.4g} N after {self.settings.longest_point_s:g} s, "
-            f"{self.condition.load_N:g} N wanted; no two successive records agreed",
-            "check the vibrator's line for something loose, or allow more time and tolerance",
+            "daq",
+            f"response at {self.condition.frequency_Hz:g} Hz under {lo:g} N",
+            f"not steady after {self.settings.longest_point_s:g} s (--longest-point): two "
+            f"successive records differ by {100 * self._differed:.2g} %, more than their noise",
+            "check film, clamp and vibrator for something loose, choose a larger load, or allow "
+            "more time",
         )

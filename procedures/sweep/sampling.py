@@ -223,6 +223,7 @@ class RecordSampler:
             record.scaling.rate_S_s,
             self.condition.frequency_Hz,
             interference=lines,
+            bounds=self.memory.mains[channel].bounds(mains_Hz, MAINS_LINES),
             delay_s=record.delay_s(channel),
             largest_inflation=limit,
         )

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import itertools
+import math
 from typing import Literal, NamedTuple
 
 from pydantic import Field, field_validator, model_validator
 
+from rig.analysis.verdict import Bounds
 from rig.core.settings import Settings
 
 CHANNELS = ("load_cell", "film")
@@ -21,6 +23,10 @@ LISTEN_S = 0.5
 """Length of the record before anything vibrates."""
 LISTENED = 2
 """Expected number of such records: one more on the ranges that the first one shows to fit."""
+GOLDEN = (math.sqrt(5) - 1) / 2
+"""Fraction of a sample by which a cycle exceeds a whole number of samples. With a whole number the
+converter would see the same few phases in every cycle: its rounding would then be the same in each,
+which no record averages out and no residual shows."""
 LONG_RECORD_S = 0.03
 """Length from which one record averages over all ringing and is enough; shorter ones take two."""
 
@@ -76,13 +82,19 @@ class SweepSettings(Settings):
     shortest_record_s: float = Field(default=0.0065, gt=0, le=60)
     """Shortest length of a record."""
     samples_per_cycle: float = Field(default=20.0, ge=2.5)
-    """Ratio of sampling rate to frequency."""
+    """Least ratio of sampling rate to frequency. A fraction of a sample is added, so that no two
+    cycles are sampled at the same phases."""
     slowest_rate_S_s: float = Field(default=64e3, gt=0)
     """Lowest sampling rate, which prevents aliasing of the front end's noise."""
     rate_S_s: float | None = Field(default=None, gt=0)
     """Fixed sampling rate for all points. Default: --samples-per-cycle times the frequency."""
     first_amplitude_V: float = Field(default=0.05, gt=0)
     """Generator amplitude, peak, at the beginning of a sweep."""
+    slope_bound_dB_decade: float = Field(default=0.05, gt=0, le=20)
+    """Difference of a slope, over frequency or load, up to which 20 dB/decade and independence of
+    the load hold."""
+    gain_bound_dB: float = Field(default=0.1, gt=0, le=20)
+    """Difference of the gains under two loads up to which the gain does not depend on the load."""
     mains_Hz: float = Field(default=50.0, gt=0)
     """Mains frequency, whose lines are fitted together with the tone."""
 
@@ -116,13 +128,19 @@ class SweepSettings(Settings):
         if self.rate_S_s is not None:
             return self.rate_S_s
         wanted = max(self.slowest_rate_S_s, self.samples_per_cycle * frequency_Hz)
-        return min(wanted, max(HIGHEST_RATE_S_S, 2.5 * frequency_Hz))
+        spread = (math.ceil(wanted / frequency_Hz - GOLDEN) + GOLDEN) * frequency_Hz
+        return min(spread, max(HIGHEST_RATE_S_S, 2.5 * frequency_Hz))
 
     def shortest_at(self, frequency_Hz: float) -> float:
         """Return the length of the shortest record at a frequency in s: one cycle, or a few short
         ones."""
         few = FEW_CYCLES / frequency_Hz
         return max(self.shortest_record_s, 1 / frequency_Hz, min(few, 2 * self.shortest_record_s))
+
+    @property
+    def bounds(self) -> Bounds:
+        """Bounds of the verdicts."""
+        return Bounds(self.slope_bound_dB_decade, self.gain_bound_dB)
 
     @property
     def levels_N(self) -> tuple[float, ...]:  # noqa: N802 - the unit keeps its capital

@@ -12,6 +12,8 @@ import numpy.typing as npt
 
 from procedures.sweep.layout import LAYOUT
 from rig.analysis.response.curve import CurveError, ResponseCurve, points_of
+from rig.analysis.verdict import Bounds
+from rig.run.checked_procedure import TRUTH
 from rig.run.points import Reading
 
 NEAR_200 = 1.26
@@ -26,6 +28,7 @@ def curve_of(readings: Sequence[Reading]) -> ResponseCurve:
         *points_of(partial(_column, readings)),
         degrees=_column(readings, "degrees"),
         preloads=_column(readings, "preload"),
+        preload_errors=_column(readings, "preload_error"),
     )
 
 
@@ -50,13 +53,14 @@ def figures(readings: Sequence[Reading]) -> dict[str, Any]:
     }
 
 
-def model(readings: Sequence[Reading], several_loads: bool) -> dict[str, Any]:
+def model(readings: Sequence[Reading], several_loads: bool, bounds: Bounds) -> dict[str, Any]:
     """Return the results of the gain curve's analysis, with its dependence on the load if several
-    were measured; empty for a sweep that is too short for it."""
+    were measured; empty for a sweep that is too short for it. `bounds` belong to the verdicts."""
     if len({reading["frequency_Hz"] for reading in readings}) < FEWEST_FOR_A_MODEL:
         return {}
     # Takes long to import, so never imported while something is switched on.
     from rig.analysis.film.gain_curve import analyse
+    from rig.analysis.film.truth import FilmTruth
 
     def of_loads(name: str) -> npt.NDArray[np.float64] | None:
         return _column(readings, name) if several_loads else None
@@ -66,13 +70,17 @@ def model(readings: Sequence[Reading], several_loads: bool) -> dict[str, Any]:
             *points_of(partial(_column, readings)),
             degrees=_column(readings, "degrees"),
             preloads=_column(readings, "preload"),
+            preload_errors=_column(readings, "preload_error"),
+            bounds=bounds,
             loads=of_loads("load_amplitude"),
             load_distortion=of_loads("load_distortion"),
             film_distortion=of_loads("voltage_distortion"),
         )
     except CurveError:
         return {}
-    return {"analysis": found.sentences(), "model": found.as_dict()}
+    told = [str(reading[TRUTH]) for reading in readings if reading.get(TRUTH)]
+    truth = FilmTruth.of(told[0] if told else None)
+    return {"analysis": found.sentences(truth), "model": found.as_dict()}
 
 
 def _gain_near_200(readings: Sequence[Reading]) -> dict[str, Any]:
@@ -92,4 +100,5 @@ def _gain_near_200(readings: Sequence[Reading]) -> dict[str, Any]:
 def _column(readings: Sequence[Reading], name: str) -> npt.NDArray[np.float64]:
     """Return a column of the run's table, (n,)."""
     source = LAYOUT.column(name).key
-    return np.array([float(reading[source] or 0) for reading in readings])
+    # Readings of a run that an older version began lack the newer columns.
+    return np.array([float(reading.get(source, math.nan) or 0) for reading in readings])

@@ -58,7 +58,12 @@ def analysed(run: RunFile) -> SweepAnalysis:
             "calibrate from a sweep of the default grid",
         )
     degrees, preloads = _column(run, "degrees"), _column(run, "preload")
-    return analyse(*points_of(run.column), degrees=degrees, preloads=preloads)
+    return analyse(
+        *points_of(run.column),
+        degrees=degrees,
+        preloads=preloads,
+        preload_errors=_column(run, "preload_error"),
+    )
 
 
 def film_record(

@@ -15,6 +15,7 @@ from rig.physics.pvdf import SKIN_STRIP
 if TYPE_CHECKING:
     from rig.analysis.film.gain_curve import SweepAnalysis
     from rig.analysis.response.curve import ResponseCurve
+    from rig.analysis.verdict import Bounds
     from rig.files.runfile.reader import RunFile
 
 REFERENCE_SLOPE_DB_DECADE = 20.0
@@ -62,6 +63,17 @@ def _several_loads(run: RunFile) -> bool:
     return len(set(run.column("load_set").tolist())) > 1
 
 
+def _bounds(run: RunFile) -> Bounds:
+    """Return the bounds of the verdicts that the run was asked for."""
+    from rig.analysis.verdict import Bounds
+
+    usual = Bounds()
+    return Bounds(
+        float(run.settings.get("slope_bound_dB_decade", usual.slope_dB_decade)),
+        float(run.settings.get("gain_bound_dB", usual.gain_dB)),
+    )
+
+
 def _analysed(run: RunFile) -> tuple[ResponseCurve | None, SweepAnalysis | None]:
     """Return the responses and their analysis; (None, None) for a sweep that is too short."""
     from rig.analysis.film.gain_curve import analyse
@@ -74,6 +86,9 @@ def _analysed(run: RunFile) -> tuple[ResponseCurve | None, SweepAnalysis | None]
             *points_of(column),
             degrees=column("degrees"),
             preloads=column("preload"),
+            # Files of older versions lack the column and the bounds.
+            preload_errors=column("preload_error") if "preload_error" in run.columns() else None,
+            bounds=_bounds(run),
             loads=column("load_amplitude") if several else None,
             load_distortion=column("load_distortion") if several else None,
             film_distortion=column("voltage_distortion") if several else None,

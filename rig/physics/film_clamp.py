@@ -32,6 +32,9 @@ class FilmClampSettings(Settings):
     """Time constant of that relaxation."""
     gain_per_newton_dB: float = Field(default=0.02, ge=-1, le=1)
     """Change of the film's gain with preload, about the nominal preload."""
+    gain_per_load_decade_dB: float = Field(default=0.0, ge=-20, le=20)
+    """Change of the film's gain by decade of the sinusoidal load, about 1 N. 0 for a linear film,
+    as the paper reports (3.2, data2 (i))."""
     nominal_preload_N: float = Field(default=25.0, gt=0)
     """Preload at which the film has its nominal gain."""
 
@@ -79,4 +82,14 @@ def preload_gain(settings: FilmClampSettings, preload_N: Reals) -> Reals:
     """Returns the factor on the film's response at a preload: 0 without contact."""
     change_dB = settings.gain_per_newton_dB * (preload_N - settings.nominal_preload_N)
     factor: Reals = np.where(preload_N > 0, 10 ** (change_dB / 20), 0.0)
+    return factor
+
+
+def load_gain(settings: FilmClampSettings, load_N: Reals) -> Reals:
+    """Returns the factor on the film's response under a sinusoidal load, peak in N; 1 without
+    one."""
+    if not settings.gain_per_load_decade_dB:
+        return np.ones_like(load_N)
+    decades = np.log10(np.where(load_N > 0, load_N, 1.0))
+    factor: Reals = 10 ** (settings.gain_per_load_decade_dB * decades / 20)
     return factor

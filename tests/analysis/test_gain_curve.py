@@ -10,6 +10,8 @@ from recorded_film import PLAN, judge, line_slope, record, recorded_sweep
 from rig.analysis.film.frequency_plan import refine_Hz, scan_frequencies_Hz
 from rig.analysis.film.gain_curve import CurveError, ResponseCurve, analyse
 from rig.analysis.film.model import FilmModel, Notch
+from rig.analysis.film.truth import FilmTruth
+from rig.analysis.verdict import Bounds
 from rig.physics import pvdf
 from rig.physics.pvdf import SWEEP_FILM
 from rig.physics.vibrator import VibratorSettings, drawn_film, true_response
@@ -113,7 +115,7 @@ def test_the_corner_is_said_to_contradict_table_1(default_film):
     text = "\n".join(default_film.sentences())
     assert "6631 Hz for the film alone" in text
     assert "3.32 times the measured one" in text
-    assert "consistent with 20 dB/decade" in text
+    assert "20 dB/decade (stress rate): holds" in text
     assert "The paper applied -24 dB" in text
 
 
@@ -275,3 +277,70 @@ def test_refinement_lies_within_the_half_widths():
         x = more / drop.frequency_Hz
         left &= np.abs(drop.pole_Q * (x - 1 / x)) > 1.05
     assert not left.any()
+
+
+def test_twenty_decibels_are_not_refused_for_a_difference_without_meaning():
+    """The exponent is 19.99934 dB/decade with an error of 0.00026, as of seed 5 with five loads."""
+    film = FilmModel(-78.0, 1 / 2000, slope_dB_decade=19.99934)
+    found = analyse(*curve_of(film.response, error_dB=0.0005))
+    assert not found.slopes.asymptotic.covers(20.0)
+    assert found.slopes.verdict(found.bounds).answer == "holds"
+    tight = Bounds(slope_dB_decade=1e-5)
+    assert found.slopes.verdict(tight).answer == "does not hold"
+
+
+def test_a_film_of_another_slope_is_told_from_one_of_twenty():
+    film = FilmModel(-78.0, 1 / 2000, slope_dB_decade=19.9)
+    text = analyse(*curve_of(film.response)).sentences()[0]
+    assert "20 dB/decade (stress rate): does not hold" in text
+
+
+def test_a_part_of_the_range_says_what_it_cannot_judge():
+    """The notches at 2.4 and 9 kHz act below 2 kHz and are not in the model."""
+    part = np.concatenate([SCAN[(SCAN >= 20) & (SCAN <= 2000)], np.geomspace(400, 620, 25)])
+    response = lambda f: true_response(f, *DEFAULT_FILM)  # noqa: E731
+    found = analyse(*curve_of(response, part, error_dB=0.002))
+    assert not found.fit.residuals_are_random
+    text = " ".join(found.sentences())
+    assert "20 dB/decade (stress rate): cannot be decided by these data" in text
+    assert "The range ends at 2000 Hz: notches above it act within it" in text
+
+
+def test_a_simulated_film_is_recovered_and_not_measured():
+    """A number that the World put in is no finding about films."""
+    truth = FilmTruth.of(
+        json.dumps(
+            {
+                "film": {
+                    "level_dB": -77.19,
+                    "corner_Hz": 1999.0,
+                    "drops_Hz": [500.0, 2400.0, 9000.0],
+                    "gain_per_newton_dB": 0.02,
+                    "gain_per_load_decade_dB": 0.0,
+                }
+            }
+        )
+    )
+    found = analyse(*default_sweep())
+    text = "\n".join(found.sentences(truth))
+    assert "(World: 500.00 Hz)" in text
+    assert "(World: 1999.00 Hz)" in text
+    assert "(World: 20 dB/decade, put in)" in text
+    assert "b recovered: " in text
+    assert "measured at" not in text
+    plain = "\n".join(found.sentences())
+    assert "World" not in plain
+    assert "Notch measured at" in plain
+    assert FilmTruth.of(None) is None
+    assert FilmTruth.of('{"touch_down_us": []}') is None
+
+
+def test_a_part_of_the_range_says_so_even_if_the_model_fits():
+    """A notch just above the end moves the corner by more than its interval."""
+    part = np.concatenate([SCAN[SCAN <= 3000], np.geomspace(400, 620, 25)])
+    found = analyse(*curve_of(lambda f: true_response(f, *DEFAULT_FILM), part))
+    assert "The range ends at" in found.sentences()[-1]
+
+
+def test_the_whole_range_says_nothing_of_its_end(default_film):
+    assert "The range ends" not in " ".join(default_film.sentences())

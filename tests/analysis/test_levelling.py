@@ -98,7 +98,17 @@ def test_responses_are_combined_by_their_precision():
     mean = combined([response(1.0 + 0j, 0.01), response(2.0 + 0j, 0.1)])
     assert mean.value.real == pytest.approx((1e4 * 1 + 1e2 * 2) / (1e4 + 1e2))
     assert math.sqrt(mean.covariance[0, 0]) == pytest.approx(1 / math.sqrt(1e4 + 1e2))
-    assert agreement(response(1.0, 0.0), response(1.0, 0.0), 1e-3) == pytest.approx(1e-3)
+    still = agreement(response(1.0, 0.0), response(1.0, 0.0), 1e-3, (100, 100))
+    assert still == pytest.approx(1e-3)
+
+
+def test_a_ringing_record_does_not_excuse_its_own_difference():
+    """Its residual, and so its stated error, is that of the ringing and not of the noise."""
+    quiet = agreement(response(1.0, 0.001), response(1.0, 0.001), 0.0, (100, 100))
+    assert agreement(response(1.0, 0.1), response(1.0, 0.001), 0.0, (100, 100)) == quiet
+    short = agreement(response(1.0, 0.01), response(1.0, 0.001), 0.0, (100, 10_000))
+    # 100 samples have ten times the error of 10 000: the short record is as quiet as it says.
+    assert short == pytest.approx(2.5 * math.sqrt(2) * math.hypot(0.01, 0.001))
 
 
 def test_the_range_is_the_smallest_that_holds_the_signal():

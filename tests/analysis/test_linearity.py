@@ -8,17 +8,19 @@ import pytest
 from rig.analysis.film.gain_curve import analyse
 from rig.analysis.film.linearity import distortion_summary, load_linearity
 from rig.analysis.response.curve import CurveError
+from rig.analysis.verdict import Bounds
 
+BOUNDS = Bounds()
 LOADS = (0.2, 0.5, 1.0, 3.0, 10.0)
 FREQUENCIES = np.geomspace(2, 20000, 40)
 
 
-def data2(exponent=0.0, seed=0, loads=LOADS):
+def data2(exponent=0.0, seed=0, loads=LOADS, scale=1.0):
     """Film of 20 dB/decade and a pole whose gain follows load^exponent; errors fall with load."""
     random = np.random.default_rng(seed)
     f, load = (a.ravel() for a in np.meshgrid(FREQUENCIES, loads))
     truth = 1.2e-4 * 1j * f / (1 + 1j * f / 2000) * load**exponent
-    relative = 0.004 / np.sqrt(load)
+    relative = scale * 0.004 / np.sqrt(load)
     noise = random.standard_normal((2, f.size))
     variance = np.square(relative * np.abs(truth))
     order = random.permutation(f.size)
@@ -32,16 +34,66 @@ def test_a_linear_film_is_called_linear():
     assert found.slope.covers(0.0)
     assert found.slope.standard_error < 0.01
     assert found.frequencies.size == 40
-    assert found.degrees == 160
-    assert "does not depend on the load" in found.sentence()
+    assert found.degrees == 159
+    assert found.verdict(BOUNDS).answer == "holds"
+    assert "The gain does not depend on the load: holds" in found.sentence(BOUNDS)
 
 
 def test_a_gain_that_grows_with_load_is_found_and_measured():
     found = load_linearity(*data2(exponent=0.01))
     assert found.slope.covers(0.2)
     assert not found.slope.covers(0.0)
-    assert "depends on the load" in found.sentence()
+    assert "The gain does not depend on the load: does not hold" in found.sentence(BOUNDS)
+    assert found.differing_loads_N == pytest.approx((0.2, 10.0))
+    assert found.largest_difference.covers(0.2 * math.log10(50))
     assert 0.1 < found.worst_deviation_dB < 0.6
+
+
+def test_a_chi_square_alone_decides_nothing():
+    """Errors that are stated 1.6 times too small are no dependence on the load."""
+    frequencies, responses, covariances, loads = data2()
+    found = load_linearity(frequencies, responses, covariances / 2.5, loads)
+    assert found.probability < 1e-9
+    assert found.verdict(BOUNDS).answer == "holds"
+    assert "scatter more than their errors" in found.sentence(BOUNDS)
+    assert found.slope.standard_error >= load_linearity(*data2()).slope.standard_error
+
+
+def test_what_is_known_too_poorly_is_not_decided():
+    found = load_linearity(*data2(scale=8.0))
+    assert found.verdict(BOUNDS).answer == "cannot be decided"
+    assert "cannot be decided by these data" in found.sentence(BOUNDS)
+    assert found.verdict(Bounds(slope_dB_decade=2.0, gain_dB=3.0)).answer == "holds"
+
+
+def test_a_dependence_that_is_no_straight_line_is_found():
+    frequencies, responses, covariances, loads = data2()
+    bent = responses * np.where(loads == 1.0, 10 ** (0.3 / 20), 1.0)
+    verdict = load_linearity(frequencies, bent, covariances, loads).verdict(BOUNDS)
+    assert verdict.answer == "does not hold"
+    assert "gain under 1 N less" in verdict.reason or "less 1 N" in verdict.reason
+
+
+def test_a_dependence_at_one_frequency_is_named():
+    frequencies, responses, covariances, loads = data2()
+    at = FREQUENCIES[30]
+    changed = responses * np.where(frequencies == at, loads**0.05, 1.0)
+    found = load_linearity(frequencies, changed, covariances, loads)
+    assert found.frequencies[found.beyond(BOUNDS)] == pytest.approx([at])
+    assert f"at {at:g} Hz alone" in found.sentence(BOUNDS)
+
+
+def test_what_the_preload_does_is_no_dependence_on_the_load():
+    """The preload moves with the load, by 0.3 N from the smallest to the largest."""
+    frequencies, responses, covariances, loads = data2(scale=0.02)
+    preloads = 25 + 0.03 * loads + 0.05 * np.sin(np.arange(loads.size))
+    moved = responses * 10 ** (0.5 * (preloads - 25) / 20)
+    without = load_linearity(frequencies, moved, covariances, loads)
+    found = load_linearity(frequencies, moved, covariances, loads, preloads=preloads)
+    assert not without.slope.covers(0.0)
+    assert found.slope.covers(0.0)
+    assert found.preload_effect.value == pytest.approx(0.5, abs=0.02)
+    assert found.probability > 1e-3
 
 
 @pytest.mark.thorough
@@ -65,7 +117,7 @@ def test_the_sweep_with_several_loads_is_analysed_as_one_film():
     assert analysis.level.covers(20 * math.log10(1.2e-4))
     text = "\n".join(analysis.sentences())
     assert "film 0.20% (worst 3.00%" in text
-    assert analysis.as_dict()["linearity"]["degrees"] == 160
+    assert analysis.as_dict()["linearity"]["degrees"] == 159
 
 
 def test_distortion_that_was_not_measured_is_left_out():

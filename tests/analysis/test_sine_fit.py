@@ -203,3 +203,28 @@ def test_record_length_waits_for_the_beat_if_it_may():
 def test_what_cannot_be_fitted_is_refused_by_reason(samples, frequency, reason):
     with pytest.raises(RecordError, match=reason):
         fit_sine(samples, RATE, frequency)
+
+
+def test_what_a_line_that_is_not_fitted_leaks_is_in_the_leakage():
+    """53 Hz in one cycle beside weak mains: the mains cannot be told from the tone."""
+    rate, frequency, hum = 64e3, 53.0, 1e-3
+    n = whole_cycles(frequency, rate, 0.0)
+    t = np.arange(n) / rate
+    errors, variances = [], []
+    for phase in np.linspace(0, 2 * np.pi, 40, endpoint=False):
+        y = np.cos(2 * np.pi * frequency * t) + hum * np.cos(2 * np.pi * 50.0 * t + phase)
+        found = fit_sine(y, rate, frequency, interference=(50.0,), bounds={50.0: hum})
+        assert found.left_out_Hz == (50.0,)
+        errors.append(found.phasor - 1)
+        variances.append(np.diag(found.leakage))
+    spread = np.array([np.square(np.real(errors)).mean(), np.square(np.imag(errors)).mean()])
+    assert np.mean(variances, axis=0) == pytest.approx(spread, rel=0.01)
+
+
+def test_a_line_that_is_fitted_leaks_nothing():
+    t = np.arange(64000) / 64e3
+    found = fit_sine(
+        np.cos(2 * np.pi * 53.0 * t), 64e3, 53.0, interference=(50.0,), bounds={50.0: 1.0}
+    )
+    assert not found.left_out_Hz
+    assert np.all(found.leakage == 0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from types import SimpleNamespace
 from typing import Any
@@ -9,12 +10,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from procedures.roll_trial import RollTrial
 from procedures.roll_trial.reading import RollTrialRecord, reading_of
 from procedures.roll_trial.settings import RollTrialSettings
 from rig.control.tick_loop import LoopStatistics
 
 
-def rolled(rest_s: float) -> dict[str, Any]:
+def rolled(rest_s: float, scale: float = 1.0, noise_mV: np.ndarray | float = 0.0) -> dict[str, Any]:
     """Return the reading of a roll that begins `rest_s` after the tap.
 
     The servo takes over with -4 mV in the first 60 ms; on the way there v_2 falls to -4.4 mV and
@@ -30,7 +32,8 @@ def rolled(rest_s: float) -> dict[str, Any]:
     part = (t - found.motion_from_s) / way_s
     v_2 += np.where((part >= 0) & (part < 0.5), -4.4 * np.sin(2 * math.pi * part), 0.0)
     v_2 += np.where((part >= 0.5) & (part < 1), -4.0 * np.sin(2 * math.pi * part), 0.0)
-    found.volts = [1e-3 * np.stack([np.zeros_like(v_2), v_2], axis=1)]
+    noise = noise_mV[: len(t)] if isinstance(noise_mV, np.ndarray) else noise_mV
+    found.volts = [1e-3 * (scale * np.stack([np.zeros_like(v_2), v_2], axis=1) + noise)]
     found.force = [np.tile([4.0, 0.0, 0.0], (len(t), 1))]
     found.rows, found.frames = 10 * len(t), len(t)
     found.rotation = [(float(s), 0.0, 0.0) for s in t[::10]]
@@ -47,3 +50,39 @@ def rolled(rest_s: float) -> dict[str, Any]:
 @pytest.mark.parametrize("rest_s", [0.1, 0.15, 0.3])
 def test_a_short_rest_does_not_shift_the_zero_of_the_strips(rest_s: float) -> None:
     assert rolled(rest_s)["peak_2_mV"] == pytest.approx(-4.4, abs=0.05)
+
+
+def test_what_is_above_100_hz_does_not_depend_on_the_size_of_the_roll() -> None:
+    """A share of the energy called noise 3 % of a small roll and 0.3 % of a large one."""
+    random = np.random.default_rng(0)
+    noise_mV = 0.1 * random.standard_normal((3000, 2))
+    small, large = (rolled(0.3, scale, noise_mV) for scale in (0.1, 1.0))
+    for found in (small, large):
+        assert found["high_roll_rms_mV"] == pytest.approx(0.1 * math.sqrt(2 * 0.8), rel=0.1)
+        assert found["high_rest_rms_mV"] == pytest.approx(0.1 * math.sqrt(2 * 0.8), rel=0.35)
+    assert small["high_roll_rms_mV"] == pytest.approx(large["high_roll_rms_mV"], rel=0.02)
+
+
+def test_the_summary_sets_a_roll_beside_rest_and_slip() -> None:
+    found = RollTrial(RollTrialSettings()).summarise(
+        [rolled(0.3) | {"invalid": "", "axis_offset_mm": 0.0}]
+    )
+    (text,) = found["high_frequencies"]
+    assert "mV rms in the roll and" in text
+    assert "mV at rest" in text
+    assert "ASSUMED" in text
+
+
+def test_the_summary_says_what_the_world_put_in() -> None:
+    """The World's usual head is a cylinder, under a fixture with the name of the paper's."""
+    truth = {
+        "object": {"shape": "cylinder", "radius_mm": 30.0},
+        "static_coefficient": 0.8,
+        "kinetic_coefficient": 0.65,
+        "weakening_distance_um": 5.0,
+    }
+    reading = rolled(0.3) | {"invalid": "", "simulated_truth": json.dumps(truth)}
+    text = " ".join(RollTrial(RollTrialSettings()).summarise([reading])["put_in"])
+    assert "a cylinder of 30 mm radius, not the paper's semi-spherical head" in text
+    assert "calibrated so that all nine ridges touch at 4 N" in text
+    assert "ASSUMED" in text

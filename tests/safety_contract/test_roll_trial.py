@@ -71,7 +71,8 @@ def test_both_patterns_of_a_roll(rig, start, v_1, v_2):
     reading = the_reading(rig)
     assert reading["peak_1_mV"] == pytest.approx(v_1, rel=0.3)
     assert reading["peak_2_mV"] == pytest.approx(v_2, rel=0.3)
-    assert reading["above_100_Hz_percent"] < 1
+    assert reading["high_roll_rms_mV"] < 0.5
+    assert reading["high_rest_rms_mV"] < 0.5
     assert reading["angle_error_deg"] < 0.02
     assert reading["force_error_rms_percent"] < 3
     assert reading["largest_tangential_N"] < 0.3

@@ -8,6 +8,7 @@ line's state at its start; a sample taken late, in blocks or twice is the same n
 from __future__ import annotations
 
 from bisect import bisect_right
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -69,19 +70,34 @@ class DrivenLine:
 
         Times before the recorded history see its first segment's start.
         """
+        result = np.empty(len(times_s))
+        for segment, within in self._segments_of(times_s):
+            since = np.maximum(times_s[within] - segment.start_us * 1e-6, 0.0)
+            result[within] = self._driven(segment, column).at(since)[:, 0]
+        return result
+
+    def amplitude(self, column: int, times_s: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        """Return the amplitude that one output has in the steady state of each segment, at
+        ascending World times; shape of `times_s`."""
+        result = np.empty(len(times_s))
+        for segment, within in self._segments_of(times_s):
+            result[within] = abs(self._driven(segment, column).steady[0])
+        return result
+
+    def _segments_of(
+        self, times_s: npt.NDArray[np.float64]
+    ) -> Iterator[tuple[ExcitationSegment, slice]]:
+        """Yield each segment that some of these ascending times lie in, and which of them do."""
         if not len(times_s):
-            return np.empty(0)
+            return
         first = max(bisect_right(self._starts_s, float(times_s[0])) - 1, 0)
         last = max(bisect_right(self._starts_s, float(times_s[-1])), first + 1)
-        segments = self._segments[first:last]
         edges = np.searchsorted(times_s, self._starts_s[first + 1 : last], side="left")
         bounds = [0, *edges.tolist(), len(times_s)]
-        result = np.empty(len(times_s))
+        segments = self._segments[first:last]
         for segment, begin, end in zip(segments, bounds[:-1], bounds[1:], strict=True):
             if end > begin:
-                since = np.maximum(times_s[begin:end] - segment.start_us * 1e-6, 0.0)
-                result[begin:end] = self._driven(segment, column).at(since)[:, 0]
-        return result
+                yield segment, slice(begin, end)
 
     def _driven(self, segment: ExcitationSegment, column: int) -> DrivenOutputs:
         if column not in segment.driven:

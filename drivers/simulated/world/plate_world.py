@@ -22,7 +22,7 @@ from drivers.simulated.world.skin_contact import SkinContact, SkinMountSettings
 from drivers.simulated.world.world import World, WorldSettings
 from rig.core.cache import user_cache
 from rig.core.errors import ConfigurationError
-from rig.physics.contact.settings import ContactSettings, Plate
+from rig.physics.contact.settings import ContactSettings, Object, Plate
 from rig.physics.front_end import FrontEndSettings
 from rig.physics.skin.condensed import build_skin
 from rig.physics.skin.settings import SkinSettings
@@ -91,5 +91,6 @@ def mount_skin(
         )
     except ValueError as error:
         raise ConfigurationError(f"World settings: {error}") from error
-    world.mount_skin(skin, settings.strip_input)
+    body: Object = settings.head.body if isinstance(settings, HeadWorldSettings) else Plate()
+    world.mount_skin(skin, settings.strip_input, body.model_dump())
     return VISCOUS * condensed.stiffest_N_mm

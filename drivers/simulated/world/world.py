@@ -137,10 +137,12 @@ class World:
         mechanics = mechanics.model_copy(
             update={"cell_sensitivity_V_N": settings.load_cell_sensitivity_V_N}
         )
+        self._mechanics, self._circuit = mechanics, circuit
         self._line = DrivenLine(vibrator.vibrator_line(mechanics, circuit))
         self._clamp: ClampedFilm | None = None
         self._skin: SkinContact | None = None
         self._strip_input = FrontEndSettings()
+        self._object: dict[str, Any] = {}
         self._weight_N = np.zeros(3)
         self._pushes: list[tuple[float, float, float]] = []
         """Begin and end in s, force in N."""
@@ -170,9 +172,12 @@ class World:
         """Mount the vibrator on the z stage, whose carriage has these positions."""
         self._clamp = ClampedFilm(self.settings.clamp, stage_z_mm)
 
-    def mount_skin(self, skin: SkinContact, strips: FrontEndSettings) -> None:
-        """Mount a skin above the plate on the stages; `strips` are its channels' noise and hum."""
-        self._skin, self._strip_input = skin, strips
+    def mount_skin(
+        self, skin: SkinContact, strips: FrontEndSettings, below: dict[str, Any]
+    ) -> None:
+        """Mount a skin above an object on the stages; `strips` are its channels' noise and hum,
+        `below` is the shape of the object."""
+        self._skin, self._strip_input, self._object = skin, strips, below
 
     @property
     def failure(self) -> str | None:
@@ -191,12 +196,22 @@ class World:
             self._skin.catch_up(self.now_us)
 
     def truth(self) -> dict[str, Any]:
-        """Return what really happened since the point was announced, as JSON; nothing where the
-        World keeps no such record."""
-        if self._skin is None:
-            return {}
-        self.settle()
-        return self._skin.truth()
+        """Return the film, or what really happened to the skin since the point was announced, as
+        JSON; nothing where the film is not connected."""
+        if self._skin is not None:
+            self.settle()
+            return {**self._skin.truth(), "object": self._object}
+        return {} if self.settings.film == "open-circuit" else {"film": self._film_truth()}
+
+    def _film_truth(self) -> dict[str, Any]:
+        """Return the numbers of the film that a sweep should find."""
+        return {
+            "level_dB": pvdf.level_at_one_hertz(self._circuit),
+            "corner_Hz": pvdf.corner_frequency(self._circuit),
+            "drops_Hz": [drop.frequency_Hz for drop in self._mechanics.drops],
+            "gain_per_newton_dB": self.settings.clamp.gain_per_newton_dB,
+            "gain_per_load_decade_dB": self.settings.clamp.gain_per_load_decade_dB,
+        }
 
     def load_N(self, axis: str, position_mm: float, t_us: int) -> float:  # noqa: N802
         """Force along an axis on its carriage: the film, or the plate, pushes back."""
@@ -352,6 +367,8 @@ class World:
         elif terminal == FILM_TERMINAL and self.settings.film != "open-circuit":
             film: npt.NDArray[np.float64] = self._line.output(vibrator.VibratorOutput.FILM, times)
             film = film * film_clamp.preload_gain(self.settings.clamp, preload)
+            load_N = self._line.amplitude(vibrator.VibratorOutput.LOAD, times)
+            film = film * film_clamp.load_gain(self.settings.clamp, load_N)
             seen = np.clip(film, -AMPLIFIER_CLIP_V, AMPLIFIER_CLIP_V)
         else:
             seen = np.zeros(times.shape)

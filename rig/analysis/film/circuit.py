@@ -132,7 +132,8 @@ class CircuitComparison:
             f"As values of the circuit: level {self.rate_sensitivity}, pole {self.time_constant}.",
             "Level predicted minus measured "
             f"(± {self.level.high - self.level.value:.2g} dB): {offsets}. "
-            f"(The paper applied {-PAPER_OFFSET_DB:g} dB to its own prediction.)",
+            f"(The paper applied {-PAPER_OFFSET_DB:g} dB to its own prediction.) The predictions "
+            "use d33, amplifier gain and R1 to R4 that are ASSUMED: the paper gives none.",
             *self.separability.sentences(),
         ]
 

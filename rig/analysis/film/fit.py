@@ -30,6 +30,8 @@ from rig.analysis.response.curve import CurveError, ResponseCurve
 
 MISFIT_PROBABILITY = 1e-3
 """A chi-square with a probability below this is not explained by noise alone."""
+CLEAR_CORRELATION = 4.0
+"""Correlation of successive residuals, in its standard errors, above which they are not random."""
 BREAK_BAND_HZ = (500.0, 2000.0)
 """Band in which a break from 20 to 40 dB/decade is searched, around the 1.2 kHz of the earlier
 claim."""
@@ -98,6 +100,22 @@ class FilmFit:
     def probability(self) -> float:
         """Probability of a chi-square at least this large from noise alone."""
         return probability_above(self.chi_square, self.degrees)
+
+    @cached_property
+    def residuals_are_random(self) -> bool:
+        """False if neighbours over frequency lie off the fit to the same side: the model omits
+        something, and no error of single points describes that.
+
+        The test is the correlation of successive residuals of gain or phase (Durbin and Watson
+        1950). It speaks only where noise does not explain the residuals.
+        """
+        if self.probability >= MISFIT_PROBABILITY:
+            return True
+        curve = self.weighted
+        residual = curve.whitened(curve.log_ratio(self.model.response(curve.frequencies)))
+        parts = residual.reshape(2, -1)
+        together = (parts[:, 1:] * parts[:, :-1]).sum(axis=1) / np.square(parts).sum(axis=1)
+        return bool((together * math.sqrt(parts.shape[1]) < CLEAR_CORRELATION).all())
 
     @property
     def aic(self) -> float:
@@ -294,14 +312,14 @@ def _explaining_errors(curve: ResponseCurve, model: FilmModel) -> tuple[float, f
     degrees = len(curve) - len(model.vector) / 2
     variances = curve.relative_covariances
     return (
-        _mandel_paule(residual.real, variances[:, 0, 0], degrees),
-        _mandel_paule(residual.imag, variances[:, 1, 1], degrees),
+        explaining_error(residual.real, variances[:, 0, 0], degrees),
+        explaining_error(residual.imag, variances[:, 1, 1], degrees),
     )
 
 
-def _mandel_paule(residuals: Reals, variances: Reals, degrees: float) -> float:
-    """Returns the additional error that reduces chi-square to ``degrees``, by bisection; 0 if none
-    is needed."""
+def explaining_error(residuals: Reals, variances: Reals, degrees: float) -> float:
+    """Returns the additional error of every point that reduces chi-square to ``degrees``, by
+    bisection; 0 if none is needed (Mandel and Paule 1970)."""
     squares = np.square(residuals)
     if (squares / variances).sum() <= degrees:
         return 0.0

@@ -4,24 +4,38 @@ The paper's second kind of data has several loads at each frequency. Its stateme
 linear relation for the load" (3.2, data2 (i)) is read as: voltage is proportional to load, so the
 gain does not depend on the load. The characteristic number is the slope of the gain in dB per
 decade of load: zero for a linear film, +20 for a quadratic one.
+
+All gains are fitted together: one mean for each frequency, which the film's response cannot
+disturb, one slope over load, and one effect of the preload where it is known. A second fit has a
+level for each load in place of the slope, so that a dependence which is not a straight line over
+log load is found as well. The verdict tests both for equivalence (`rig.analysis.verdict`); the
+chi-square only says whether the errors of single points are right, and enlarges them if not.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import combinations
+from statistics import NormalDist
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from rig.analysis.chi_square import probability_above
 from rig.analysis.estimate import Estimate
-from rig.analysis.film.fit import MISFIT_PROBABILITY
+from rig.analysis.film.fit import MISFIT_PROBABILITY, explaining_error
 from rig.analysis.response.complex_response import Reals
 from rig.analysis.response.curve import CurveError, ResponseCurve
+from rig.analysis.verdict import Bounds, Verdict, all_of, equivalence
 
 LEAST_LOAD_RATIO = 1.5
 """Least ratio of largest to smallest load at a frequency at which the slope is computed."""
+SAME_LOAD_DECADES = 0.05
+"""Loads that differ by less than this, in decades (12 %), are one level: a load is held to 1 %."""
+FALSE_ALARM = 0.05
+"""Probability with which any of all frequencies is named although its gain does not depend on the
+load."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,41 +45,80 @@ class LoadLinearity:
     frequencies: Reals
     """Frequencies, in Hz, (k,)."""
     slopes: Reals
-    """Slopes of the gain, in dB per decade of load, (k,)."""
+    """Slopes of the gain, in dB per decade of load, (k,), without the effect of the preload."""
     slope_errors: Reals
     """Standard errors of the slopes, (k,)."""
     worst_deviations: Reals
     """Largest distance of a gain from the weighted mean at its frequency, in dB, (k,)."""
     slope: Estimate
-    """Weighted mean of the slopes, in dB per decade of load."""
-    worst_deviation_dB: float
-    """Largest of all deviations, in dB."""
-    worst_frequency_Hz: float
-    """Frequency of the largest deviation."""
+    """Slope common to all frequencies, in dB per decade of load."""
+    largest_difference: Estimate
+    """Difference of the mean gains under the two loads for which it is largest, in dB."""
+    differing_loads_N: tuple[float, float]
+    """These two loads, peak: the difference is that of the second less that of the first."""
+    differences: int
+    """Number of pairs of loads, of which this is the largest difference."""
+    preload_effect: Estimate | None
+    """Change of the gain with the preload, in dB/N; None if the preloads are unknown."""
     chi_square: float
-    """Chi-square of one gain for all loads at each frequency."""
+    """Chi-square of the fit with one slope, with the stated errors."""
     degrees: int
     """Degrees of freedom of this chi-square."""
+    model_error_dB: float
+    """Error of every point beyond its stated one that the scatter demands; all intervals include
+    it."""
 
     @property
     def probability(self) -> float:
-        """Probability of a chi-square at least this large if the film is linear and the stated
-        errors are right."""
+        """Probability of a chi-square at least this large if the stated errors are right and the
+        gain depends on the load by one slope at most."""
         return probability_above(self.chi_square, self.degrees)
 
-    def sentence(self) -> str:
+    @property
+    def worst_deviation_dB(self) -> float:  # noqa: N802
+        """Largest of all deviations, in dB."""
+        return float(self.worst_deviations.max())
+
+    @property
+    def worst_frequency_Hz(self) -> float:  # noqa: N802
+        """Frequency of the largest deviation."""
+        return float(self.frequencies[int(np.argmax(self.worst_deviations))])
+
+    def beyond(self, bounds: Bounds) -> NDArray[np.bool_]:
+        """Returns True for the frequencies (k,) whose own slope is surely beyond the bound."""
+        sigmas = NormalDist().inv_cdf(1 - FALSE_ALARM / self.frequencies.size)
+        surely: NDArray[np.bool_] = (
+            np.abs(self.slopes) - sigmas * self.slope_errors > bounds.slope_dB_decade
+        )
+        return surely
+
+    def verdict(self, bounds: Bounds) -> Verdict:
+        """Returns whether the gain is independent of the load, within the bounds."""
+        low_N, high_N = self.differing_loads_N
+        levels = equivalence(self.largest_difference, 0.0, bounds.gain_dB, self.differences)
+        parts = [
+            equivalence(self.slope, 0.0, bounds.slope_dB_decade),
+            Verdict(levels.answer, f"gain under {high_N:.3g} N less {low_N:.3g} N {levels.reason}"),
+        ]
+        if (surely := self.beyond(bounds)).any():
+            worst = int(np.argmax(np.where(surely, np.abs(self.slopes), 0.0)))
+            where = f"{self.slopes[worst]:+.2g} dB/decade at {self.frequencies[worst]:g} Hz alone"
+            parts.append(Verdict("does not hold", where))
+        return all_of(parts)
+
+    def sentence(self, bounds: Bounds) -> str:
         """Returns the result in words."""
-        linear = self.probability >= MISFIT_PROBABILITY
-        if linear:
-            verdict = "The gain does not depend on the load within its errors"
-        elif self.slope.covers(0.0):
-            verdict = "No common dependence on load, but the loads scatter more than their errors"
-        else:
-            verdict = "The gain depends on the load"
+        quality = f"χ² = {self.chi_square:.0f} for {self.degrees} d.o.f."
+        if self.probability < MISFIT_PROBABILITY:
+            quality += (
+                f": the points scatter more than their errors, by {self.model_error_dB:.2g} dB "
+                "each, which all intervals include"
+            )
         return (
-            f"{verdict} (χ² = {self.chi_square:.0f} for {self.degrees} d.o.f.): {self.slope} of "
-            f"load over {self.frequencies.size} frequencies; worst deviation "
-            f"{self.worst_deviation_dB:.3f} dB at {self.worst_frequency_Hz:g} Hz."
+            f"{self.verdict(bounds).sentence('The gain does not depend on the load')} Measured "
+            f"slope {self.slope} of load over {self.frequencies.size} frequencies; largest "
+            f"deviation of a single point {self.worst_deviation_dB:.3f} dB, at "
+            f"{self.worst_frequency_Hz:g} Hz ({quality})."
         )
 
 
@@ -101,6 +154,8 @@ def load_linearity(
     covariances: ArrayLike,
     loads: ArrayLike,
     degrees: ArrayLike | None = None,
+    preloads: ArrayLike | None = None,
+    preload_errors: ArrayLike | None = None,
 ) -> LoadLinearity | None:
     """Returns gain against load: arrays as in :meth:`ResponseCurve.of`, ``loads`` (n,) peak in N.
 
@@ -113,21 +168,13 @@ def load_linearity(
         raise CurveError(f"loads: {load.size} values for {frequency.size} frequencies")
     if not (np.isfinite(load) & (load > 0)).all():
         raise CurveError("loads: a value is not above 0 N")
-    curve = ResponseCurve.of(frequencies, responses, covariances, degrees)
+    curve = ResponseCurve.of(frequencies, responses, covariances, degrees, preloads, preload_errors)
     response = np.asarray(responses, dtype=complex)
     decades = np.log10(load)[np.lexsort((response.imag, response.real, frequency))]
-    rows = []
-    for at in np.unique(curve.frequencies):
-        chosen = curve.frequencies == at
-        if np.ptp(decades[chosen]) >= math.log10(LEAST_LOAD_RATIO):
-            rows.append(
-                (
-                    float(at),
-                    *_line(decades[chosen], curve.gains_dB[chosen], curve.gain_errors_dB[chosen]),
-                    int(chosen.sum()) - 1,
-                )
-            )
-    return _over_all(np.array(rows)) if rows else None
+    _, group = np.unique(curve.frequencies, return_inverse=True)
+    spans = np.array([np.ptp(decades[group == k]) for k in range(group.max() + 1)])
+    chosen = (spans >= math.log10(LEAST_LOAD_RATIO))[group]
+    return _over_all(curve.at(chosen), decades[chosen]) if chosen.any() else None
 
 
 def distortion_summary(
@@ -153,36 +200,110 @@ def distortion_summary(
     return DistortionSummary(*found)
 
 
-def _line(decades: Reals, gains: Reals, errors: Reals) -> tuple[float, float, float, float]:
-    """Returns slope, its error, largest distance from the weighted mean, and chi-square about that
-    mean."""
-    weight = 1 / errors**2
-    mean = float(np.average(gains, weights=weight))
-    lever = decades - np.average(decades, weights=weight)
-    power = float(weight @ lever**2)
-    slope = float(weight @ (lever * gains)) / power
-    return (
-        slope,
-        1 / math.sqrt(power),
-        float(np.abs(gains - mean).max()),
-        float(weight @ np.square(gains - mean)),
-    )
+@dataclass(frozen=True, eq=False)
+class _Gains:
+    """Gains with the frequency of each, for fits with a free mean at each frequency."""
+
+    group: NDArray[np.intp]
+    """Number of the frequency of each point, (n,)."""
+    gains: Reals
+    """Gains in dB, (n,)."""
+    variances: Reals
+    """Their variances, (n,)."""
+
+    def about_means(self, values: Reals) -> Reals:
+        """Returns values (..., n) without the weighted mean of each frequency."""
+        weight = 1 / self.variances
+        total = np.bincount(self.group, weight)
+        rows = np.atleast_2d(values)
+        means = np.array([np.bincount(self.group, weight * row) / total for row in rows])
+        left: Reals = (rows - means[:, self.group]).reshape(values.shape)
+        return left
+
+    def fitted(self, columns: Reals) -> tuple[Reals, Reals, Reals]:
+        """Returns the coefficients (m,) of the columns (m, n), their covariance (m, m) and the
+        residuals (n,)."""
+        white = self.about_means(columns) / np.sqrt(self.variances)
+        gains = self.about_means(self.gains)
+        covariance: Reals = np.asarray(np.linalg.pinv(white @ white.T, hermitian=True), float)
+        found = covariance @ (white @ (gains / np.sqrt(self.variances)))
+        return found, covariance, gains - found @ self.about_means(columns)
 
 
-def _over_all(rows: Reals) -> LoadLinearity:
-    """Summarises rows of frequency, slope, error, deviation, chi-square and degrees of freedom."""
-    frequency, slopes, errors, deviations, squares, degrees = rows.T
-    weight = 1 / errors**2
-    worst = int(np.argmax(deviations))
-    mean = float(np.average(slopes, weights=weight))
+def _over_all(curve: ResponseCurve, decades: Reals) -> LoadLinearity:
+    """Fits the gains of a curve, each under the load 10^decades N (n,)."""
+    frequency, group = np.unique(curve.frequencies, return_inverse=True)
+    preloads = [] if curve.preload_excess is None else [curve.preload_excess.real]
+    columns = np.array([decades, *preloads])
+    stated = _Gains(group, curve.gains_dB, curve.gain_errors_dB**2)
+    if preloads and curve.preload_errors_N is not None:
+        # How much the error of a preload matters is known once its effect is.
+        effect = stated.fitted(columns)[0][1]
+        variances = stated.variances + (effect * curve.preload_errors_N) ** 2
+        stated = _Gains(group, stated.gains, variances)
+    _, _, residual = stated.fitted(columns)
+    degrees = len(curve) - frequency.size - len(columns)
+    extra = explaining_error(residual, stated.variances, max(degrees, 1))
+    gains = _Gains(group, stated.gains, stated.variances + extra**2)
+    found, covariance, _ = gains.fitted(columns)
+    errors = np.sqrt(np.diag(covariance))
+    difference, loads, pairs = _largest_difference(gains, decades, preloads)
+    bare = gains.gains - sum((c * column for c, column in zip(found[1:], preloads, strict=True)))
+    slopes, slope_errors = _slopes_alone(gains, decades, bare)
+    deviations = np.abs(gains.about_means(bare))
     return LoadLinearity(
         frequencies=frequency,
         slopes=slopes,
-        slope_errors=errors,
-        worst_deviations=deviations,
-        slope=Estimate.normal(mean, float(1 / np.sqrt(weight.sum())), "dB/decade"),
-        worst_deviation_dB=float(deviations[worst]),
-        worst_frequency_Hz=float(frequency[worst]),
-        chi_square=float(squares.sum()),
-        degrees=int(degrees.sum()),
+        slope_errors=slope_errors,
+        worst_deviations=np.array([deviations[group == k].max() for k in range(frequency.size)]),
+        slope=Estimate.normal(float(found[0]), float(errors[0]), "dB/decade"),
+        largest_difference=difference,
+        differing_loads_N=loads,
+        differences=pairs,
+        preload_effect=Estimate.normal(float(found[1]), float(errors[1]), "dB/N")
+        if preloads
+        else None,
+        chi_square=float((residual**2 / stated.variances).sum()),
+        degrees=degrees,
+        model_error_dB=extra,
     )
+
+
+def _slopes_alone(gains: _Gains, decades: Reals, bare: Reals) -> tuple[Reals, Reals]:
+    """Returns the slope at each frequency of gains ``bare`` (n,), and its standard error."""
+    lever, weight = gains.about_means(decades), 1 / gains.variances
+    power = np.bincount(gains.group, weight * lever**2)
+    slopes: Reals = np.bincount(gains.group, weight * lever * bare) / power
+    errors: Reals = 1 / np.sqrt(power)
+    return slopes, errors
+
+
+def _largest_difference(
+    gains: _Gains, decades: Reals, preloads: list[Reals]
+) -> tuple[Estimate, tuple[float, float], int]:
+    """Returns the largest difference of the mean gains under two loads, these loads, and the number
+    of pairs of loads."""
+    order = np.argsort(decades)
+    steps = np.diff(decades[order]) > SAME_LOAD_DECADES
+    level = np.empty(decades.size, dtype=int)
+    level[order] = np.concatenate([[0], np.cumsum(steps)])
+    count = int(level.max()) + 1
+    members = np.array([(level == k).astype(float) for k in range(1, count)])
+    found, covariance, _ = gains.fitted(np.array([*members, *preloads]))
+    mean = np.concatenate([[0.0], found[: count - 1]])  # relative to the smallest load
+    spread = np.zeros((count, count))
+    spread[1:, 1:] = covariance[: count - 1, : count - 1]
+    loads_N = [float(10 ** decades[level == k].mean()) for k in range(count)]
+
+    def between(a: int, b: int) -> Estimate:
+        variance = spread[a, a] + spread[b, b] - 2 * spread[a, b]
+        return Estimate.normal(float(mean[b] - mean[a]), math.sqrt(max(variance, 0.0)), "dB")
+
+    pairs = list(combinations(range(count), 2))
+    a, b = max(pairs, key=lambda pair: _largest(between(*pair)))
+    return between(a, b), (loads_N[a], loads_N[b]), len(pairs)
+
+
+def _largest(difference: Estimate) -> float:
+    """Returns the largest size that a difference may have."""
+    return max(abs(difference.low), abs(difference.high))

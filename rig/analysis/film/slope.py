@@ -26,7 +26,9 @@ from rig.analysis.film.fit import FilmFit, fit_film
 from rig.analysis.film.model import FIRST_ORDER_SLOPE, SLOPE_BAND_HZ, FilmModel
 from rig.analysis.response.complex_response import DB_PER_RELATIVE, Reals
 from rig.analysis.response.curve import ResponseCurve
+from rig.analysis.verdict import Bounds, Verdict, equivalence
 
+MISFIT = "but the model does not fit, so its intervals mean nothing"
 OUTSIDE_DROPS_DB = 0.5
 """A point is outside the notches if they together attenuate it by less than this, in dB."""
 NARROWEST_BAND = 2.0
@@ -45,6 +47,18 @@ class Slopes:
     """Slope of the straight line through the trend, in dB/decade."""
     asymptotic: Estimate
     """Exponent of the rise with the pole removed, in dB/decade."""
+
+    fits: bool
+    """False if the model with a free exponent leaves residuals that are not random."""
+
+    def verdict(self, bounds: Bounds) -> Verdict:
+        """Returns whether the film is first order: an asymptotic slope of 20 dB/decade.
+
+        A model that omits something has no interval that could be trusted: it decides nothing.
+        """
+        if not self.fits:
+            return Verdict("cannot be decided", f"{self.asymptotic.value:.3f} dB/decade, {MISFIT}")
+        return equivalence(self.asymptotic, FIRST_ORDER_SLOPE, bounds.slope_dB_decade)
 
 
 @dataclass(frozen=True)
@@ -75,7 +89,8 @@ def slopes(curve: ResponseCurve, fit: FilmFit) -> Slopes | None:
     gradient = DB_PER_RELATIVE * bare.log_jacobian(frequencies).real @ weights
     m = bare.first_notch
     error = math.sqrt(max(float(gradient @ free.covariance[:m, :m] @ gradient), 0.0))
-    return Slopes((low, high), Estimate.normal(value, error, "dB/decade"), free.slope)
+    straight = Estimate.normal(value, error, "dB/decade")
+    return Slopes((low, high), straight, free.slope, free.residuals_are_random)
 
 
 def _line_weights(low: float, high: float) -> tuple[Reals, Reals]:

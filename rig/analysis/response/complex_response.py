@@ -4,7 +4,7 @@ have."""
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +34,8 @@ class Response:
     coherence: float
     """Squared coherence of the two channels over the parts of the record; NaN with fewer than 2
     parts."""
+    leakage: Reals = field(default_factory=lambda: np.zeros((2, 2)))
+    """Part of ``covariance`` that is due to mains lines that were not fitted, (2, 2)."""
 
     @property
     def gain_dB(self) -> float:  # noqa: N802
@@ -43,7 +45,13 @@ class Response:
     @property
     def gain_standard_error_dB(self) -> float:  # noqa: N802
         """Standard error of the gain, in dB."""
-        return DB_PER_RELATIVE * self._relative_error(1.0)
+        return DB_PER_RELATIVE * self._relative_error(self.covariance, 1.0)
+
+    @property
+    def gain_noise_dB(self) -> float:  # noqa: N802
+        """Part of it, in dB, that a longer record at this frequency reduces: noise without
+        leakage."""
+        return DB_PER_RELATIVE * self._relative_error(self.covariance - self.leakage, 1.0)
 
     @property
     def phase_deg(self) -> float:
@@ -53,16 +61,16 @@ class Response:
     @property
     def phase_standard_error_deg(self) -> float:
         """Standard error of the phase, in degrees."""
-        return math.degrees(self._relative_error(1j))
+        return math.degrees(self._relative_error(self.covariance, 1j))
 
-    def _relative_error(self, turn: complex) -> float:
+    def _relative_error(self, covariance: Reals, turn: complex) -> float:
         """Returns the relative error of the value along its own direction (turn 1) or across it
         (1j)."""
         if not self.value:
             return math.inf
         unit = turn * self.value / abs(self.value)
         direction = np.array([unit.real, unit.imag])
-        return math.sqrt(float(direction @ self.covariance @ direction)) / abs(self.value)
+        return math.sqrt(max(float(direction @ covariance @ direction), 0.0)) / abs(self.value)
 
 
 def complex_response(voltage: SineFit, load: SineFit) -> Response:
@@ -85,11 +93,16 @@ def complex_response(voltage: SineFit, load: SineFit) -> Response:
             "check that the vibrator is driven and the load cell connected",
         )
     value = voltage.phasor / load.phasor
-    by_voltage = scaled_covariance(voltage.covariance, 1 / load.phasor)
-    by_load = scaled_covariance(load.covariance, -value / load.phasor)
-    covariance = by_voltage + by_load
+
+    def carried(by_voltage: Reals, by_load: Reals) -> Reals:
+        return scaled_covariance(by_voltage, 1 / load.phasor) + scaled_covariance(
+            by_load, -value / load.phasor
+        )
+
+    leakage = carried(voltage.leakage, load.leakage)
+    covariance = carried(voltage.covariance, load.covariance) + leakage
     coherence = _coherence(voltage.block_phasors, load.block_phasors)
-    return Response(load.frequency_Hz, value, covariance, coherence)
+    return Response(load.frequency_Hz, value, covariance, coherence, leakage)
 
 
 def cramer_rao_amplitude(noise_rms: float, n: int) -> float:

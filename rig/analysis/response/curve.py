@@ -43,6 +43,8 @@ class ResponseCurve:
     """Covariances of the (real, imaginary) parts in (V/N)², (n, 2, 2)."""
     preloads_N: Reals | None = None
     """Static force at each point, (n,); None if unknown or the same everywhere."""
+    preload_errors_N: Reals | None = None
+    """Standard error of this force, (n,); None if unknown."""
 
     @classmethod
     def of(
@@ -52,6 +54,7 @@ class ResponseCurve:
         covariances: ArrayLike,
         degrees: ArrayLike | None = None,
         preloads: ArrayLike | None = None,
+        preload_errors: ArrayLike | None = None,
     ) -> ResponseCurve:
         """Checks and sorts frequencies (n,) in Hz, responses (n,) in V/N, covariances (n, 2, 2) and
         preloads (n,) in N.
@@ -61,7 +64,7 @@ class ResponseCurve:
         A mean whose weights were estimated is less accurate than these weights suggest: its
         variance is larger by 1 + 4 / degrees (P. Meier, Biometrics 9 (1953) 59, for many points),
         and the covariances are enlarged by this factor. Preloads that are not finite are taken as
-        unknown.
+        unknown, and so are ``preload_errors`` (n,), their standard errors.
 
         Raises CurveError, which names the argument and the value, for unequal lengths, values that
         are not finite, frequencies that are not positive, covariances that are not positive
@@ -75,11 +78,13 @@ class ResponseCurve:
             covariance = covariance * _estimated_weights(frequency, degrees)[:, None, None]
         order = np.lexsort((response.imag, response.real, frequency))
         preload = _varied(preloads, frequency.size)
+        uncertain = None if preload is None else _finite(preload_errors, frequency.size)
         return cls(
             frequency[order],
             response[order],
             covariance[order],
             None if preload is None else preload[order],
+            None if uncertain is None else uncertain[order],
         )
 
     def __len__(self) -> int:
@@ -106,12 +111,13 @@ class ResponseCurve:
         errors: Reals = DB_PER_RELATIVE * np.sqrt(self.relative_covariances[:, 0, 0])
         return errors
 
-    def with_relative_error(self, gain: float, phase: float) -> ResponseCurve:
-        """Returns the same points with additional errors of the gain (relative) and the phase
-        (rad)."""
+    def with_relative_error(self, gain: float | Reals, phase: float) -> ResponseCurve:
+        """Returns the same points with additional errors of the gain (relative; one for all or one
+        for each) and the phase (rad)."""
         along = np.stack([self.responses.real, self.responses.imag], axis=1)
         across = np.stack([-self.responses.imag, self.responses.real], axis=1)
-        extra = gain**2 * along[:, :, None] * along[:, None, :]
+        squared = np.broadcast_to(np.square(gain), len(self))[:, None, None]
+        extra = squared * along[:, :, None] * along[:, None, :]
         extra += phase**2 * across[:, :, None] * across[:, None, :]
         return replace(self, covariances=self.covariances + extra)
 
@@ -122,7 +128,15 @@ class ResponseCurve:
             self.responses[chosen],
             self.covariances[chosen],
             None if self.preloads_N is None else self.preloads_N[chosen],
+            None if self.preload_errors_N is None else self.preload_errors_N[chosen],
         )
+
+    def with_preload_errors(self, effect: float) -> ResponseCurve:
+        """Returns the same points with the error of the gain that comes from the error of each
+        preload, for a relative ``effect`` by newton."""
+        if self.preload_errors_N is None:
+            return self
+        return self.with_relative_error(effect * self.preload_errors_N, 0.0)
 
     def log_ratio(self, expected: Complexes) -> Complexes:
         """Returns ln(measured / expected), (n,): difference of the gains (neper) + j that of the
@@ -184,6 +198,14 @@ class ResponseCurve:
         gain = np.sqrt(self.relative_covariances[:, 0, 0])
         mixed = self.relative_covariances[:, 1, 0] / gain
         return gain, mixed, np.sqrt(self.relative_covariances[:, 1, 1] - mixed**2)
+
+
+def _finite(values: ArrayLike | None, size: int) -> Reals | None:
+    """Returns the values if they are known at all points."""
+    if values is None:
+        return None
+    found = np.asarray(values, dtype=float)
+    return found if found.shape == (size,) and np.isfinite(found).all() else None
 
 
 def _varied(preloads: ArrayLike | None, size: int) -> Reals | None:

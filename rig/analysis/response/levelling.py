@@ -182,17 +182,41 @@ class LearnedMains:
             most = amplitude + 2 * error
             self._most[order] = min(self._most.get(order, math.inf), most)
 
+    def bounds(self, nominal: float, count: int) -> dict[float, float]:
+        """Returns the largest amplitude of each line that has been measured, by its frequency in
+        Hz."""
+        orders = range(1, count + 1)
+        return {k * nominal: self._most[k] for k in orders if k in self._most}
+
     def strong(self, nominal: float, count: int, harmless: float) -> list[float]:
         """Returns the lines in Hz that are not known to be below ``harmless``."""
         orders = range(1, count + 1)
         return [k * nominal for k in orders if self._most.get(k, math.inf) > harmless]
 
 
-def agreement(first: Response, second: Response, tolerance: float) -> float:
+def agreement(
+    first: Response, second: Response, tolerance: float, samples: tuple[int, int]
+) -> float:
     """Returns the largest difference up to which two responses agree: a relative tolerance plus
-    their noise."""
-    noise = math.sqrt(float(np.trace(first.covariance + second.covariance)))
+    their noise.
+
+    ``samples`` are the lengths of their records. The noise by sample is that of the quieter record:
+    ringing also enlarges a record's own error, and would otherwise hide itself.
+    """
+    variances = [float(np.trace(each.covariance)) for each in (first, second)]
+    noise = quieter_noise(variances, samples)
     return tolerance * abs(second.value) + AGREEMENT_SIGMAS * noise
+
+
+def quieter_noise(variances: Sequence[float], samples: Sequence[int]) -> float:
+    """Returns the standard deviation of the difference of two estimates, if both records have the
+    noise by sample of the quieter one.
+
+    >>> quieter_noise([0.5, 1.0], [100, 100])
+    1.0
+    """
+    by_sample = min(variance * n for variance, n in zip(variances, samples, strict=True))
+    return math.sqrt(by_sample * sum(1 / n for n in samples))
 
 
 AGREEMENT_SIGMAS = 2.5
@@ -208,10 +232,13 @@ def combined(responses: Sequence[Response]) -> Response:
     weights = np.array([1 / max(float(np.trace(r.covariance)), tiny) for r in responses])
     weights = weights / weights.sum()
     value = complex(sum(w * r.value for w, r in zip(weights, responses, strict=True)))
-    covariance = sum(w**2 * r.covariance for w, r in zip(weights, responses, strict=True))
+    covariance, leakage = (
+        np.asarray(sum(w**2 * part for w, part in zip(weights, parts, strict=True)))
+        for parts in ([r.covariance for r in responses], [r.leakage for r in responses])
+    )
     known = [r.coherence for r in responses if math.isfinite(r.coherence)]
     coherence = float(np.mean(known)) if known else math.nan
-    return Response(responses[0].frequency_Hz, value, np.asarray(covariance), coherence)
+    return Response(responses[0].frequency_Hz, value, covariance, coherence, leakage)
 
 
 def range_for(amplitude_V: float, ranges_V: Sequence[float], margin: float = 1.6) -> float:

@@ -26,9 +26,10 @@ Saturation is not judged here, because only the caller knows the range of the co
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -84,6 +85,9 @@ class SineFit:
     """Complex amplitude of the tone at t = 0."""
     covariance: Reals
     """Covariance of the (real, imaginary) part of the phasor, (2, 2), assuming a white residual."""
+    leakage: Reals
+    """Covariance of what interfering lines that were not fitted leave in the phasor, (2, 2), for
+    the largest amplitudes that they may have and an unknown phase."""
     offset: float
     """Constant part of the record."""
     residual_rms: float
@@ -148,6 +152,7 @@ def fit_sine(
     frequency: float,
     *,
     interference: Sequence[float] = (),
+    bounds: Mapping[float, float] = MappingProxyType({}),
     delay_s: float = 0.0,
     largest_inflation: float = LARGEST_INFLATION,
 ) -> SineFit:
@@ -155,9 +160,12 @@ def fit_sine(
     (1/s).
 
     ``interference`` lists lines to fit as well, if the record separates them (see
-    :func:`mains_lines`). ``delay_s`` is how much later than t = 0 this channel took its first
-    sample (multiplexer skew); the phasor refers to t = 0. ``largest_inflation`` limits the cost in
-    variance of fitting further lines: a strong signal can afford a line close to it.
+    :func:`mains_lines`). ``bounds`` gives the largest amplitude by line, in the unit of the
+    samples; what such a line can leak into the tone, if it is not fitted, is stated as ``leakage``:
+    a weak line that is not worth fitting is an error all the same. ``delay_s`` is how much later
+    than t = 0 this channel took its first sample (multiplexer skew); the phasor refers to t = 0.
+    ``largest_inflation`` limits the cost in variance of fitting further lines: a strong signal can
+    afford a line close to it.
 
     Raises RecordError for samples that are not finite, fewer than 16 samples or one cycle, or a
     frequency that the rate cannot represent.
@@ -192,6 +200,7 @@ def fit_sine(
     residual_rms = math.sqrt(float(np.square(residual).sum()) / degrees)
     variances = np.diag(covariance)[3 : 3 + 2 * len(fitted)].reshape(-1, 2).mean(axis=1)
     turns = np.exp(-2j * np.pi * delay_s * lines.frequencies)
+    unfitted = {line: size for line, size in bounds.items() if line not in fitted}
     harmonics = np.full(len(HARMONICS), complex(np.nan, np.nan))
     harmonics[[HARMONICS.index(k) for k in orders]] = (phasors * turns)[1 + len(fitted) :]
     return SineFit(
@@ -200,6 +209,7 @@ def fit_sine(
         n=y.size,
         phasor=complex(phasors[0] * turns[0]),
         covariance=scaled_covariance(residual_rms**2 * covariance[1:3, 1:3], complex(turns[0])),
+        leakage=scaled_covariance(_leakage(lines, rate, unfitted), complex(turns[0])),
         offset=float(solution[0]),
         residual_rms=residual_rms,
         harmonics=harmonics,
@@ -375,6 +385,20 @@ def _solve(y: Reals, rate: float, frequencies: Sequence[float] | Reals) -> _Solv
     bare = _Solved(lines, inverse, np.empty(0), y)
     solution = bare.coefficients(y)
     return _Solved(lines, inverse, solution, bare.rest(y, solution))
+
+
+def _leakage(lines: _Lines, rate: float, unfitted: Mapping[float, float]) -> Reals:
+    """Returns the covariance that lines which are not in the fit cause in its first phasor, (2, 2),
+    each with the given amplitude and any phase."""
+    audible = {line: size for line, size in unfitted.items() if 0 < line < rate / 2 and size > 0}
+    if not audible:
+        return np.zeros((2, 2))
+    fitted = lines.frequencies
+    normal = _normal_equations([*fitted, *audible], rate, lines.n)
+    m = 1 + 2 * fitted.size
+    found = np.linalg.solve(normal[:m, :m], normal[:m, m:])[1:3]
+    leakage: Reals = (found * np.repeat([size**2 / 2 for size in audible.values()], 2)) @ found.T
+    return leakage
 
 
 def _nearest_line(frequencies: Sequence[float], rate: float, n: int) -> int:

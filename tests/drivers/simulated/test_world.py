@@ -291,3 +291,27 @@ def test_a_faulty_sensor_does_not_sense_the_force_that_acts(
     before, after = of.force_N(np.array([0.01, 0.03]))
     assert before == pytest.approx([1.0, 2.0, 3.0])
     assert after == pytest.approx(sensed)
+
+
+def test_a_film_can_be_given_a_gain_that_grows_with_the_load() -> None:
+    """0.1 dB/decade about 1 N, in the film's channel alone."""
+    linear = world(**SILENT)
+    bent = world(clamp={"gain_per_load_decade_dB": 0.1}, **SILENT)
+    ratios = []
+    for amplitude in (0.1, 1.0, 5.0):
+        volts = []
+        for bench in (linear, bent):
+            drive(bench, amplitude)
+            volts.append(np.ptp(sampled(bench, at_us=2_000_000), axis=0) / 2)
+        assert volts[0][0] == pytest.approx(volts[1][0], rel=1e-12)
+        load_N = volts[0][0] / 0.1
+        ratios.append(20 * np.log10(volts[1][1] / volts[0][1]) - 0.1 * np.log10(load_N))
+    assert ratios == pytest.approx([0.0, 0.0, 0.0], abs=1e-4)
+
+
+def test_the_world_tells_the_film_that_it_put_in() -> None:
+    told = world(film="nominal").truth()["film"]
+    assert told["drops_Hz"] == [500.0, 2400.0, 9000.0]
+    assert told["corner_Hz"] == pytest.approx(2000.0, rel=0.01)
+    assert told["gain_per_load_decade_dB"] == 0
+    assert world(film="open-circuit").truth() == {}
