@@ -3,6 +3,7 @@ the reference case, built once for all workers."""
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import re
@@ -19,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from benches import Bench
+from benches import Bench, declare_soft_contact
 from compiled_kernels import ensure_compiled
 from forked_rig import ForkedProcess, environment, server
 from hypothesis import settings
@@ -143,6 +144,8 @@ class Rig:
         self.env = environment()
         self.shared = folder / "shared"
         self.env[SHARED_FOLDER] = str(self.shared)
+        self.serving: Running | None = None
+        """The latest bench that ran by itself (`served`)."""
         self._started: list[Running] = []
 
     def on_bench(self, *arguments: str) -> list[str]:
@@ -205,6 +208,23 @@ class Rig:
         """Arguments of such a sweep."""
         log = ["--world-log", str(self.world_log)]
         return ["sweep", "--json", "--no-figures", *log, *arguments]
+
+    @contextlib.contextmanager
+    def served(self, *options: str, ways: str = "quick") -> Iterator[Path]:
+        """A simulated bench that runs by itself, in real time; its bench file, ``bench.toml``.
+
+        It declares a contact so soft that z goes quickly where it has not been, unless `ways` is
+        "as usual", which takes 12 s: for tests that are about them."""
+        path = self.folder / "bench.toml"
+        log = ("--world-log", str(self.world_log))
+        self.serving = serving = self.start("simulate", "--write", str(path), *log, *options)
+        serving.wait_for("Ctrl-C ends it")
+        if ways == "quick":
+            declare_soft_contact(path)
+        yield path
+        serving.send(signal.SIGINT)
+        ended = serving.finish()
+        assert ended.code == 0, ended.stderr
 
     def fault(self, text: str) -> str:
         """Write a fault plan; its path."""

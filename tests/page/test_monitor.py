@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import signal
 from io import StringIO
 
 import pytest
@@ -67,18 +66,12 @@ def test_a_run_is_shown_by_its_journal(rig):
 
 @pytest.mark.thorough
 def test_without_a_run_the_sensors_are_read_and_nothing_moves_or_is_switched(rig):
-    path = rig.folder / "a-bench.toml"
-    serving = rig.start(
-        "simulate", "--fixture", "plate", "--write", str(path), "--world-log", str(rig.world_log)
-    )
-    serving.wait_for("Ctrl-C ends it")
-    watched = rig.start("monitor", "--bench", str(path), "--seconds", "6")
-    rig.await_world("streaming", True)
-    refused = rig.run("slip-trial", "--bench", str(path))
-    assert (refused.code, "is in use by" in refused.stderr) == (2, True)
-    ended = watched.finish()
-    serving.send(signal.SIGINT)
-    assert serving.finish().code == 0
+    with rig.served("--fixture", "plate") as path:
+        watched = rig.start("monitor", "--bench", str(path), "--seconds", "6")
+        rig.await_world("streaming", True)
+        refused = rig.run("slip-trial", "--bench", str(path))
+        assert (refused.code, "is in use by" in refused.stderr) == (2, True)
+        ended = watched.finish()
     assert ended.code == 0, ended.stderr
     for shown in ("SIMULATED", "force z", "strip_1"):
         assert shown in ended.stdout

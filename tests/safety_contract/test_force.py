@@ -164,23 +164,19 @@ def be_patient(bench_file):
 @pytest.mark.thorough
 def test_a_hold_makes_safe_and_the_point_is_retaken_when_it_is_over(rig):
     """Ctrl-Z pauses; the same again lets it go on."""
-    path = rig.folder / "a-bench.toml"
-    serving = rig.start("simulate", "--write", str(path), "--world-log", str(rig.world_log))
-    serving.wait_for("Ctrl-C ends it")
-    be_patient(path)
-    sweep = rig.start(
-        "sweep", "--bench", str(path), "--json", "--no-figures",
-        "--frequencies", "2,300", "--settling", "2s",
-    )  # fmt: skip
-    rig.await_world("ch1.on", True)
-    sweep.send(signal.SIGTSTP)
-    sweep.wait_for(r"^PAUSED \(bench is safe\)")
-    safe = rig.outputs()
-    assert safe[-1] is False
-    sweep.send(signal.SIGTSTP)
-    ended = sweep.finish()
-    serving.send(signal.SIGINT)
-    serving.finish()
+    with rig.served() as path:
+        be_patient(path)
+        sweep = rig.start(
+            "sweep", "--bench", str(path), "--json", "--no-figures",
+            "--frequencies", "2,300", "--settling", "2s",
+        )  # fmt: skip
+        rig.await_world("ch1.on", True)
+        sweep.send(signal.SIGTSTP)
+        sweep.wait_for(r"^PAUSED \(bench is safe\)")
+        safe = rig.outputs()
+        assert safe[-1] is False
+        sweep.send(signal.SIGTSTP)
+        ended = sweep.finish()
     assert ended.code == 0, ended.stderr
     assert_switched_off_between(rig, more_than=safe)
     with RunFile.open(rig.only("*.h5")) as run:
@@ -316,21 +312,16 @@ def test_a_force_sensor_that_stays_silent_ends_the_run(rig):
 def test_a_hold_that_came_and_went_within_one_blocking_call_is_acted_on(rig):
     """In real time: the bench stands still for a while and answers late; its frames come late too,
     none is lost."""
-    path = rig.folder / "a-bench.toml"
-    serving = rig.start("simulate", "--write", str(path), "--world-log", str(rig.world_log))
-    serving.wait_for("Ctrl-C ends it")
-    be_patient(path)
-    sweep = rig.start(
-        "sweep", "--bench", str(path), "--json", "--no-figures",
-        "--frequencies", "300,600", "--settling", "2s",
-    )  # fmt: skip
-    rig.await_world("ch1.on", True)
-    serving.send(signal.SIGSTOP)
-    time.sleep(1.0)
-    serving.send(signal.SIGCONT)
-    ended = sweep.finish()
-    serving.send(signal.SIGINT)
-    serving.finish()
+    with rig.served() as path:
+        be_patient(path)
+        sweep = rig.start(
+            "sweep", "--bench", str(path), "--json", "--no-figures", "--frequencies", "300,600"
+        )
+        rig.await_world("ch1.on", True)
+        rig.serving.send(signal.SIGSTOP)
+        time.sleep(1.0)
+        rig.serving.send(signal.SIGCONT)
+        ended = sweep.finish()
 
     assert ended.code == 0, ended.stderr
     assert "hold: the force sensor is silent; the bench is safe" in ended.stderr
@@ -482,13 +473,9 @@ def test_a_gap_in_the_force_stream_ends_the_run(rig):
 
 @pytest.mark.thorough
 def test_the_wrong_fixture_is_refused_before_any_motion(rig):
-    path = rig.folder / "bench.toml"
-    serving = rig.start("simulate", "--write", str(path), "--world-log", str(rig.world_log))
-    serving.wait_for("Ctrl-C ends it")
-    path.write_text(path.read_text().replace('"film-clamp"', '"plate"'))
-    ended = rig.run("sweep", "--no-figures", *SHORT)
-    serving.send(signal.SIGINT)
-    serving.finish()
+    with rig.served() as path:
+        path.write_text(path.read_text().replace('"film-clamp"', '"plate"'))
+        ended = rig.run("sweep", "--no-figures", *SHORT)
     assert ended.code == 2
     assert "the bench has the plate mounted" in ended.stderr
     assert moves(rig) == []

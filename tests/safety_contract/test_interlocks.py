@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import contextlib
 import re
-import signal
 
 import pytest
 from tiers import mostly_thorough
@@ -154,16 +153,9 @@ def test_a_fault_of_a_contact_that_the_bench_has_not_is_refused(rig):
 @contextlib.contextmanager
 def served(rig, world, plan=""):
     """A simulated bench in real time, with its bench file bench.toml."""
-    path = rig.folder / "bench.toml"
     options = ("--fault", rig.fault(plan)) if plan else ()
-    serving = rig.start(
-        "simulate", "--write", str(path), "--world-log", str(rig.world_log),
-        "--world", rig.world(world), *options,
-    )  # fmt: skip
-    serving.wait_for("Ctrl-C ends it")
-    yield
-    serving.send(signal.SIGINT)
-    serving.finish()
+    with rig.served("--world", rig.world(world), *options):
+        yield
 
 
 def at_a_terminal(rig, *arguments):

@@ -88,20 +88,21 @@ def test_what_a_killed_run_leaves_pressed_is_lifted_and_said_first_by_the_next_c
 @pytest.mark.thorough
 def test_what_a_killed_run_leaves_pressed_is_lifted_although_its_force_sensor_is_unplugged(rig):
     """The port of the sensor is gone when the guard comes; z is lifted by where it stands."""
-    path = rig.folder / "a-bench.toml"
-    serving = rig.start("simulate", "--write", str(path), "--world-log", str(rig.world_log))
-    serving.wait_for("Ctrl-C ends it")
-    port = Path(tomllib.loads(path.read_text())["force_sensor"]["port"])
-    running = rig.start(
-        "sweep", "--bench", str(path), "--no-figures", "--frequencies", "210,310,410,510,610,710"
-    )
-    running.wait_for(r"^2/6 ")
-    port.unlink()
-    running.send(signal.SIGKILL)
-    running.process.wait()
-    report = rig.guard_report()
-    serving.send(signal.SIGINT)
-    serving.finish()
+    with rig.served() as path:
+        port = Path(tomllib.loads(path.read_text())["force_sensor"]["port"])
+        running = rig.start(
+            "sweep",
+            "--bench",
+            str(path),
+            "--no-figures",
+            "--frequencies",
+            "210,310,410,510,610,710",
+        )
+        running.wait_for(r"^2/6 ")
+        port.unlink()
+        running.send(signal.SIGKILL)
+        running.process.wait()
+        report = rig.guard_report()
     assert report is not None, "the guard never reported"
     assert (report["safe"], report["released"]) == (True, True), report
     assert re.search(
@@ -134,27 +135,23 @@ def test_a_run_that_hangs_is_ended_and_made_safe_by_the_guard(rig):
 @pytest.mark.thorough
 def test_the_drive_of_a_run_that_hangs_stops_by_itself_before_the_guard_comes(rig):
     """In real time, on the longest way there is in free air: nobody talks to the drive any more."""
-    path = rig.folder / "a-bench.toml"
-    serving = rig.start("simulate", "--write", str(path), "--world-log", str(rig.world_log))
-    serving.wait_for("Ctrl-C ends it")
-    text = path.read_text()
-    for told, instead in (
-        ("communication_timeout_ms = 2000", "communication_timeout_ms = 600"),
-        ("timeout_s = 0.9", "timeout_s = 0.4"),
-        ("[fixture]", "[fixture]\nparked_mm = 1.0"),
-    ):
-        assert told in text
-        text = text.replace(told, instead)
-    path.write_text(text)
-    running = rig.start("sweep", "--bench", str(path), "--no-figures", "--frequencies", "300")
-    target_mm = await_way_down(rig)
-    running.send(signal.SIGSTOP)
-    rig.await_world("fault", rig.bench.z.silence_fault)
-    assert not (rig.results / "guard-simulated.json").exists()
-    assert running.process.wait(PATIENCE_S) == -signal.SIGKILL
-    report = await_report(rig.results / "guard-simulated.json")
-    serving.send(signal.SIGINT)
-    serving.finish()
+    with rig.served(ways="as usual") as path:
+        text = path.read_text()
+        for told, instead in (
+            ("communication_timeout_ms = 2000", "communication_timeout_ms = 600"),
+            ("timeout_s = 0.9", "timeout_s = 0.4"),
+            ("[fixture]", "[fixture]\nparked_mm = 1.0"),
+        ):
+            assert told in text
+            text = text.replace(told, instead)
+        path.write_text(text)
+        running = rig.start("sweep", "--bench", str(path), "--no-figures", "--frequencies", "300")
+        target_mm = await_way_down(rig)
+        running.send(signal.SIGSTOP)
+        rig.await_world("fault", rig.bench.z.silence_fault)
+        assert not (rig.results / "guard-simulated.json").exists()
+        assert running.process.wait(PATIENCE_S) == -signal.SIGKILL
+        report = await_report(rig.results / "guard-simulated.json")
 
     assert report["safe"] is True
     assert report["cause"] == "no sign of life for 5 s; the run was killed"

@@ -26,12 +26,8 @@ shared.SharedFolder.write = full
 @pytest.fixture
 def bench_file(rig):
     """A simulated bench that runs by itself, and the file that drives it."""
-    path = rig.folder / "a-bench.toml"
-    serving = rig.start("simulate", "--write", str(path), "--world-log", str(rig.world_log))
-    serving.wait_for("Ctrl-C ends it")
-    yield path
-    serving.send(signal.SIGINT)
-    serving.finish()
+    with rig.served() as path:
+        yield path
 
 
 def sweep(bench_file, *more):

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import signal
-
 import pytest
 from tiers import mostly_thorough
 
@@ -76,19 +74,15 @@ def test_a_drive_that_times_out_and_cannot_be_lifted_is_reported_with_place_and_
 
 @pytest.mark.thorough
 def test_a_link_as_patient_as_its_drive_is_refused_and_the_bench_can_be_made_safe(rig):
-    path = rig.folder / "a-bench.toml"
-    serving = rig.start("simulate", "--write", str(path), "--world-log", str(rig.world_log))
-    serving.wait_for("Ctrl-C ends it")
-    text = path.read_text()
-    assert "communication_timeout_ms = 2000" in text
-    path.write_text(
-        text.replace("communication_timeout_ms = 2000", "communication_timeout_ms = 900")
-    )
-    refused = rig.run("sweep", "--bench", str(path), "--no-figures", "--frequencies", "300")
-    rehearsed = rig.run("sweep", "--bench", str(path), "--dry-run", "--frequencies", "300")
-    made_safe = rig.run("make-safe", "--bench", str(path))
-    serving.send(signal.SIGINT)
-    serving.finish()
+    with rig.served() as path:
+        text = path.read_text()
+        assert "communication_timeout_ms = 2000" in text
+        path.write_text(
+            text.replace("communication_timeout_ms = 2000", "communication_timeout_ms = 900")
+        )
+        refused = rig.run("sweep", "--bench", str(path), "--no-figures", "--frequencies", "300")
+        rehearsed = rig.run("sweep", "--bench", str(path), "--dry-run", "--frequencies", "300")
+        made_safe = rig.run("make-safe", "--bench", str(path))
     for ended in (refused, rehearsed):
         assert ended.code == 2, ended.stderr
         (error,) = ended.errors

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import signal
-
 import pytest
 from tiers import mostly_thorough
 
@@ -128,16 +126,12 @@ def test_what_is_still_pressed_after_the_last_way_up_is_reported(rig, how):
 def test_a_parking_place_that_is_not_clear_is_refused_and_the_bench_can_be_made_safe(
     rig, parked_mm
 ):
-    path = rig.folder / "a-bench.toml"
-    serving = rig.start("simulate", "--write", str(path), "--world-log", str(rig.world_log))
-    serving.wait_for("Ctrl-C ends it")
-    text = path.read_text()
-    assert "[fixture]\n" in text
-    path.write_text(text.replace("[fixture]\n", f"[fixture]\nparked_mm = {parked_mm}\n"))
-    refused = rig.run("sweep", "--bench", str(path), "--no-figures", "--frequencies", "300")
-    made_safe = rig.run("make-safe", "--bench", str(path))
-    serving.send(signal.SIGINT)
-    serving.finish()
+    with rig.served() as path:
+        text = path.read_text()
+        assert "[fixture]\n" in text
+        path.write_text(text.replace("[fixture]\n", f"[fixture]\nparked_mm = {parked_mm}\n"))
+        refused = rig.run("sweep", "--bench", str(path), "--no-figures", "--frequencies", "300")
+        made_safe = rig.run("make-safe", "--bench", str(path))
 
     assert refused.code == 2, refused.stderr
     (error,) = refused.errors

@@ -15,13 +15,8 @@ from rig.files.verify import verify
 @pytest.fixture
 def bench_file(rig):
     """A simulated bench that runs by itself, and the file that drives it."""
-    path = rig.folder / "a-bench.toml"
-    serving = rig.start("simulate", "--write", str(path), "--world-log", str(rig.world_log))
-    serving.wait_for("Ctrl-C ends it")
-    yield path
-    serving.send(signal.SIGINT)
-    ended = serving.finish()
-    assert ended.code == 0, ended.stderr
+    with rig.served() as path:
+        yield path
 
 
 @pytest.mark.thorough

@@ -123,16 +123,12 @@ def test_a_simulated_run_is_resumed_on_a_simulated_bench_whatever_lies_beside(ri
 @pytest.mark.thorough
 def test_a_run_whose_bench_is_gone_has_lost_nothing(rig):
     """What an earlier attempt has kept is told, though nothing answers."""
-    path = rig.folder / "bench.toml"
-    serving = rig.start("simulate", "--write", str(path))
-    serving.wait_for("Ctrl-C ends it")
-    asked = ("--frequencies", "300,400,500", *SETTLING, "--json", "--no-figures")
-    running = rig.start("sweep", *asked, "--bench", str(path))
-    running.wait_for(r"^1/3 ")
-    running.send(signal.SIGINT)
-    stopped = running.finish()
-    serving.send(signal.SIGINT)
-    serving.finish()
+    with rig.served() as path:
+        asked = ("--frequencies", "300,400,500", *SETTLING, "--json", "--no-figures")
+        running = rig.start("sweep", *asked, "--bench", str(path))
+        running.wait_for(r"^1/3 ")
+        running.send(signal.SIGINT)
+        stopped = running.finish()
     kept = stopped.object["points_done"]
     assert kept > 0, stopped.stderr
     again = rig.run("resume", stopped.object["journal"], "--no-figures", "--json")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import signal
 
 import h5py
 import pytest
@@ -90,16 +89,14 @@ def test_the_servo_orders_nothing_deeper_than_the_latest_contact(rig):
 
 @pytest.mark.parametrize("how", mostly_thorough(["run", "dry-run"], ["run"]))
 def test_an_axis_that_presses_without_a_torque_limit_is_refused_before_anything_moves(rig, how):
-    path = rig.folder / "a-bench.toml"
-    serving = rig.start("simulate", "--write", str(path), "--world-log", str(rig.world_log))
-    serving.wait_for("Ctrl-C ends it")
-    lines = path.read_text().splitlines()
-    path.write_text("\n".join(line for line in lines if "torque_limit" not in line) + "\n")
-    dry = ["--dry-run"] if how == "dry-run" else []
-    refused = rig.run("sweep", "--bench", str(path), "--no-figures", "--frequencies", "300", *dry)
-    made_safe = rig.run("make-safe", "--bench", str(path))
-    serving.send(signal.SIGINT)
-    serving.finish()
+    with rig.served() as path:
+        lines = path.read_text().splitlines()
+        path.write_text("\n".join(line for line in lines if "torque_limit" not in line) + "\n")
+        dry = ["--dry-run"] if how == "dry-run" else []
+        refused = rig.run(
+            "sweep", "--bench", str(path), "--no-figures", "--frequencies", "300", *dry
+        )
+        made_safe = rig.run("make-safe", "--bench", str(path))
 
     assert refused.code == 2, refused.stderr
     assert "[stage_z] of the bench file has no torque_limit_percent" in refused.errors[0]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import signal
 from datetime import datetime, timedelta
 from multiprocessing import get_context
 
@@ -119,26 +118,21 @@ def test_calibrated_strips_are_recorded_as_load_rates_with_their_error(rig, tmp_
 
 @pytest.mark.thorough
 def test_records_that_do_not_serve_are_refused_in_one_line_before_any_motion(rig):
-    path = rig.folder / "a-bench.toml"
-    log = ("--world-log", str(rig.world_log))
-    serving = rig.start("simulate", "--fixture", "plate", "--write", str(path), *log)
-    serving.wait_for("Ctrl-C ends it")
-    good = write_calibration(record("film 7"), rig.folder)
-    cases = {
-        "expired on": write_calibration(record("film 8", days=-1.0), rig.folder),
-        "on the bench is 'film 8'": good,
-        "cannot read the calibration record": rig.folder / "nowhere.json",
-    }
-    calibrated = path.with_name("calibrated.toml")
-    for words, file in cases.items():
-        calibrated.write_text(naming(path.read_text(), {"strip_1": good, "strip_2": file}))
-        ended = rig.run("slip-trial", "--bench", str(calibrated), *SHORT)
-        assert ended.code == 2, ended.stderr
-        (error,) = ended.errors
-        assert words in error
-        assert "rig calibrate pvdf" in error
-    serving.send(signal.SIGINT)
-    assert serving.finish().code == 0
+    with rig.served("--fixture", "plate") as path:
+        good = write_calibration(record("film 7"), rig.folder)
+        cases = {
+            "expired on": write_calibration(record("film 8", days=-1.0), rig.folder),
+            "on the bench is 'film 8'": good,
+            "cannot read the calibration record": rig.folder / "nowhere.json",
+        }
+        calibrated = path.with_name("calibrated.toml")
+        for words, file in cases.items():
+            calibrated.write_text(naming(path.read_text(), {"strip_1": good, "strip_2": file}))
+            ended = rig.run("slip-trial", "--bench", str(calibrated), *SHORT)
+            assert ended.code == 2, ended.stderr
+            (error,) = ended.errors
+            assert words in error
+            assert "rig calibrate pvdf" in error
     assert "move" not in {entry["what"] for entry in rig.log()}
 
 

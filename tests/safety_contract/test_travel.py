@@ -55,12 +55,10 @@ def test_a_place_of_the_fixture_outside_the_travel_is_refused_before_anything_mo
 @pytest.mark.thorough
 def test_a_place_outside_the_travel_is_refused_on_a_bench_file_too(rig):
     """Over the wire of a bench that runs in real time, and of another fixture that is mounted."""
-    path = rig.folder / "a-bench.toml"
-    serving = rig.start("simulate", "--write", str(path), "--world-log", str(rig.world_log))
-    serving.wait_for("Ctrl-C ends it")
     also = '[[also_mounted]]\nmounted = "plate"\ncontact_from_mm = 12.0\ncontact_to_mm = 30.0\n'
-    path.write_text(path.read_text() + also)
-    ended = rig.run("sweep", "--bench", str(path), "--no-figures", "--frequencies", "300")
+    with rig.served() as path:
+        path.write_text(path.read_text() + also)
+        ended = rig.run("sweep", "--bench", str(path), "--no-figures", "--frequencies", "300")
     assert ended.code == 2, ended.stderr
     (error,) = ended.errors
     assert "[[also_mounted]] plate contact_to_mm = 30 mm is outside 0 to 14 mm" in error
