@@ -305,3 +305,17 @@ def test_a_new_set_point_is_reached_and_held() -> None:
     for wrong in (0.0, -1.0, math.nan, math.inf):
         with pytest.raises(ValueError, match="target_N"):
             servo.hold_at(wrong)
+
+
+def test_the_noise_of_an_earlier_slide_is_not_replayed() -> None:
+    """At 200 Hz the axis steps by a micrometre to and fro from tick to tick. The first value, to
+    which the others refer, was such a step too: the slide began with a knock of 6 %."""
+    expected = ContactShift()
+    for tick in range(100):
+        expected.add(0.005 * tick, 1e-3 * (0.5 + 0.5 * (-1) ** tick))
+    servo = ForceServo(settings_from(4.0, stiffness_N_mm=145.0, tick_s=0.005, delay_s=0.0045))
+    for _ in range(20):
+        servo.step(4.0)
+    servo.slide_begins(expected)
+    moves_um = [1e3 * servo.step(4.0).increment_mm for _ in range(20)]
+    assert max(abs(move) for move in moves_um) < 0.35
