@@ -72,6 +72,8 @@ LOAD_AGREEMENT = 2.4e-3
 """The same of the loads, which need not be as steady: only their ratio to the voltage matters."""
 CLEAR_RINGING = 2.0
 """Ratio of the first difference to the visible one above which it is ringing and not noise."""
+FORGETS = 0.9
+"""Share of the time constant of earlier ringing that a point with faster ringing leaves."""
 SUNK = 0.2
 """Ringing in the valid records that does not matter, in standard errors of a record."""
 SILENCE_S = 2.0
@@ -305,7 +307,9 @@ class SweepPointRun:
         now, last = self.run.clock.now(), self.kept[-1]
         if self._seen_ringing is not None:
             since_s, first = self._seen_ringing
-            self.memory.decay_s = (now - since_s) / math.log(max(first / visible, CLEAR_RINGING))
+            shown_s = (now - since_s) / math.log(max(first / visible, CLEAR_RINGING))
+            # Beats of two resonances may agree too early, and then seem to decay too fast.
+            self.memory.decay_s = max(shown_s, FORGETS * (self.memory.decay_s or 0.0))
         self._seen_ringing = None
         if self.memory.decay_s is None:
             return
