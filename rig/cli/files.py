@@ -304,6 +304,7 @@ def _world_of(bench_toml: str, source: str) -> Iterator[tuple[Path | None, str |
         yield None, None
         return
     simulation.pop("seed", None)
+    simulation.pop("world", None)
     stages = simulation.pop("stages", None)
     with tempfile.NamedTemporaryFile("w", suffix=".toml", encoding="utf-8") as file:
         file.write("".join(f"{key} = {toml_value(value)}\n" for key, value in simulation.items()))

@@ -23,7 +23,12 @@ AsJson = Annotated[bool, typer.Option("--json", help="One JSON object on stdout.
 Debug = Annotated[bool, typer.Option("--debug", help="Show tracebacks.")]
 Seed = Annotated[int, typer.Option(help="Seed of the simulated bench.", min=0)]
 World = Annotated[
-    Path | None, typer.Option(help="Physical parameters of the simulated bench (TOML).")
+    Path | None,
+    typer.Option(
+        metavar="FILE|population",
+        help="Physical parameters of the simulated bench (TOML), or `population`: skin, friction, "
+        "strips and head drawn by --seed.",
+    ),
 ]
 Fault = Annotated[Path | None, typer.Option(help="Fault plan (TOML) of a simulated bench.")]
 WorldLog = Annotated[Path | None, typer.Option(help="File for a simulated bench's own log.")]

@@ -23,13 +23,13 @@ from rig.detector import DEFAULT_DETECTOR
 
 if TYPE_CHECKING:
     from rig.core.settings import Settings
-    from rig.evaluation.labelled_trials import PopulationSettings
     from rig.evaluation.scored_trials import Population
     from rig.evaluation.scoring.baselines import BaselineSettings
     from rig.evaluation.scoring.contenders import Contender
     from rig.evaluation.scoring.seeds import SeedRange
     from rig.evaluation.wire.judging import WireScore
     from rig.evaluation.wire.kinds import WireKind
+    from rig.physics.population import PopulationSettings
 
     Model = TypeVar("Model", bound=Settings)
 else:
@@ -170,7 +170,6 @@ def score(
     """Score detectors on trials whose truth is known: slips found, false alarms, delays."""
     with reported(debug, as_json), model_errors("omit its seed"):
         from rig.evaluation.labelled_files import judge_files
-        from rig.evaluation.labelled_trials import PopulationSettings, StripFrontEndSettings
         from rig.evaluation.scored_trials import judge_trials
         from rig.evaluation.scoring.contenders import BaselineContender
         from rig.evaluation.scoring.seeds import (
@@ -179,6 +178,7 @@ def score(
             check_use,
             seed_range,
         )
+        from rig.physics.population import PopulationSettings, StripFrontEndSettings
 
         ranges = _with_options(
             _read(PopulationSettings, population), skin, elements, ridge, youngs_modulus, speed
@@ -360,7 +360,7 @@ def _with_options(
 ) -> PopulationSettings:
     """Returns the ranges with skin, ridge and speed of the options."""
     from rig.core.units import quantity
-    from rig.evaluation.labelled_trials import PopulationSettings, Range
+    from rig.physics.population import PopulationSettings, Range
     from rig.physics.skin.settings import SkinSettings
 
     def number(text: str, unit: str, option: str) -> float:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
+from rig.cli.option_groups import World
 from rig.cli.options import SimulatedStages
 from rig.cli.outcome import reported, say
 from rig.core.atomic import write_text
@@ -30,9 +31,7 @@ def simulate(
         ),
     ] = None,
     seed: Annotated[int, typer.Option(help="Seed of films and noise.", min=0)] = 0,
-    world: Annotated[
-        Path | None, typer.Option(help="Physical parameters of the simulated bench (TOML).")
-    ] = None,
+    world: World = None,
     fault: Annotated[Path | None, typer.Option(help="Fault plan (TOML).")] = None,
     world_log: Annotated[Path | None, typer.Option(help="File for the World's own log.")] = None,
     write: Annotated[

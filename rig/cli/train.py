@@ -70,14 +70,11 @@ def _trained(first: int, end: int, units: int, epochs: int, seed: int, jobs: int
     from rig.detector.kernel import INPUTS
     from rig.detector.network import OUTPUTS, Network
     from rig.detector.settings import named_detectors
-    from rig.evaluation.labelled_trials import (
-        LabelledTrial,
-        PopulationSettings,
-        StripFrontEndSettings,
-    )
+    from rig.evaluation.labelled_trials import LabelledTrial
     from rig.evaluation.scored_trials import Population, Traits, each_trial
     from rig.evaluation.scoring.seeds import SeedRange
     from rig.evaluation.training import TrainingRows, TrainingTrial, learn, rows_of
+    from rig.physics.population import PopulationSettings, StripFrontEndSettings
     from rig.physics.skin.condensed import build_skin
 
     cache, ranges = user_cache(), PopulationSettings()

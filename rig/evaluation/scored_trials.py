@@ -19,14 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.core.cache import Cache
-from rig.evaluation.labelled_trials import (
-    Kind,
-    LabelledTrial,
-    PopulationSettings,
-    StripFrontEndSettings,
-    labelled_trial,
-    through_front_end,
-)
+from rig.evaluation.labelled_trials import Kind, LabelledTrial, labelled_trial, through_front_end
 from rig.evaluation.scoring.baselines import BaselineSettings, baseline_score
 from rig.evaluation.scoring.contenders import FACTORS, Contender
 from rig.evaluation.scoring.outcomes import FOUND_WITHIN_S, Truth, judge
@@ -34,6 +27,7 @@ from rig.evaluation.scoring.patterns import roll_pattern
 from rig.evaluation.scoring.results import ScoredTrial
 from rig.evaluation.scoring.roc import tune
 from rig.evaluation.scoring.seeds import SeedRange
+from rig.physics.population import PopulationSettings, StripFrontEndSettings
 from rig.physics.skin.condensed import CondensedSkin
 
 Floats = NDArray[np.float64]

@@ -33,6 +33,10 @@ STARTING: dict[Fixture, str] = {
 }
 
 
+POPULATION = "population"
+"""Stands for a World that the seed draws, in the place of a file."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class BenchRequest:
     """The options of a command that select its bench."""
@@ -46,6 +50,7 @@ class BenchRequest:
     stages: str | None = None
     """One of `simulated_variants`; None for the default."""
     world: Path | None = None
+    """File of World settings, or `POPULATION`."""
     fault: Path | None = None
     world_log: Path | None = None
 
@@ -62,6 +67,12 @@ class ChosenBench:
     """Simulated bench that was started for this command."""
     recorded_toml: str | None = None
     """Bench file of a simulated bench without the process's port numbers."""
+
+
+def world_in(folder: Path, world: str) -> Path:
+    """Return the World of a simulated bench that a file in `folder` names: a file relative to that
+    folder, or the word for a World that the seed draws."""
+    return Path(world) if world == POPULATION else folder / world
 
 
 def bench_file(given: Path | None) -> Path | None:

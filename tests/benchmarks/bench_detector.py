@@ -16,13 +16,8 @@ from scipy.signal import lfilter
 
 from rig.detector.detector import IncipientSlipDetector
 from rig.detector.settings import named_detectors
-from rig.evaluation.labelled_trials import (
-    PopulationSettings,
-    Range,
-    StripFrontEndSettings,
-    labelled_trial,
-    through_front_end,
-)
+from rig.evaluation.labelled_trials import labelled_trial, through_front_end
+from rig.physics.population import PopulationSettings, Range, StripFrontEndSettings
 from rig.physics.skin.condensed import build_skin
 
 pytestmark = [pytest.mark.benchmark, pytest.mark.short, pytest.mark.timeout(3600)]

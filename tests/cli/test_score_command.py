@@ -10,10 +10,10 @@ import typer
 from typer.testing import CliRunner
 
 from rig.cli.score import score
-from rig.evaluation.labelled_trials import PopulationSettings
 from rig.files.journal.layout import Column, Layout, Plot
 from rig.files.journal.writer import JournalWriter
 from rig.files.runfile.compile import compile_run
+from rig.physics.population import PopulationSettings
 
 app = typer.Typer(pretty_exceptions_enable=False)
 app.command()(score)

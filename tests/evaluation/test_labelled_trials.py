@@ -6,28 +6,30 @@ import numpy as np
 import pytest
 
 from rig.core.cache import DiskCache
-from rig.evaluation.labelled_trials import (
-    Kind,
-    LabelledTrial,
-    PopulationSettings,
-    Range,
-    StripFrontEndSettings,
-    labelled_trial,
-    through_front_end,
-)
+from rig.evaluation.labelled_trials import Kind, LabelledTrial, labelled_trial, through_front_end
+from rig.physics.population import PopulationSettings, Range, StripFrontEndSettings
 from rig.physics.skin.condensed import CondensedSkin, build_skin
+from rig.physics.skin.settings import SkinSettings
 
 KINDS: tuple[Kind, ...] = ("slide", "roll", "hold", "tap")
 
 
+COARSE = PopulationSettings(skin=SkinSettings(elements_per_ridge=6))
+"""A mesh that is made in a second; what is tested here does not depend on it."""
+
+
 @pytest.fixture(scope="module")
 def skin() -> CondensedSkin:
-    return build_skin(PopulationSettings().skin)
+    return build_skin(COARSE.skin)
 
 
 @pytest.fixture(scope="module")
 def trials(skin: CondensedSkin) -> dict[tuple[Kind, int], LabelledTrial]:
-    return {(kind, seed): labelled_trial(skin, kind, seed) for kind in KINDS for seed in range(4)}
+    return {
+        (kind, seed): labelled_trial(skin, kind, seed, COARSE)
+        for kind in KINDS
+        for seed in range(4)
+    }
 
 
 def equal(one: LabelledTrial, other: LabelledTrial) -> bool:
@@ -41,24 +43,24 @@ def equal(one: LabelledTrial, other: LabelledTrial) -> bool:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_trial_is_its_kind_and_seed(skin: CondensedSkin, trials, kind: Kind):
-    assert equal(labelled_trial(skin, kind, 1), trials[kind, 1])
+    assert equal(labelled_trial(skin, kind, 1, COARSE), trials[kind, 1])
     assert not equal(trials[kind, 0], trials[kind, 1])
 
 
 def test_the_cache_gives_back_the_same_bits(skin: CondensedSkin, trials, tmp_path: Path):
     cache = DiskCache(tmp_path)
-    assert equal(labelled_trial(skin, "roll", 2, cache=cache), trials["roll", 2])
-    assert equal(labelled_trial(skin, "roll", 2, cache=cache), trials["roll", 2])
+    assert equal(labelled_trial(skin, "roll", 2, COARSE, cache), trials["roll", 2])
+    assert equal(labelled_trial(skin, "roll", 2, COARSE, cache), trials["roll", 2])
     assert len(list(tmp_path.iterdir())) == 1
 
 
 def test_a_damaged_cache_is_no_answer(skin: CondensedSkin, trials, tmp_path: Path):
     cache = DiskCache(tmp_path)
-    labelled_trial(skin, "tap", 3, cache=cache)
+    labelled_trial(skin, "tap", 3, COARSE, cache)
     (file,) = tmp_path.iterdir()
     cache.put(file.stem, b"something else")
     file.write_bytes(file.read_bytes()[:-7])
-    assert equal(labelled_trial(skin, "tap", 3, cache=cache), trials["tap", 3])
+    assert equal(labelled_trial(skin, "tap", 3, COARSE, cache), trials["tap", 3])
 
 
 def test_a_trial_begins_with_quiet_and_slips_in_order(trials):

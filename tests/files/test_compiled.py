@@ -166,6 +166,33 @@ def test_a_simulated_run_says_so_everywhere(file: Path) -> None:
             assert entry[f"instrument/{name}/fabrication/model"][()].startswith(b"SIMULATED")
 
 
+def test_the_whole_world_of_a_simulated_run_is_in_its_file_with_units(tmp_path: Path) -> None:
+    world = """
+[simulation.world]
+film = "drawn"
+since = 2026-11-21
+skin = { "youngs_modulus_MPa" = 1.7, "strips" = { "offset_mm" = 0.35 } }
+"""
+    bench = run.BENCH_TOML.rstrip() + world
+    journal = run.write_run(tmp_path / "a.rigj", bench_toml=bench)
+    file = compile_run(journal)
+    assert verify(file) == []
+    with h5py.File(file) as opened:
+        found = opened["entry/simulated_world"]
+        assert found["film"][()] == b"drawn"
+        assert found["since"][()] == b"2026-11-21"
+        assert found["skin/youngs_modulus_MPa"][()] == 1.7
+        assert found["skin/youngs_modulus_MPa"].attrs["units"] == "MPa"
+        assert found["skin/strips/offset_mm"].attrs["units"] == "mm"
+
+
+@pytest.mark.parametrize("bench", ["no TOML", "simulation = 3", "[simulation]\nworld = 'flat'"])
+def test_a_bench_file_that_states_no_world_leaves_none(tmp_path: Path, bench: str) -> None:
+    file = compile_run(run.write_run(tmp_path / "a.rigj", bench_toml=bench))
+    with h5py.File(file) as opened:
+        assert "simulated_world" not in opened["entry"]
+
+
 def test_a_real_run_does_not(tmp_path: Path) -> None:
     instruments = [i | {"simulated": False} for i in run.header()["instruments"]]
     journal = run.write_run(tmp_path / "a.rigj", simulated=False, instruments=instruments)

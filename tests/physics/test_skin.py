@@ -145,7 +145,7 @@ def test_the_cache_saves_the_second_build_and_changes_nothing(tmp_path: Path, mo
     assert len(built) == 1
     assert np.array_equal(first.compliance_mm_N, second.compliance_mm_N)
     assert np.array_equal(first.stress_rows_MPa_N, second.stress_rows_MPa_N)
-    build_skin(SMALL.model_copy(update={"youngs_modulus_MPa": 1.8}), cache)
+    build_skin(SMALL.model_copy(update={"poissons_ratio": 0.47}), cache)
     assert len(built) == 2
 
 
@@ -178,3 +178,15 @@ def test_a_sound_entry_with_the_wrong_content_is_rebuilt(monkeypatch):
 
     build_skin(SMALL, Foreign())
     assert len(built) == 1
+
+
+def test_skins_of_another_stiffness_share_the_cached_one_and_are_right(tmp_path: Path, monkeypatch):
+    cache = DiskCache(tmp_path)
+    build_skin(SMALL, cache)
+    softer = SMALL.model_copy(update={"youngs_modulus_MPa": 0.6})
+    by_hand = condensed.condense(softer)
+    monkeypatch.setattr(condensed, "condense", lambda _: pytest.fail("condensed anew"))
+    found = build_skin(softer, cache)
+    assert found.settings == softer
+    assert found.compliance_mm_N == pytest.approx(by_hand.compliance_mm_N, rel=1e-9, abs=1e-12)
+    assert found.stress_rows_MPa_N == pytest.approx(by_hand.stress_rows_MPa_N, rel=1e-6, abs=1e-9)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from drivers.simulated.bench.options import (
     DAQ_DRIVER,
@@ -15,6 +15,9 @@ from drivers.simulated.bench.options import (
     drive_kind,
 )
 from rig.core.toml_files import toml_value
+
+if TYPE_CHECKING:
+    from drivers.simulated.world.world import WorldSettings
 
 LINK_TIMEOUT_S = 1.5
 """Wall time the bench file gives every link: a loaded machine may let a process wait for long."""
@@ -51,21 +54,29 @@ class Endpoints:
 
 def bench_toml(
     options: Options,
-    world: dict[str, Any],
+    world: WorldSettings,
     endpoints: Endpoints,
     interlocks: Sequence[dict[str, Any]] = (),
 ) -> str:
     """Return the bench file that drives this bench; `interlocks` are its ``[[interlock]]``
-    tables."""
+    tables.
+
+    ``[simulation]`` has what was set of the World, ``[simulation.world]`` all of it.
+    """
     stages = {} if options.stages == "festo" else {"stages": options.stages}
-    simulation = {"seed": options.seed, **stages, **world}
+    changed = world.model_dump(mode="json", exclude_unset=True, by_alias=True)
+    whole = world.model_dump(mode="json", exclude_none=True, by_alias=True)
+    simulation = {"seed": options.seed, **stages, **changed}
     lines = "".join(f"{key} = {toml_value(value)}\n" for key, value in simulation.items())
+    resolved = "".join(f"{key} = {toml_value(value)}\n" for key, value in whole.items())
     tables = _film_tables if options.fixture == "film-clamp" else _skin_tables
     return f"""# A simulated bench: whatever is measured on it is computed, not measured.
 name = "simulated"
 
 [simulation]
 {lines}
+[simulation.world]
+{resolved}
 [fixture]
 mounted = "{options.fixture}"
 contact_from_mm = 12.0

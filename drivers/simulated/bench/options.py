@@ -50,7 +50,7 @@ class Options:
     seed: int = 0
     slaved: bool = False
     world: str | None = None
-    """TOML file with World settings."""
+    """TOML file with World settings, or "population" for a World that the seed draws."""
     fault: str | None = None
     """TOML file with a fault plan."""
     world_log: str | None = None
@@ -144,10 +144,18 @@ def world_settings(options: Options) -> WorldSettings:
     from drivers.simulated.world.world import read_world
 
     if options.fixture == "film-clamp":
+        if options.world == "population":
+            raise ConfigurationError(
+                "--world population draws a skin, and the film clamp has none",
+                "leave out --world: the film of the clamp is drawn from --seed anyway",
+            )
         return read_world(options.world)
     from drivers.simulated.world.plate_world import HeadWorldSettings, PlateWorldSettings
+    from drivers.simulated.world.population import POPULATION, drawn_world
 
     kind = HeadWorldSettings if options.fixture == HEAD else PlateWorldSettings
+    if options.world == POPULATION:
+        return drawn_world(kind, options.seed)
     return read_world(options.world, kind)
 
 

@@ -107,13 +107,12 @@ async def serve(options: Options, ready: Callable[[dict[str, Any]], None]) -> No
         port = await control.start()
         if options.slaved:  # its end is seen however early it was: what it sets free has started
             await loop.connect_read_pipe(lambda: _OwnersPipe(orphaned), sys.stdin)
-        overrides = settings.model_dump(mode="json", exclude_unset=True, by_alias=True)
         interlocks = world.contacts.tables()
         ready(
             {
                 "control_port": port,
-                "bench_toml": bench_toml(options, overrides, bench.listening(), interlocks),
-                "recorded_toml": bench_toml(options, overrides, bench.anywhere(), interlocks),
+                "bench_toml": bench_toml(options, settings, bench.listening(), interlocks),
+                "recorded_toml": bench_toml(options, settings, bench.anywhere(), interlocks),
                 "models": bench.models,
             }
         )

@@ -61,6 +61,8 @@ class SkinMountSettings(Settings):
     """Position of the z stage at which the skin just touches the object."""
     ridge: int = Field(default=3, ge=1)
     """The ridge that holds the strips, 1 is the one towards +x."""
+    gain_mismatch: float = Field(default=0.0, gt=-1, lt=1)
+    """Relative excess of the gain of strip 1's amplifier over that of strip 2."""
     jitter_um: float = Field(default=0.0, ge=0)
     """Peak of a vibration of the stage along x."""
     jitter_Hz: float = Field(default=50.0, gt=0)
@@ -128,7 +130,8 @@ class SkinContact:
             self.catch_up(math.floor(float(times_s[-1]) * 1e6))
             self._make_volts()
         (volts,) = self._at((STRIP_1_V if strip == 1 else STRIP_2_V,), times_s)
-        return volts
+        half = self._mount.gain_mismatch / 2
+        return volts * (1 + half if strip == 1 else 1 - half)
 
     def push_N(self, t_us: int) -> tuple[float, float]:  # noqa: N802
         """F_t and F_n that the stages' positions at a World time lead to."""

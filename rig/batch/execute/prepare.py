@@ -28,7 +28,14 @@ from rig.bench.plan import BenchPlan, read_bench
 from rig.bench.settings import Fixture
 from rig.core.errors import ConfigurationError
 from rig.instruments.calibration import require_valid
-from rig.run.bench_selector import BenchRequest, BenchSelector, bench_file, simulated_variant_for
+from rig.run.bench_selector import (
+    POPULATION,
+    BenchRequest,
+    BenchSelector,
+    bench_file,
+    simulated_variant_for,
+    world_in,
+)
 
 
 @dataclass(frozen=True)
@@ -119,7 +126,7 @@ def _request(
     if real is not None or own is None:
         stages = None if real is None else simulated_variant_for(real)
         return BenchRequest(bench=chosen, results=results, dry_run=True, stages=stages)
-    world = None if own.world is None else path.parent / own.world
+    world = None if own.world is None else world_in(path.parent, own.world)
     return BenchRequest(
         results=results, dry_run=True, seed=own.seed, stages=own.stages, world=world
     )
@@ -137,7 +144,9 @@ def _simulation(batch: BatchFile, path: Path, bench: Path | None) -> Iterator[Pl
             f"[simulation] is for batches that start their own benches; this one uses {bench}",
             "leave out [simulation], or the bench file",
         )
-    named: list[tuple[KeyPath, str | None]] = [(("simulation", "world"), own.world)]
+    named: list[tuple[KeyPath, str | None]] = []
+    if own.world != POPULATION:
+        named.append((("simulation", "world"), own.world))
     named += [(("simulation", "fault", k, "plan"), one.plan) for k, one in enumerate(own.fault)]
     named += [
         (("simulation", "change", k, "settings"), one.settings) for k, one in enumerate(own.change)

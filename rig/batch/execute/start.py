@@ -17,6 +17,7 @@ from rig.batch.queue import Queue
 from rig.core.atomic import write_text
 from rig.core.errors import ConfigurationError
 from rig.core.settings import fingerprint
+from rig.run.bench_selector import POPULATION
 from rig.run.source_state import source_state
 
 
@@ -102,7 +103,7 @@ def refuse_changes(queue: Queue, batch: BatchFile) -> None:
 def _files_of(simulation: Simulation | None) -> Iterator[str]:
     if simulation is None:
         return
-    if simulation.world is not None:
+    if simulation.world is not None and simulation.world != POPULATION:
         yield simulation.world
     yield from (fault.plan for fault in simulation.fault)
     yield from (change.settings for change in simulation.change)

@@ -40,7 +40,13 @@ from rig.batch.plan.window import does_not_fit
 from rig.batch.queue import AttemptResult, Claim, Queue, QueueWriteError, give_up
 from rig.core.errors import ExitCode, RigError
 from rig.core.units import counted
-from rig.run.bench_selector import BenchRequest, BenchSelector, ChosenBench, start_simulated
+from rig.run.bench_selector import (
+    BenchRequest,
+    BenchSelector,
+    ChosenBench,
+    start_simulated,
+    world_in,
+)
 from rig.run.interlock_store import InterlockStore
 from rig.run.interlocks import InterlockError, InterlockWatch, watched
 from rig.run.observers import PAUSED, RunObserver
@@ -647,7 +653,7 @@ class Worker:
         return replace(
             request,
             stages=own.stages,
-            world=None if world is None else self._terms.files_from / world,
+            world=None if world is None else world_in(self._terms.files_from, world),
             fault=None if fault is None else self._terms.files_from / fault,
             world_log=self._folder.world_log(claim.number) if own.world_log else None,
         )

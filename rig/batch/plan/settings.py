@@ -257,7 +257,8 @@ class Simulation(Settings):
     stages: Variant | None = None
     """One of the simulated benches that are installed; left out, the usual one."""
     world: str | None = None
-    """The World's settings (TOML), relative to the batch file."""
+    """The World's settings (TOML), relative to the batch file, or "population": drawn by the
+    seed."""
     fault: tuple[FaultSelection, ...] = ()
     change: tuple[WorldChange, ...] = ()
     world_log: bool = False

@@ -15,7 +15,7 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
-from rig.evaluation.labelled_trials import Range
+from rig.physics.population import Range
 
 WireKind = Literal[
     "slide", "ramp", "hold", "roll a", "roll b", "reversal", "tremor", "re-grip", "falling force",

@@ -6,9 +6,12 @@ Writes the NeXus tree of a journal's contents into an open HDF5 file; decides no
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import TYPE_CHECKING
+import json
+from collections.abc import Iterator, Mapping
+from typing import TYPE_CHECKING, Any
 
+from rig.core.errors import ConfigurationError
+from rig.core.settings import unit_of
 from rig.files.hdf5.nexus import (
     UniqueNames,
     array_field,
@@ -38,6 +41,8 @@ if TYPE_CHECKING:
 
 TRUTH = "simulated_truth"
 """Key of a reading, JSON text, and name of the group: the World's ground truth."""
+WORLD = "simulated_world"
+"""Name of the group with the parameters of the World."""
 
 
 def write_root(file: h5py.File, contents: JournalContents, name: str) -> h5py.Group:
@@ -94,6 +99,7 @@ def write_entry(entry: h5py.Group, contents: JournalContents, table: PointTable)
     _write_attempts(group(entry, "attempts", "NXcollection"), contents)
     _write_points(group(entry, "points", "NXcollection"), contents, table)
     _write_truth(entry, contents, table)
+    _write_world(entry, header)
     for plot in header.layout.plots:
         title = header.marked(plot.title or header.title)
         write_plot(entry, plot, header.layout, table, title)
@@ -226,3 +232,31 @@ def _write_truth(entry: h5py.Group, contents: JournalContents, table: PointTable
         found = from_json(str(text))
         values = found if isinstance(found, Mapping) else {"value": found}
         write_values(group(made, names.name(name), "NXparameters"), values, {})
+
+
+def _write_world(entry: h5py.Group, header: RunHeader) -> None:
+    """Write the parameters of a simulated bench, defaults included, if its bench file states
+    them."""
+    from rig.core.toml_files import parse_toml
+
+    if not header.simulated:
+        return
+    try:
+        simulation = parse_toml(header.bench_toml, header.bench_file).get("simulation")
+    except ConfigurationError:  # a journal that was written by hand: it is saved as it is
+        return
+    world = simulation.get("world") if isinstance(simulation, dict) else None
+    if not isinstance(world, dict):
+        return
+    plain = json.loads(json.dumps(world, default=str))  # TOML has dates, HDF5 has none
+    made = group(entry, WORLD, "NXparameters")
+    write_values(made, plain, dict(_units_of(plain)))
+
+
+def _units_of(values: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, str]]:
+    """Yield the dotted name and the unit of each value whose name ends with one."""
+    for key, value in values.items():
+        if isinstance(value, Mapping):
+            yield from _units_of(value, f"{prefix}{key}.")
+        elif (unit := unit_of(key)) is not None:
+            yield f"{prefix}{key}", unit

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import io
 import zipfile
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -26,6 +26,8 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 _FORMAT = 1
+_MODULUS_MPa = SkinSettings().youngs_modulus_MPa
+"""Young's modulus for which a skin is condensed."""
 _ARRAYS = ("contact_x_mm", "ridge", "gap_mm", "compliance_mm_N", "stress_rows_MPa_N")
 
 
@@ -78,15 +80,23 @@ class CondensedSkin:
 
 
 def build_skin(settings: SkinSettings, cache: Cache | None = None) -> CondensedSkin:
-    """Returns the condensed skin of `settings`, from the cache if it is there."""
+    """Returns the condensed skin of `settings`, from the cache if it is there.
+
+    Skins that differ in Young's modulus only share one entry: displacements under given forces are
+    inversely proportional to it, stresses do not depend on it.
+    """
     cache = NoCache() if cache is None else cache
-    key = f"skin-{_FORMAT}-{fingerprint(settings)}"
+    stored_as = settings.model_copy(update={"youngs_modulus_MPa": _MODULUS_MPa})
+    key = f"skin-{_FORMAT}-{fingerprint(stored_as)}"
     stored = cache.get(key)
-    skin = None if stored is None else _unpack(settings, stored)
+    skin = None if stored is None else _unpack(stored_as, stored)
     if skin is None:
-        skin = condense(settings)
+        skin = condense(stored_as)
         cache.put(key, _pack(skin))
-    return skin
+    if settings == stored_as:
+        return skin
+    softer = _MODULUS_MPa / settings.youngs_modulus_MPa
+    return replace(skin, settings=settings, compliance_mm_N=softer * skin.compliance_mm_N)
 
 
 def condense(settings: SkinSettings) -> CondensedSkin:

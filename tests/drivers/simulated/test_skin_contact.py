@@ -377,3 +377,13 @@ def test_settings_of_the_skin_are_refused_where_a_film_is_clamped(tmp_path: Path
     assert read_world(str(path), PlateWorldSettings).skin_mount.jitter_um == 0.1
     with pytest.raises(ConfigurationError, match="skin_mount: unknown key"):
         read_world(str(path))
+
+
+def test_unequal_gains_scale_the_strips_against_each_other() -> None:
+    volts = {}
+    for mismatch in (0.0, 0.1):
+        hung = Hung(skin_mount={"gain_mismatch": mismatch})
+        hung.press(0.05)
+        volts[mismatch] = hung.volts(hung.now_us - 200_000, 4000)
+    assert np.abs(volts[0.0]).max() > 1e-4
+    np.testing.assert_allclose(volts[0.1], volts[0.0] * [1.05, 0.95])

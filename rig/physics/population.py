@@ -1,0 +1,109 @@
+"""The population of benches and trials: ranges from which skin, friction, motion and front end are
+drawn (all assumed).
+
+Labelled trials (`rig.evaluation`) and simulated benches draw from the same ranges. A labelled trial
+has the skin of `PopulationSettings.skin`; a bench also draws its skin's stiffness and the place of
+its strips.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from pydantic import Field
+
+from rig.core.settings import Settings
+from rig.physics.skin.settings import SkinSettings
+
+
+class Range(Settings):
+    """A range from which a number is drawn."""
+
+    low: float
+    """Lowest value."""
+    high: float
+    """Highest value."""
+    logarithmic: bool = False
+    """True if the logarithm of the number is drawn evenly."""
+
+    def draw(self, chance: np.random.Generator) -> float:
+        """Returns a number of the range, evenly distributed in itself or in its logarithm."""
+        if self.logarithmic:
+            return math.exp(chance.uniform(math.log(self.low), math.log(self.high)))
+        return float(chance.uniform(self.low, self.high))
+
+
+def _evenly(low: float, high: float) -> Range:
+    return Range(low=low, high=high)
+
+
+def _by_ratio(low: float, high: float) -> Range:
+    return Range(low=low, high=high, logarithmic=True)
+
+
+class PopulationSettings(Settings):
+    """Ranges of the random trials (all assumed). Units are in the names; ratios have none."""
+
+    skin: SkinSettings = SkinSettings(elements_per_ridge=16)
+    """The skin on which the trials are simulated; its mesh follows from decision 0083."""
+    youngs_modulus_MPa: Range = _by_ratio(0.85, 3.4)
+    """Young's modulus of a bench's skin; that of labelled trials is the one of `skin`."""
+    strip_offset_mm: Range = _evenly(0.25, 0.45)
+    """Distance of a bench's strips from the axis of their ridge, to 0.05 mm; that of labelled
+    trials is the one of `skin`."""
+    ridge: int = Field(3, ge=1)
+    """Ridge whose strips are read; 1 is the leftmost."""
+    static_coefficient: Range = _evenly(0.3, 1.2)
+    """Static friction coefficient μ_s."""
+    friction_ratio: Range = _evenly(0.65, 0.97)
+    """Ratio of the friction coefficients, μ_k / μ_s."""
+    weakening_distance_um: Range = _by_ratio(1.0, 20.0)
+    """Distance over which friction falls from static to kinetic."""
+    relaxation_time_ms: Range = _by_ratio(0.25, 1.3)
+    """Relaxation time of the rubber."""
+    normal_force_N: Range = _evenly(2.0, 8.0)
+    """Normal force F_n."""
+    speed_mm_s: Range = _by_ratio(0.3, 6.0)
+    """Speed of a slide."""
+    loading_s: Range = _evenly(0.15, 0.4)
+    """Duration of pressing on."""
+    rest_s: Range = _evenly(0.1, 0.25)
+    """Rest between pressing on and the motion."""
+    jitter_um: Range = _evenly(0.0, 0.3)
+    """Amplitude of the vibration of the stage along x, in every second trial."""
+    jitter_Hz: Range = _evenly(20.0, 120.0)
+    """Frequency of that vibration."""
+    radius_mm: Range = _evenly(15.0, 60.0)
+    """Radius of the head that rolls."""
+    angle_deg: Range = _evenly(3.5 * 0.7, 3.5 * 1.3)
+    """Angle of a roll, in either direction."""
+    start_x_mm: Range = _evenly(-7.5, -0.5)
+    """Position at which a roll begins."""
+    roll_s: Range = _evenly(0.12, 0.8)
+    """Duration of a roll."""
+    held_share: Range = _evenly(0.15, 0.6)
+    """Position at which a hold stops, as a share of the travel to gross slip."""
+    held_s: float = Field(0.4, gt=0)
+    """Duration of the stop."""
+    tap_share: Range = _evenly(0.05, 0.5)
+    """Rise of the normal force in a tap on the finger, as a share of F_n."""
+    tap_um: Range = _evenly(0.0, 5.0)
+    """Sideways motion of the object in a tap, there and back."""
+    tap_s: Range = _by_ratio(0.005, 0.04)
+    """Duration of a tap, half a sine."""
+    quiet_s: float = Field(0.3, ge=0)
+    """Time before a trial in which nothing touches."""
+
+
+class StripFrontEndSettings(Settings):
+    """Ranges of what amplifiers and mains add to the strips' signals (assumed)."""
+
+    noise_mV: Range = _by_ratio(0.1, 2.0)
+    """White noise of each channel at the sampling rate, rms."""
+    mains_mV: Range = _evenly(0.0, 1.0)
+    """Amplitude of the mains on each channel."""
+    mains_Hz: float = 50.0
+    """Mains frequency."""
+    gain_mismatch: Range = _evenly(-0.08, 0.08)
+    """Relative excess of the first channel's gain over the second's."""
