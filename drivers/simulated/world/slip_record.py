@@ -16,11 +16,39 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from rig.physics.contact.stepper import OPEN
+from rig.physics.contact.stepper import OPEN, STICK
 from rig.physics.contact.truth import SlipWatch
 
 Statuses = npt.NDArray[np.int8]
 Reals = npt.NDArray[np.float64]
+
+
+STUCK_us = 5000
+"""A ridge that has not slipped as a whole for this long slips anew; a shorter stop is part of the
+same slip."""
+
+
+@dataclass
+class _WholeSlips:
+    """Every slip of a ridge as a whole, in us of World time."""
+
+    begins_us: list[int] = field(default_factory=list)
+    ends_us: list[int] = field(default_factory=list)
+    """One fewer while the ridge slips."""
+
+    def add(self, first_us: int, step_us: int, slips: npt.NDArray[np.bool_]) -> None:
+        """Add whether the ridge slipped in each of the next steps, the first of which ended at
+        `first_us`."""
+        slipping = len(self.begins_us) > len(self.ends_us)
+        before = np.concatenate([[slipping], slips[:-1]])
+        for step in np.flatnonzero(slips != before).tolist():
+            at_us = first_us + step * step_us
+            if not slips[step]:
+                self.ends_us.append(at_us)
+            elif self.ends_us and at_us - self.ends_us[-1] < STUCK_us:
+                self.ends_us.pop()
+            else:
+                self.begins_us.append(at_us)
 
 
 @dataclass
@@ -31,6 +59,8 @@ class _Slide:
     watch: SlipWatch
     reported: set[int] = field(default_factory=set)
     """Ridges whose slip was logged, from 1; 0 stands for all of the skin."""
+    slips: _WholeSlips = field(default_factory=_WholeSlips)
+    """Slips of the watched ridge."""
 
     def us(self, seconds: float) -> int | None:
         """World time of an instant of the watch, None for never."""
@@ -122,6 +152,8 @@ class SlipRecord:
             "first_slip_us": [*map(slide.us, seen.first_slip_s)] if slide and seen else never,
             "whole_slip_us": [*map(slide.us, seen.whole_slip_s)] if slide and seen else never,
             "gross_slip_us": slide.us(seen.gross_slip_s) if slide and seen else None,
+            "ridge_slip_begins_us": [] if slide is None else list(slide.slips.begins_us),
+            "ridge_slip_ends_us": [] if slide is None else list(slide.slips.ends_us),
         }
 
     def _turn(self, step: int) -> None:
@@ -135,11 +167,6 @@ class SlipRecord:
 
     def _follow(self, step: int, status: Statuses, plate_mm: Reals) -> None:
         """Statuses of steps in touch; those from the first motion on are judged."""
-        if (
-            self._slide is not None
-            and len(self._slide.reported) > int(self._ridge_of_node.max()) + 1
-        ):
-            return  # every ridge has slipped, and all of them together: nothing is left to find
         if self._slide is None:
             if self._rest_mm is None:
                 self._rest_mm = float(plate_mm[0])
@@ -149,7 +176,12 @@ class SlipRecord:
             first = int(moved[0])
             watch = SlipWatch(self._ridge_of_node, self._step_us * 1e-6)
             self._slide = _Slide((step + first) * self._step_us, watch)
-            status = status[first:]
+            status, step = status[first:], step + first
+        nodes = status[:, self._ridge_of_node == self._watched]
+        slips = (nodes != OPEN).any(axis=1) & (nodes != STICK).all(axis=1)
+        self._slide.slips.add((step + 1) * self._step_us, self._step_us, slips)
+        if len(self._slide.reported) > int(self._ridge_of_node.max()) + 1:
+            return  # every ridge has slipped once, and all of them together
         self._slide.watch.add(status)
         self._tell_slips(self._slide)
 

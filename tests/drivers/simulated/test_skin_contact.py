@@ -387,3 +387,20 @@ def test_unequal_gains_scale_the_strips_against_each_other() -> None:
         volts[mismatch] = hung.volts(hung.now_us - 200_000, 4000)
     assert np.abs(volts[0.0]).max() > 1e-4
     np.testing.assert_allclose(volts[0.1], volts[0.0] * [1.05, 0.95])
+
+
+def test_each_slip_of_the_watched_ridge_is_recorded_with_its_end(four_newton_mm: float) -> None:
+    """Two slides with a stop between them, in which the skin sticks under full shear."""
+    hung = Hung()
+    hung.press(four_newton_mm)
+    begin_mm = float(hung.x.positions_mm(np.array([hung.now_us]))[0])
+    stops = []
+    for way_mm in (0.3, 0.6):
+        hung.go(hung.x, begin_mm + way_mm, 1.0)
+        hung.run(0.5)
+        stops.append(hung.now_us)
+    truth = hung.world.truth()
+    first, second = truth["ridge_slip_begins_us"]
+    assert first == truth["whole_slip_us"][2]
+    assert first < truth["ridge_slip_ends_us"][0] < stops[0] < second
+    assert second < truth["ridge_slip_ends_us"][1] < stops[1]
