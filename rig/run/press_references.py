@@ -17,7 +17,7 @@ import hashlib
 import json
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
@@ -218,9 +218,9 @@ def _bench_key(plan: BenchPlan, sample: str) -> str:
     known of the force sensor.
     """
     own = plan.settings
-    instruments: Any = _addresses(plan)
-    if own.simulation is not None:  # without the defaults, of which a new version may have more
-        instruments = {key: value for key, value in own.simulation.items() if key != "world"}
+    # Without the World's defaults, of which a later version may have more.
+    simulated = {key: value for key, value in (own.simulation or {}).items() if key != "world"}
+    instruments = _addresses(plan) if own.simulation is None else simulated
     parts = (own.film, own.skin)
     names = [None if part is None else part.name for part in parts]
     described = [instruments, own.fixture.mounted, names, sample]
