@@ -306,7 +306,7 @@ class _Plate:
         slips = (np.abs(force) >= limit * (1 - 1e-12)) & (pressing > 0)
         law, speed = self._friction, np.abs(slide) * slips
         self._bonded *= np.exp(-speed * self._dt / (law.weakening_distance_um * 1e-3))
-        rests = speed <= law.healing_speed_um_s * 1e-3
+        rests = speed <= law.healing_speed_mm_s
         left = math.exp(-self._dt / (law.healing_time_ms * 1e-3))
         self._bonded = np.where(rests, 1 - (1 - self._bonded) * left, self._bonded)
         self._bonded[pressing <= 0] = 1.0

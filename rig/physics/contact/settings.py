@@ -27,7 +27,7 @@ class FrictionSettings(Settings):
     """Weakening distance D_c. Without it the drop of friction would depend on the mesh."""
     healing_time_ms: float = Field(20.0, gt=0)
     """Healing time t_h: time constant with which friction recovers at rest."""
-    healing_speed_um_s: float = Field(1.0, gt=0)
+    healing_speed_mm_s: float = Field(0.001, gt=0)
     """Speed of slip up to which friction heals (assumed); slower than any commanded slide."""
 
     @model_validator(mode="after")

@@ -265,7 +265,7 @@ class ContactStepper:
                 friction.kinetic_coefficient,
                 friction.weakening_distance_um * 1e-3,
                 np.exp(-dt / (friction.healing_time_ms * 1e-3)),
-                friction.healing_speed_um_s * 1e-3 * dt,
+                friction.healing_speed_mm_s * dt,
                 self.settings.object_mass_kg * 1e-3 / dt**2,
                 dt,
                 1.0 / self.body.radius_mm if isinstance(self.body, Cylinder) else 0.0,
