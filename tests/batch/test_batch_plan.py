@@ -137,12 +137,9 @@ def test_the_schema_knows_every_setting_of_every_procedure(rig: Any) -> None:
     assert sweep["load_N"]["description"] == "Sinusoidal load, peak. [N]"
     slip = definitions["slip-trial.matrix"]["properties"]["speed_mm_s"]
     assert slip["items"]["anyOf"][1]["type"] == "string"
-    assert definitions["Experiment"]["properties"]["procedure"]["enum"] == [
-        "roll-trial", "slip-trial", "sweep",
-    ]  # fmt: skip
-    assert set(schema["properties"]["defaults"]["properties"]) == {
-        "roll-trial", "slip-trial", "sweep",
-    }  # fmt: skip
+    procedures = ["path-trial", "roll-trial", "slip-trial", "sweep"]
+    assert definitions["Experiment"]["properties"]["procedure"]["enum"] == procedures
+    assert sorted(schema["properties"]["defaults"]["properties"]) == procedures
 
 
 def test_every_reference_within_the_schema_leads_somewhere() -> None:
