@@ -253,7 +253,7 @@ def test_all_that_is_wrong_is_reported_at_once_with_its_experiment() -> None:
         "experiment 1: matrix.speed_mm_s = -1 mm/s: has to be above 0 mm/s",
         "experiment 1: matrix.speed_mm_s = '3 kg': 'kg' does not convert to mm/s",
         "experiment 1: settings.rest: the procedure has no such setting; did you mean rest_s?",
-        "experiment 2: procedure = 'slide' is unknown; known are path-trial, roll-trial, slip-trial, ",
+        "experiment 2: procedure = 'slide' is unknown; known are path-trial, roll-trial, ",
         "defaults: procedure = 'roll' is unknown",
         "defaults.sweep.load_N = 'heavy': is not a number of N",
         "experiment 3: sweep-001: highest_Hz 20000 is not above lowest_Hz 30000",
