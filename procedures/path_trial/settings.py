@@ -58,13 +58,17 @@ class PathTrialSettings(PressedSettings):
                 f"force_shares has {min(self.force_shares):g}, less than {LEAST_SHARE:g}: the "
                 "object would no longer be held"
             )
-        if self.largest_share * self.normal_force_N >= self.largest_force_N:
+        if self.largest_held_N >= self.largest_force_N:
             raise ValueError(
-                f"force_shares up to {self.largest_share:g} ask for "
-                f"{self.largest_share * self.normal_force_N:g} N, which is not below "
-                f"largest_force_N {self.largest_force_N:g} N"
+                f"force_shares up to {self.largest_share:g} ask for {self.largest_held_N:g} N, "
+                f"which is not below largest_force_N {self.largest_force_N:g} N"
             )
         return self
+
+    @property
+    def largest_held_N(self) -> float:  # noqa: N802 - the unit keeps its capital
+        """Largest set point of the course, in N."""
+        return self.largest_share * self.normal_force_N
 
     @property
     def path(self) -> Course:

@@ -52,6 +52,8 @@ class ForceHold:
         self._stepped_at = ticks.begun
         """Number of the tick of the latest step."""
         self._torque, self._torque_asked = torque, False
+        self._reached_N = servo.settings.target_N
+        """Force that has been reached: less than the set point while that is being raised."""
         self._lost = 0
         """Number of successive steps in which the force was lost."""
 
@@ -60,15 +62,21 @@ class ForceHold:
         """Shift of the contact that the motion under way has shown so far."""
         return self._servo.shift
 
+    @property
+    def set_force_N(self) -> float:  # noqa: N802 - the unit keeps its capital
+        """Set point of the normal force in N."""
+        return self._servo.settings.target_N
+
     def begin_motion(self, expected: ContactShift | None) -> None:
         """Declare that the next step is the first of a motion; `expected` is the `shift` of one
         like it."""
         self._servo.slide_begins(expected)
 
-    def hold_at(self, force_N: float) -> None:
-        """Change the held force, from the next step on; the servo brings it there at its own
-        rate."""
-        self._servo.hold_at(force_N)
+    def hold_at(self, force_N: float, largest_speed_mm_s: float) -> None:
+        """Change the held force, from the next step on, and the largest speed of z; the servo
+        brings the force there at its own rate."""
+        self._servo.hold_at(force_N, largest_speed_mm_s)
+        self._reached_N = min(self._reached_N, force_N)
 
     def step(self, force_N: float, torque_too: bool) -> None:
         """Give z a new target, and read its torque if it is due and `torque_too`.
@@ -109,13 +117,13 @@ class ForceHold:
 
     def _refuse_lost(self, force_N: float) -> None:
         """Raise InstrumentError where the force has been lost."""
-        target_N = self._servo.settings.target_N
-        self._lost = self._lost + 1 if force_N < LOST_SHARE * target_N else 0
+        self._reached_N = min(max(self._reached_N, force_N), self._servo.settings.target_N)
+        self._lost = self._lost + 1 if force_N < LOST_SHARE * self._reached_N else 0
         if self._lost >= LOST_STEPS:
             self._z.stage.stop()
             raise InstrumentError(
                 "force_sensor",
                 "hold the force",
-                f"it reads {force_N:.2g} N where z held {target_N:g} N",
+                f"it reads {force_N:.2g} N where z held {self._reached_N:.3g} N",
                 f"look whether the object has given way; otherwise {SUSPECT}",
             )

@@ -71,6 +71,9 @@ class TrialRecord:
     stiffness_N_mm: float = 0.0
     tapped_s: float = 0.0
     """End of the tap."""
+    set_points: list[tuple[float, float]] = field(default_factory=list)
+    """Times in s, since the record began, at which the set point of the normal force was changed,
+    and the force in N from there on."""
     motion_from_s: float = 0.0
     motion_to_s: float = 0.0
     volts: list[npt.NDArray[np.float64]] = field(default_factory=list)
@@ -120,6 +123,18 @@ class TrialRecord:
         """Return times at which the frames came, (n,)."""
         return np.arange(sum(len(block) for block in self.force)) / self.force_rate_S_s
 
+    def set_force_N(  # noqa: N802 - the unit keeps its capital
+        self, times_s: npt.NDArray[np.float64], first_N: float
+    ) -> npt.NDArray[np.float64]:
+        """Return the set point of the normal force at times (n,) since the record began, (n,);
+        `first_N` until it is changed."""
+        changed_s = [at_s for at_s, _ in self.set_points]
+        forces_N = np.array([first_N, *(force_N for _, force_N in self.set_points)])
+        wanted_N: npt.NDArray[np.float64] = forces_N[
+            np.searchsorted(changed_s, times_s, side="right")
+        ]
+        return wanted_N
+
     def load_rates(self, scales: Mapping[str, LoadScale]) -> npt.NDArray[np.float64]:
         """Return the rate of load on each strip in N/s at 1 kHz, (n, 2); NaN where a strip has no
         scale."""
@@ -152,7 +167,8 @@ def reading_of(run: Run, record: TrialRecord) -> Reading:
     settings: PressedSettings = run.settings
     force, t = record.forces_N(), record.frame_times_s()
     held = (t >= record.motion_from_s) & (t <= record.motion_to_s)
-    error = 100 * (_smoothed(force[:, 0], record.force_rate_S_s) / settings.normal_force_N - 1)
+    wanted_N = record.set_force_N(t, settings.normal_force_N)
+    error = 100 * (_smoothed(force[:, 0], record.force_rate_S_s) / wanted_N - 1)
     ticks = sum(loop.ticks for loop in record.loops)
     late = sum(loop.late for loop in record.loops)
     missed = sum(loop.missed for loop in record.loops)

@@ -125,6 +125,12 @@ class PressedSettings(BaseSettings):
         return self
 
     @property
+    def largest_held_N(self) -> float:  # noqa: N802 - the unit keeps its capital
+        """Largest set point of the normal force in a trial. A procedure that changes the set point
+        (`PressedTrial.hold_at`) states it; the bench is checked for it before anything moves."""
+        return self.normal_force_N
+
+    @property
     def kind_of_press(self) -> str:
         """What decides, beside the normal force, what a press shows: a press is compared with
         earlier ones of its kind. A procedure that presses at several places names the place."""

@@ -32,7 +32,7 @@ from procedures.pressed.recorder import TickRecorder
 from procedures.pressed.settings import AFTER_S
 from procedures.pressed.ticks import TrialTicks
 from procedures.pressed.torque_watch import TorqueWatch
-from procedures.pressed.way_down import TRAVEL_mm_s
+from procedures.pressed.way_down import TRAVEL_mm_s, held_speed_bound
 from rig.bench.limits import require
 from rig.control.force_servo import ForceServo, settings_from
 from rig.core.errors import InstrumentError
@@ -232,15 +232,21 @@ class PressedTrial:
     def hold_at(self, force_N: float) -> None:
         """Change the normal force that is held, from the next tick on.
 
-        ValueError for a force that is not above 0 N and below `largest_force_N`. The reading's
-        errors of the force stay those from `normal_force_N`.
+        ValueError for a force that is not above 0 N and below `largest_force_N`, and LimitError
+        where z cannot go slowly enough to brake within what is left to that limit. The reading's
+        errors of the force are those from the set point of their time.
         """
         if not 0 < force_N < self.settings.largest_force_N:
             raise ValueError(
                 f"a held force of {force_N:g} N is not between 0 and largest_force_N "
                 f"{self.settings.largest_force_N:g} N"
             )
-        self._held().hold_at(force_N)
+        if force_N == self._held().set_force_N:
+            return
+        bound = held_speed_bound(self.run.bench, self.settings.largest_force_N, force_N)
+        bound.require("stage_z", self.z.stage.reach()["speed"].low)
+        self._held().hold_at(force_N, bound.speed_mm_s)
+        self.record.set_points.append((self.since_s(), force_N))
 
     def since_s(self) -> float:
         """Return the time since the record began."""

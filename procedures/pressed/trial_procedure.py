@@ -61,7 +61,7 @@ class TrialProcedure(Procedure):
         contact_range_mm(bench)
         require_torque_limit(bench)
         settings = self.settings
-        require_possible(bench, settings.largest_force_N, settings.normal_force_N)
+        require_possible(bench, settings.largest_force_N, settings.largest_held_N)
 
     def why_invalid(self, reading: Reading) -> str:
         """Return why a trial is invalid; "" for a valid one."""

@@ -236,14 +236,19 @@ class ForceServo:
         self._expected = (expected or ContactShift()).smoothed(REPEATS_WITHIN_s)
         self.shift = ContactShift()
 
-    def hold_at(self, target_N: float) -> None:
-        """Changes the set point, from the next step on. The stiffness is taken to stay what it is.
+    def hold_at(self, target_N: float, largest_speed_mm_s: float = math.inf) -> None:
+        """Changes the set point, from the next step on, and the speed in mm/s that no move exceeds
+        there. The stiffness is taken to stay what it is.
 
-        Raises ValueError for a force that is not finite or not above 0.
+        Raises ValueError for a force or a speed that is not above 0, and for a force that is not
+        finite.
         """
         if not (target_N > 0 and math.isfinite(target_N)):
             raise ValueError(f"target_N {target_N:g} must be a number above 0")
-        self.settings = replace(self.settings, target_N=target_N)
+        if not largest_speed_mm_s > 0:
+            raise ValueError(f"largest_speed_mm_s {largest_speed_mm_s:g} must be above 0")
+        speed_mm_s = min(FASTEST_N_s / self.settings.stiffness_N_mm, largest_speed_mm_s)
+        self.settings = replace(self.settings, target_N=target_N, speed_mm_s=speed_mm_s)
 
     @property
     def commanded_mm(self) -> float:

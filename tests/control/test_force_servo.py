@@ -307,6 +307,16 @@ def test_a_new_set_point_is_reached_and_held() -> None:
             servo.hold_at(wrong)
 
 
+def test_a_set_point_nearer_to_the_limit_comes_with_a_lower_speed() -> None:
+    servo = ForceServo(settings_from(4.0, STIFFNESS_N_mm, 0.01, 0.0045, largest_speed_mm_s=0.9))
+    servo.hold_at(12.0, largest_speed_mm_s=0.3)
+    assert servo.step(4.0).speed_mm_s <= 0.3
+    servo.hold_at(4.0, largest_speed_mm_s=9.0)
+    assert servo.settings.speed_mm_s == pytest.approx(200.0 / STIFFNESS_N_mm)
+    with pytest.raises(ValueError, match="largest_speed_mm_s 0 must be above 0"):
+        servo.hold_at(4.0, largest_speed_mm_s=0.0)
+
+
 def test_the_noise_of_an_earlier_slide_is_not_replayed() -> None:
     """At 200 Hz the axis steps by a micrometre to and fro from tick to tick. The first value, to
     which the others refer, was such a step too: the slide began with a knock of 6 %."""

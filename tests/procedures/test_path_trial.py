@@ -46,8 +46,7 @@ def test_x_follows_the_path_and_the_force_its_course_and_the_skin_is_lifted(rig:
         "path-trial", "--json", "--no-figures", "--world-log", str(rig.world_log),
         "--normal-force", "3N", "--tick", "200", "--path-times", "0,0.2,0.5,0.6",
         "--path-positions", "0,0.06,0.06,0", "--force-times", "0,0.8,1.1",
-        "--force-shares", "1,1,0.5", "--stay", "0.4", "--force-error-rms", "100",
-        "--force-error-peak", "100",
+        "--force-shares", "1,1,0.5", "--stay", "0.4",
     )  # fmt: skip
     assert done.code == 0, done.stderr
     z = [e for e in rig.log() if e["device"] == "stage_z" and e["what"] in ("move", "at-rest")]
@@ -68,3 +67,32 @@ def test_x_follows_the_path_and_the_force_its_course_and_the_skin_is_lifted(rig:
         near = np.abs(at_s - time_s) < 0.01
         assert normal_N[near].mean() == pytest.approx(wanted_N, abs=0.12)
     assert reading["smallest_normal_N"] == pytest.approx(1.5, abs=0.1)
+    assert not reading["invalid"], "the force is judged by the set point of its time"
+
+
+@pytest.mark.thorough
+def test_a_set_point_that_leaps_is_no_lost_force_and_z_stays_slow_enough_to_brake(rig: Any) -> None:
+    """From 2 to 12 N within a millisecond: the force cannot be there at once. From 12 N on only 3 N
+    are left to the limit, so z is slower than under 2 N."""
+    done = rig.run(
+        "path-trial", "--json", "--no-figures", "--world-log", str(rig.world_log),
+        "--normal-force", "2N", "--force-times", "0,0.4,0.401", "--force-shares", "1,1,6",
+        "--stay", "1.0",
+    )  # fmt: skip
+    assert done.code == 5, done.stderr  # no trial is valid, see below
+    assert done.errors == []
+    with RunFile.open(rig.only("*.h5")) as run:
+        (reading,) = run.readings()
+        (force,) = run.waveforms("trial-001", stream="force")
+        (ticks,) = run.waveforms("trial-001", stream="ticks")
+        (position,) = run.waveforms("trial-001", stream="position")
+        begun_s = reading["motion_from_s"]
+        looked_s, z_mm = ticks.values("elapsed") - begun_s, position.values("z")
+        normal_N = force.values("F_n")
+        since_s = np.arange(normal_N.size) / 1000 - begun_s
+    late = (since_s > 1.0) & (since_s < 1.3)
+    assert normal_N[late].mean() == pytest.approx(12.0, rel=0.02)
+    assert normal_N.max() < 13.0
+    assert "force error peak" in reading["invalid"], "the force was far from its set point"
+    fastest_mm_s = (np.diff(z_mm) / np.diff(looked_s))[looked_s[1:] > 0.3].max()
+    assert 0.2 < fastest_mm_s < 0.55, "3 N at 250 N/mm allow 0.52 mm/s, 13 N would allow 1.3"
