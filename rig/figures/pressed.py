@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -20,6 +20,19 @@ BEFORE_S = 0.3
 """Time shown before the contact; the file contains all of the record."""
 LEAST_FORCE = 0.1
 """Fraction of the normal force from which the object is considered touched."""
+
+
+def a_figure_a_trial(
+    run: RunFile, draw: Callable[[RunFile, int, str], Figure]
+) -> dict[str, Figure]:
+    """Draw the first `TRIALS_SHOWN` trials of a run with `draw`, which is given the file, the
+    number of the trial and its point; return the figures by what their files add to the run's name:
+    nothing for the first."""
+    points = run.point_ids()[:TRIALS_SHOWN]
+    return {
+        "" if number == 0 else f"-{point}": draw(run, number, point)
+        for number, point in enumerate(points)
+    }
 
 
 def seconds(waveform: Waveform) -> NDArray[np.float64]:

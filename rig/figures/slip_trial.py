@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from rig.figures.pressed import (
     LEAST_FORCE,
-    TRIALS_SHOWN,
+    a_figure_a_trial,
     from_touch_on,
     heading,
     seconds,
@@ -33,11 +33,7 @@ REASON_WIDTH = 80
 
 def draw_trials(run: RunFile) -> dict[str, Figure]:
     """Draw one figure per trial: the first has the run's name, the others append their own."""
-    points = run.point_ids()[:TRIALS_SHOWN]
-    return {
-        "" if number == 0 else f"-{point}": draw_trial(run, number, point)
-        for number, point in enumerate(points)
-    }
+    return a_figure_a_trial(run, draw_trial)
 
 
 def draw_trial(run: RunFile, number: int, point: str) -> Figure:

@@ -43,8 +43,8 @@ def test_a_course_is_straight_between_its_corners_and_constant_after_them() -> N
 @pytest.mark.thorough
 def test_x_follows_the_path_and_the_force_its_course_and_the_skin_is_lifted(rig: Any) -> None:
     done = rig.run(
-        "path-trial", "--json", "--no-figures", "--world-log", str(rig.world_log),
-        "--normal-force", "3N", "--tick", "200", "--path-times", "0,0.2,0.5,0.6",
+        "path-trial", "--json", "--world-log", str(rig.world_log), "--normal-force", "3N",
+        "--tick", "200", "--path-times", "0,0.2,0.5,0.6",
         "--path-positions", "0,0.06,0.06,0", "--force-times", "0,0.8,1.1",
         "--force-shares", "1,1,0.5", "--stay", "0.4",
     )  # fmt: skip
@@ -67,6 +67,7 @@ def test_x_follows_the_path_and_the_force_its_course_and_the_skin_is_lifted(rig:
         near = np.abs(at_s - time_s) < 0.01
         assert normal_N[near].mean() == pytest.approx(wanted_N, abs=0.12)
     assert reading["smallest_normal_N"] == pytest.approx(1.5, abs=0.1)
+    assert rig.only("*.png").stat().st_size > 20_000
     assert not reading["invalid"], "the force is judged by the set point of its time"
 
 
