@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Literal
 
 from pydantic import Field, model_validator
+from pydantic.config import JsonDict
 
 from procedures.pressed.settings import DELAY_S, PressedSettings
 
@@ -20,6 +21,10 @@ SEEN_S = 0.04
 """Expected time from the end of a slide until it is noticed."""
 
 
+RAMPS_ONLY: JsonDict = {"only_with": {"loading": "ramp"}}
+"""Of a field that has an effect on ramps only; as an option it is refused for a slide."""
+
+
 class SlipTrialSettings(PressedSettings):
     """Settings of a slip trial."""
 
@@ -29,9 +34,9 @@ class SlipTrialSettings(PressedSettings):
     """Speed of the slide; for a ramp, the largest speed and the speed after gross slip."""
     distance_mm: float = Field(default=1.0, gt=0)
     """Length of the slide; for a ramp, the largest length."""
-    ramp_N_s: float = Field(default=2.0, gt=0)
+    ramp_N_s: float = Field(default=2.0, gt=0, json_schema_extra=RAMPS_ONLY)
     """Rate of the tangential force in a ramp."""
-    ramp_to_N: float = Field(default=10.0, gt=0)
+    ramp_to_N: float = Field(default=10.0, gt=0, json_schema_extra=RAMPS_ONLY)
     """Tangential force at which a ramp ends if nothing has slipped."""
     direction: Literal["+x", "-x"] = "+x"
     """Direction of the slide."""

@@ -7,6 +7,7 @@ import math
 from typing import Literal, NamedTuple
 
 from pydantic import Field, field_validator, model_validator
+from pydantic.config import JsonDict
 
 from rig.analysis.verdict import Bounds
 from rig.core.settings import Settings
@@ -31,6 +32,10 @@ LONG_RECORD_S = 0.03
 """Length from which one record averages over all ringing and is enough; shorter ones take two."""
 
 
+GRID_ONLY: JsonDict = {"not_with": "frequencies_Hz"}
+"""Of a field of the automatic grid; as an option it is refused beside a list of frequencies."""
+
+
 class SweepCondition(NamedTuple):
     """The condition of a point."""
 
@@ -46,7 +51,7 @@ class SweepSettings(Settings):
     frequencies_Hz: tuple[float, ...] = ()
     """Frequencies to measure, ascending, e.g. 20,200,2kHz. Default: automatic grid from --lowest to
     --highest, refined around notches."""
-    load_N: float = Field(default=1.0, gt=0)
+    load_N: float = Field(default=1.0, gt=0, json_schema_extra={"not_with": "loads_N"})
     """Sinusoidal load, peak."""
     loads_N: tuple[float, ...] = ()
     """Several loads at each frequency, peak, instead of one."""
@@ -58,33 +63,35 @@ class SweepSettings(Settings):
     """Standard error of the gain at which the measurement of a point ends."""
     longest_point_s: float = Field(default=20.0, gt=0, le=600)
     """Longest time that a point may take."""
-    lowest_Hz: float = Field(default=2.0, gt=0)
+    lowest_Hz: float = Field(default=2.0, gt=0, json_schema_extra=GRID_ONLY)
     """First frequency of the grid."""
-    highest_Hz: float = Field(default=20e3, gt=0)
+    highest_Hz: float = Field(default=20e3, gt=0, json_schema_extra=GRID_ONLY)
     """Last frequency of the grid."""
-    coarse_per_decade: int = Field(default=10, ge=1, le=1000)
+    coarse_per_decade: int = Field(default=10, ge=1, le=1000, json_schema_extra=GRID_ONLY)
     """Points per decade below --fine-from."""
-    fine_from_Hz: float = Field(default=200.0, gt=0)
+    fine_from_Hz: float = Field(default=200.0, gt=0, json_schema_extra=GRID_ONLY)
     """Frequency at which the fine part of the grid begins."""
-    fine_per_decade: int = Field(default=60, ge=1, le=1000)
+    fine_per_decade: int = Field(default=60, ge=1, le=1000, json_schema_extra=GRID_ONLY)
     """Points per decade from --fine-from on."""
-    points_per_half_width: int = Field(default=6, ge=0, le=100)
+    points_per_half_width: int = Field(default=6, ge=0, le=100, json_schema_extra=GRID_ONLY)
     """Further points within each half-width of a notch that the grid shows; 0 for none."""
     repeats: int = Field(default=1, ge=1, le=1000)
     """Number of measurements of each condition."""
     order: Literal["auto", "ascending", "descending", "random"] = "auto"
     """Order of the points. auto: a list in its own order, the grid from its high end, where records
     are short."""
-    order_seed: int = Field(default=0, ge=0)
+    order_seed: int = Field(default=0, ge=0, json_schema_extra={"only_with": {"order": "random"}})
     """Seed of the random order."""
     settling_s: float = Field(default=0.0, ge=0, le=60)
     """Wait after a change of frequency, before records are compared."""
     shortest_record_s: float = Field(default=0.0065, gt=0, le=60)
     """Shortest length of a record."""
-    samples_per_cycle: float = Field(default=20.0, ge=2.5)
+    samples_per_cycle: float = Field(
+        default=20.0, ge=2.5, json_schema_extra={"not_with": "rate_S_s"}
+    )
     """Least ratio of sampling rate to frequency. A fraction of a sample is added, so that no two
     cycles are sampled at the same phases."""
-    slowest_rate_S_s: float = Field(default=64e3, gt=0)
+    slowest_rate_S_s: float = Field(default=64e3, gt=0, json_schema_extra={"not_with": "rate_S_s"})
     """Lowest sampling rate, which prevents aliasing of the front end's noise."""
     rate_S_s: float | None = Field(default=None, gt=0)
     """Fixed sampling rate for all points. Default: --samples-per-cycle times the frequency."""

@@ -51,7 +51,8 @@ SimulatedStages = Annotated[
 
 
 def parameters(model: type[Settings]) -> list[inspect.Parameter]:
-    """Command parameters for a settings class: all optional text, validated by the class."""
+    """Command parameters for a settings class: all optional texts, validated by the class. One that
+    is given twice brings two texts, for `texts_of`."""
     said = descriptions(model)
     return [
         inspect.Parameter(
@@ -59,7 +60,7 @@ def parameters(model: type[Settings]) -> list[inspect.Parameter]:
             inspect.Parameter.KEYWORD_ONLY,
             default=None,
             annotation=Annotated[
-                str | None,
+                list[str] | None,
                 typer.Option(
                     option_name(field),
                     *_short(info),
@@ -81,8 +82,23 @@ def _metavar(field: str, info: FieldInfo) -> str:
     return unit_of(field) or "VALUE"
 
 
+def texts_of(model: type[Settings], given: Mapping[str, list[str] | None]) -> dict[str, str]:
+    """Return one text for each option that was given. A list that is given in several parts is one
+    list; ConfigurationError for any other option that is given twice."""
+    texts = {field: parts for field, parts in given.items() if parts}
+    twice = [
+        f"{option_name(field)} is given {len(parts)} times: {', '.join(parts)}"
+        for field, parts in texts.items()
+        if len(parts) > 1 and get_origin(model.model_fields[field].annotation) is not tuple
+    ]
+    if twice:
+        raise ConfigurationError("; ".join(twice), "give it once")
+    return {field: ",".join(parts) for field, parts in texts.items()}
+
+
 def settings_from(model: type[Settings], given: Mapping[str, str | None]) -> Settings:
-    """Validated settings from option texts; ConfigurationError reports everything that is wrong."""
+    """Validated settings from option texts; ConfigurationError reports everything that is wrong. An
+    option that has no effect beside the others is refused (`_needs`, `_excluded_by`)."""
     values: dict[str, Any] = {}
     findings: list[str] = []
     for field, text in given.items():
@@ -95,10 +111,24 @@ def settings_from(model: type[Settings], given: Mapping[str, str | None]) -> Set
     if findings:
         raise ConfigurationError("; ".join(findings), "see --help for the units")
     try:
-        return model.model_validate(values)
+        settings = model.model_validate(values)
     except ValidationError as error:
         findings = [_refused(model, given, item) for item in error.errors()]
         raise ConfigurationError("; ".join(findings), "see --help for the settings") from error
+    for field in values:
+        option, info = f"{option_name(field)} {given[field]}", model.model_fields[field]
+        for other, value in _needs(info):
+            if getattr(settings, other) != value:
+                raise ConfigurationError(
+                    f"{option} has an effect with {option_name(other)} {value} only, and "
+                    f"{option_name(other)} is {getattr(settings, other)}",
+                    f"leave it out, or add {option_name(other)} {value}",
+                )
+        if (other := _excluded_by(info)) in values:
+            raise ConfigurationError(
+                f"{option} has no effect beside {option_name(other)}", "leave one of them out"
+            )
+    return settings
 
 
 def _refused(model: type[Settings], given: Mapping[str, str | None], item: Any) -> str:
@@ -120,14 +150,52 @@ def _short(info: FieldInfo) -> tuple[str, ...]:
     return (str(extra["short"]),) if isinstance(extra, dict) and "short" in extra else ()
 
 
+def _needs(info: FieldInfo) -> list[tuple[str, str]]:
+    """Return the field, with its value, without which another has no effect: stated there as
+    ``json_schema_extra={"only_with": {"loading": "ramp"}}``."""
+    extra = info.json_schema_extra
+    stated = extra.get("only_with") if isinstance(extra, dict) else None
+    return (
+        [(field, str(value)) for field, value in stated.items()] if isinstance(stated, dict) else []
+    )
+
+
+def _excluded_by(info: FieldInfo) -> str:
+    """Return the field beside which another has no effect, stated there as
+    ``json_schema_extra={"not_with": "frequencies_Hz"}``; "" if there is none."""
+    extra = info.json_schema_extra
+    return str(extra.get("not_with", "")) if isinstance(extra, dict) else ""
+
+
 def _help(field: str, info: FieldInfo, said: str) -> str:
+    """Return what an option is for, with what it needs, its default and its range."""
     words = " ".join(said.split())
+    for other, value in _needs(info):
+        words = f"{words} With {option_name(other)} {value} only."
+    if other := _excluded_by(info):
+        words = f"{words} Not beside {option_name(other)}."
     default = info.get_default(call_default_factory=True)
-    if default is None or default in ("", ()):
-        return words
-    if isinstance(default, tuple):
-        shown = f"{len(default)} values, {default[0]:g} to {default[-1]:g}"
-    else:
-        shown = f"{default:g}" if isinstance(default, float) else str(default)
-    unit = unit_of(field)
-    return f"{words} [{shown}{' ' + unit if unit else ''}]"
+    facts = []
+    if default is not None and default not in ("", ()):
+        if isinstance(default, tuple):
+            shown = f"{len(default)} values, {default[0]:g} to {default[-1]:g}"
+        else:
+            shown = f"{default:g}" if isinstance(default, float) else str(default)
+        facts.append(f"{shown} {unit_of(field) or ''}".rstrip())
+    if within := _range(info):
+        facts.append(within)
+    return f"{words} [{'; '.join(facts)}]" if facts else words
+
+
+def _range(info: FieldInfo) -> str:
+    """Return in words what a number of the field may be; "" where nothing is stated."""
+    bounds = {
+        name: getattr(constraint, name)
+        for constraint in info.metadata
+        for name in ("gt", "ge", "lt", "le")
+        if hasattr(constraint, name)
+    }
+    if "ge" in bounds and "le" in bounds:
+        return f"{bounds['ge']:g} to {bounds['le']:g}"
+    words = {"gt": "above", "ge": "at least", "lt": "below", "le": "at most"}
+    return ", ".join(f"{words[name]} {value:g}" for name, value in bounds.items())

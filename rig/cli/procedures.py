@@ -22,9 +22,9 @@ from rig.cli.option_groups import (
     group_parameters,
     option_group,
 )
-from rig.cli.options import SimulatedStages, parameters, settings_from
+from rig.cli.options import SimulatedStages, parameters, settings_from, texts_of
 from rig.cli.outcome import reported, say, start_log
-from rig.run.bench_selector import BenchRequest, BenchSelector, bench_file
+from rig.run.bench_selector import BenchRequest, BenchSelector, bench_file, refuse_seed
 
 if TYPE_CHECKING:
     from rig.files.journal.reader import JournalContents
@@ -80,7 +80,8 @@ def command(name: str) -> Callable[..., None]:
         options = {name: given.pop(name) for name in ProcedureRequest.__dataclass_fields__}
         request = ProcedureRequest(**options | {"bench": bench_file(options["bench"])})
         with reported(request.debug, request.as_json):
-            settings = settings_from(procedure.Settings, given)
+            refuse_seed(request)
+            settings = settings_from(procedure.Settings, texts_of(procedure.Settings, given))
             perform(procedure(settings), request)
 
     options = [*parameters(procedure.Settings), *group_parameters(ProcedureRequest)]

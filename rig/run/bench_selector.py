@@ -246,6 +246,17 @@ def _simulated_benches() -> BenchFactory:
     return factory
 
 
+def refuse_seed(request: BenchRequest) -> None:
+    """Raise ConfigurationError for a seed that a person gave beside a bench file: it would have no
+    effect. A run that is resumed keeps the seed that its journal states."""
+    if request.seed and request.bench is not None and not request.dry_run:
+        raise ConfigurationError(
+            f"--seed {request.seed} belongs to a simulated bench that this command starts, not to "
+            f"{request.bench}",
+            "give it to `rig simulate`, or leave the bench file out",
+        )
+
+
 def _refuse_simulation_options(request: BenchRequest, path: Path | None) -> None:
     from rig.core.errors import ConfigurationError
 

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
+from typing import Literal
 
 import pytest
 from pydantic import Field
 
-from rig.cli.options import option_name, parameters, settings_from
+from rig.cli.options import option_name, parameters, settings_from, texts_of
 from rig.core.errors import ConfigurationError, ExitCode
 from rig.core.settings import Settings
 from rig.core.units import parse, quantity
@@ -30,6 +31,12 @@ class Example(Settings):
     """Label."""
     ratio: float = 1.0
     """A number without a unit."""
+    speed_mm_s: float = Field(default=1.0, json_schema_extra={"not_with": "speeds_mm_s"})
+    """Speed."""
+    loading: Literal["slide", "ramp"] = "slide"
+    """Loading."""
+    ramp_N_s: float = Field(default=2.0, json_schema_extra={"only_with": {"loading": "ramp"}})
+    """Rate."""
 
 
 @pytest.mark.parametrize(
@@ -159,7 +166,39 @@ def test_every_field_becomes_one_option_with_unit_and_default_in_its_help() -> N
     found = {p.name: p.annotation.__metadata__[0] for p in parameters(Example)}
     assert list(found) == list(Example.model_fields)
     assert found["normal_force_N"].metavar == "N"
-    assert found["normal_force_N"].help == "Preload. [2 N]"
+    assert found["normal_force_N"].help == "Preload. [2 N; above 0, at most 20]"
     assert found["speeds_mm_s"].help == "Speeds. [2 values, 1 to 5 mm/s]"
     assert found["cycles"].metavar == "VALUE"
     assert found["rate_S_s"].help == "Rate, if not the usual one."
+    assert found["cycles"].help == "Cycles. [4; at least 1]"
+    assert found["speed_mm_s"].help == "Speed. Not beside --speeds. [1 mm/s]"
+    assert found["ramp_N_s"].help == "Rate. With --loading ramp only. [2 N/s]"
+
+
+def test_an_option_without_effect_is_refused_with_what_it_needs() -> None:
+    with pytest.raises(ConfigurationError) as caught:
+        settings_from(Example, {"ramp_N_s": "5"})
+    assert caught.value.one_line() == (
+        "--ramp 5 has an effect with --loading ramp only, and --loading is slide; leave it out, or "
+        "add --loading ramp"
+    )
+    assert settings_from(Example, {"ramp_N_s": "5", "loading": "ramp"}).loading == "ramp"
+    with pytest.raises(ConfigurationError, match="--speed 3 has no effect beside --speeds"):
+        settings_from(Example, {"speed_mm_s": "3", "speeds_mm_s": "1,2"})
+
+
+def test_a_list_may_be_given_in_parts_and_nothing_else_twice() -> None:
+    given = {"speeds_mm_s": ["1,2", "1cm/s"], "cycles": ["7"], "label": None, "ratio": []}
+    assert texts_of(Example, given) == {"speeds_mm_s": "1,2,1cm/s", "cycles": "7"}
+    with pytest.raises(ConfigurationError, match="--cycles is given 2 times: 7, 8"):
+        texts_of(Example, {"cycles": ["7", "8"]})
+
+
+def test_a_seed_beside_a_bench_file_is_refused(rig) -> None:
+    (rig.folder / "bench.toml").write_text("")
+    ended = rig.run("slip-trial", "--seed", "5")
+    assert ended.code == ExitCode.USAGE
+    assert (
+        "--seed 5 belongs to a simulated bench that this command starts, not to bench.toml"
+        in (ended.errors[0])
+    )
