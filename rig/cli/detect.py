@@ -156,7 +156,7 @@ def _tell(file: Path, answer: Answer, as_json: bool, debug: bool) -> None:
 
 def _in_words(found: DetectionResult) -> str:
     """Return the result as one line, ``1 trial: 1 incipient slip (first at 6.384 s of trial-001),
-    2 early warnings. Saved FILE; draw with: rig show FILE``."""
+    2 early warnings. Saved FILE; draw with: rig show --figures FILE``."""
     parts = []
     if slips := found.events.get("incipient slip", 0):
         assert found.first_slip is not None
@@ -168,7 +168,7 @@ def _in_words(found: DetectionResult) -> str:
     saved = "Saved before as" if found.kept else "Saved"
     return (
         f"{counted(found.trials, 'trial')}: {', '.join(parts) or 'nothing found'}. "
-        f"{saved} {found.file}; draw with: rig show {found.file}"
+        f"{saved} {found.file}; draw with: rig show --figures {found.file}"
     )
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import tempfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -17,7 +17,6 @@ from rig.core.text import printable
 
 if TYPE_CHECKING:
     from rig.files.journal.values import RunHeader
-    from rig.files.runfile.reader import RunFile
     from rig.processing.analyses import Analyses
     from rig.run.points import Reading
 
@@ -78,41 +77,54 @@ def resume(
 
 def show(
     files: Files,
-    figures: Annotated[bool, typer.Option(help="Draw the figures of run files again.")] = True,
+    all_settings: Annotated[
+        bool, typer.Option("--all", help="Show the settings that have their default, too.")
+    ] = False,
+    figures: Annotated[bool, typer.Option(help="Draw the figures of the files again.")] = False,
     figures_to: Annotated[
         Path | None,
-        typer.Option(help="Folder for the figures [that of the run file].", metavar="DIR"),
+        typer.Option(
+            help="Draw the figures again, into this folder [that of the run file].", metavar="DIR"
+        ),
     ] = None,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="One JSON object a file on stdout, with all settings.")
+    ] = False,
     debug: Debug = False,
 ) -> None:
-    """Show what a run file, processed file or journal holds, and draw its figures again."""
+    """Show what a run file, processed file or journal holds."""
     with reported(debug):
+        shown = _shown_as_json if as_json else _tell
+        draws = figures or figures_to is not None
         from rig.files.checksum import checksum_findings
-        from rig.files.describe import describe, ending_of
+        from rig.files.describe import describe, describe_processed, ending_of
         from rig.files.file_kind import kind_of
         from rig.files.journal.reader import read_journal
-        from rig.files.processed.reader import is_processed
+        from rig.files.processed.reader import ProcessedFile, is_processed
         from rig.files.runfile.reader import RunFile
+        from rig.processing.analyses import analyse as analyse_run
 
         for path in files:
             if kind_of(path) == "journal":
                 contents = read_journal(path)
-                _tell(describe(path, contents.header, ending_of(contents)))
-                _tell(_results(contents.header, [kept.reading for kept in contents.kept()]))
+                header, readings = contents.header, [kept.reading for kept in contents.kept()]
+                said = describe(path, header, ending_of(contents))
+                said |= _results(header, readings)
+                shown(said if all_settings or as_json else _without_defaults(said, header))
                 continue
-            doubts = list(checksum_findings(path))
+            doubts = [f"warning: {path.name}: {found}" for found in checksum_findings(path)]
             if is_processed(path):
-                _show_processed(path, doubts, figures, figures_to)
-                continue
-            with RunFile.open(path) as run:
-                for finding in doubts:
-                    say(f"warning: {path.name}: {finding}")
-                _tell(describe(path, run.header, run.outcome))
-                readings = run.readings()
-                _tell(_results(run.header, readings))
-                _tell_analyses(run)
-            if figures:
-                _draw(path, figures_to)
+                with ProcessedFile.open(path) as processed:
+                    _say_all(doubts)
+                    shown(describe_processed(processed))
+            else:
+                with RunFile.open(path) as run:
+                    _say_all(doubts)
+                    said = describe(path, run.header, run.outcome)
+                    said |= _results(run.header, run.readings()) | _analysed(analyse_run(run))
+                    shown(said if all_settings or as_json else _without_defaults(said, run.header))
+            if draws:
+                _draw(path, figures_to, say if as_json else _print)
 
 
 def verify(files: Files, debug: Debug = False) -> None:
@@ -151,8 +163,8 @@ def recover(files: Files, debug: Debug = False) -> None:
 
 
 def _results(header: RunHeader, readings: Sequence[Reading]) -> dict[str, Any]:
-    """Return the procedure's own summary of the readings, where it is installed and still takes
-    them; one that is broken costs a line, not the command."""
+    """Return the procedure's own summary of the readings as ``results``, where it is installed and
+    still takes them; one that is broken costs a line, not the command."""
     from pydantic import ValidationError
 
     from rig.core.entry_points import PROCEDURES, names
@@ -172,25 +184,41 @@ def _results(header: RunHeader, readings: Sequence[Reading]) -> dict[str, Any]:
     except ValidationError:  # written by another version of the procedure
         return {}
     try:
-        return dict(CheckedProcedure(procedure(settings)).summarise(readings))
+        return {"results": dict(CheckedProcedure(procedure(settings)).summarise(readings))}
     except RigError as error:
         if not isinstance(error.__cause__, KeyError):  # then another version has written the file
             say(f"warning: no summary: {error.one_line()}")
         return {}
 
 
-def _show_processed(
-    path: Path, doubts: Sequence[str], figures: bool, figures_to: Path | None
-) -> None:
-    from rig.files.describe import describe_processed
-    from rig.files.processed.reader import ProcessedFile
+def _without_defaults(said: dict[str, Any], header: RunHeader) -> dict[str, Any]:
+    """Return a description with only those settings that differ from the defaults of the installed
+    procedure; all of them where it is not installed."""
+    from rig.core.entry_points import PROCEDURES, names
+    from rig.run.load_procedure import load_procedure
 
-    with ProcessedFile.open(path) as processed:
-        for finding in doubts:
-            say(f"warning: {path.name}: {finding}")
-        _tell(describe_processed(processed))
-    if figures:
-        _draw(path, figures_to)
+    if "settings" not in said or header.procedure not in names(PROCEDURES):
+        return said
+    try:
+        fields = load_procedure(header.procedure).Settings.model_fields
+    except ConfigurationError:
+        return said
+    usual = {
+        name: field.get_default(call_default_factory=True)
+        for name, field in fields.items()
+        if not field.is_required()
+    }
+    other = {
+        name: value
+        for name, value in said["settings"].items()
+        if name not in usual or _plain(usual[name]) != _plain(value)
+    }
+    return said | {"settings": other or "all at their defaults; --all shows them"}
+
+
+def _plain(value: Any) -> Any:
+    """Return a setting as JSON keeps it: a tuple becomes a list."""
+    return json.loads(json.dumps(value))
 
 
 def analyse(
@@ -207,12 +235,14 @@ def analyse(
     """
     with reported(debug):
         from rig.files.runfile.reader import RunFile
+        from rig.processing.analyses import analyse as compute
         from rig.processing.analyses import keep
 
         missing = []
         for path in files:
             with RunFile.open(path) as run:
-                analyses = _tell_analyses(run)
+                analyses = compute(run)
+                _tell(_analysed(analyses))
                 if analyses.found:
                     print(printable(f"saved {keep(run, analyses, to)}"))  # noqa: T201 - data
                 else:
@@ -224,27 +254,39 @@ def analyse(
             )
 
 
-def _tell_analyses(run: RunFile) -> Analyses:
-    """Show the values of a run file's analyses; one that fails costs a line, not the command."""
-    from rig.processing.analyses import analyse as compute
-
-    analyses = compute(run)
-    for one in analyses.found:
-        _tell({f"{one.name} ({one.package} {one.package_version})": one.values})
+def _analysed(analyses: Analyses) -> dict[str, Any]:
+    """Return the values of a run file's analyses by what computed them; one that has failed costs
+    a line, not the command."""
     for warning in analyses.warnings:
         say(f"warning: {warning}")
-    return analyses
+    return {
+        f"{one.name} ({one.package} {one.package_version})": one.values for one in analyses.found
+    }
 
 
-def _draw(file: Path, folder: Path | None) -> None:
-    """Draw the figures of a file; one that fails costs a line, not the command."""
+def _draw(file: Path, folder: Path | None, tell: Callable[[str], None]) -> None:
+    """Draw the figures of a file and tell where they are; one that fails costs a line, not the
+    command."""
     from rig.figures.drawing import draw
 
     drawn = draw(file, folder)
     for picture in drawn.files:
-        print(f"figure: {picture}")  # noqa: T201 - stdout carries data
+        tell(f"figure: {picture}")
     for warning in drawn.warnings:
         say(f"warning: {warning}")
+
+
+def _say_all(lines: Sequence[str]) -> None:
+    for line in lines:
+        say(line)
+
+
+def _print(line: str) -> None:
+    print(line)  # noqa: T201 - stdout carries data
+
+
+def _shown_as_json(values: Mapping[str, Any]) -> None:
+    print(json.dumps(values, default=str))  # noqa: T201 - stdout carries data
 
 
 def _tell(values: Mapping[str, Any], indent: str = "") -> None:

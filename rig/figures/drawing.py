@@ -92,7 +92,7 @@ class DrawingProcess:
 
     def draw(self, file: Path) -> Drawn:
         """Draw all figures of a file; any failure of the process becomes a warning."""
-        again = f"`rig show {file}` draws it again"
+        again = f"`rig show --figures {file}` draws it again"
         if self._child is None:
             return _not_drawn(f"{self._why_not}; {again}")
         try:

@@ -39,6 +39,7 @@ def describe(file: Path, header: RunHeader, outcome: RecordedOutcome) -> dict[st
         "notes": header.notes,
         "accepted": header.accepted,
         "bench": _bench(header),
+        "fixture": _mounted(header),
         "calibrations": [
             f"{record.get('kind', 'calibration')} of {record.get('sensor', 'unknown')}"
             for record in header.calibrations
@@ -103,6 +104,17 @@ def _named(who: PersonOrSample) -> str:
     """Return a person's or sample's name with whatever else is known."""
     details = ", ".join(f"{name} {value}" for name, value in who.details().items())
     return f"{who.name} ({details})" if details else who.name
+
+
+def _mounted(header: RunHeader) -> str:
+    """Return the mounted fixture, with the film that it holds; "" where the bench file does not
+    say."""
+    with contextlib.suppress(tomllib.TOMLDecodeError, TypeError, AttributeError):
+        bench = tomllib.loads(header.bench_toml)
+        mounted = str(bench.get("fixture", {}).get("mounted", ""))
+        film = str(bench.get("film", {}).get("name", ""))
+        return f"{mounted}, {film}" if film and mounted == "film-clamp" else mounted
+    return ""
 
 
 def _bench(header: RunHeader) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import shutil
 import signal
@@ -64,6 +65,13 @@ def test_a_sound_file_is_shown_and_verified(rig: Any, run_file: Path) -> None:
     assert shown.code == 0, shown.stderr
     assert "sweep" in shown.stdout
     assert "SIMULATED" in shown.stdout or "simulated" in shown.stdout
+    assert len(shown.stdout.splitlines()) <= 40, "a screen"
+    assert "load_N: 1\n" not in shown.stdout
+    everything = rig.run("show", run_file.name, "--all")
+    assert "  load_N: 1\n" in everything.stdout
+    data = json.loads(rig.run("show", run_file.name, "--json").stdout)
+    assert data["settings"]["load_N"] == 1.0
+    assert data["results"]
     verified = rig.run("verify", run_file.name)
     assert verified.code == 0
     assert verified.stdout == f"{run_file.name}: sound (complete, 1 of 1 points)\n"

@@ -216,7 +216,7 @@ def test_a_child_that_dies_is_a_warning(lab: Laboratory, monkeypatch: pytest.Mon
     (warning,) = draw_in_child(run).warnings
     assert warning == (
         "no figure was drawn: the process that draws ended early (exit code 7); "
-        f"`rig show {run}` draws it again"
+        f"`rig show --figures {run}` draws it again"
     )
 
 

@@ -84,7 +84,7 @@ def test_both_patterns_of_a_roll(rig, start, v_1, v_2):
         assert "ridge_lift_off_us" in run.entry["simulated_truth/trial_001"]
     assert len(ticks) == len(angle)
     assert angle.max() == pytest.approx(3.5, abs=0.02)
-    shown = rig.run("show", str(file))
+    shown = rig.run("show", str(file), "--figures")
     assert shown.code == 0, shown.stderr
     assert file.with_suffix(".png").stat().st_size > 10_000
     assert "SIMULATED" in file.with_suffix(".svg").read_text("utf-8")

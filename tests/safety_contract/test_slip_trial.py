@@ -46,7 +46,7 @@ def test_a_trial_shows_what_the_model_does_and_measures_the_friction(rig, skin8)
     assert lint_nxdl(definition) == []
     assert validate_file(str(file)) == (0, 0)
     assert validate_application(str(file), application=str(definition)) == (0, 0)
-    shown = rig.run("show", str(file))
+    shown = rig.run("show", str(file), "--figures")
     assert shown.code == 0, shown.stderr
     assert file.with_suffix(".png").stat().st_size > 10_000
     assert "SIMULATED" in file.with_suffix(".svg").read_text("utf-8")
