@@ -128,19 +128,21 @@ class RollTrial(TrialProcedure):
                 bench,
                 "rotary.angle",
                 fixture.upright_deg + angle_deg,
-                f"{as_option(settings, angle)} from upright ({fixture.upright_deg:g} deg)",
+                f"{as_option(settings, angle)} puts the object at",
+                f"{fixture.upright_deg:g} deg upright {angle_deg:+g} deg",
             )
         self._require(
             bench,
             "stage_x.position",
             fixture.centre_mm + settings.start_mm,
-            f"{as_option(settings, 'start_mm')} from the middle ({fixture.centre_mm:g} mm)",
+            f"{as_option(settings, 'start_mm')} puts the skin at",
+            f"{fixture.centre_mm:g} mm in the middle {settings.start_mm:+g} mm",
         )
         if curve:
             turns = settings.profile.turns(settings.tick_s)
             fastest = max((turn.speed_deg_s for turn in turns), default=0.0)
             named = f"{as_option(settings, 'profile_times_s')} with {as_option(settings, angle)}"
-            self._require(bench, "rotary.speed", fastest, named)
+            self._require(bench, "rotary.speed", fastest, f"{named} turns at", "its fastest part")
 
     def _require_on_the_skin(self, bench: Bench) -> None:
         """Raise LimitError where the roll would begin beside the ridges: z would go down to the end
@@ -156,15 +158,22 @@ class RollTrial(TrialProcedure):
                 "ridges_extent_mm in the bench file",
             )
 
-    def _require(self, bench: Bench, quantity: str, value: float, given: str) -> None:
-        """Raise LimitError, which names the options `given`, unless the bench can reach a value."""
+    def _require(
+        self, bench: Bench, quantity: str, value: float, given: str, reckoned: str
+    ) -> None:
+        """Raise LimitError unless the bench can reach a value. The message says what was `given`
+        and how the value was `reckoned` from it."""
         from rig.bench.limits import require
 
+        reach = bench.reach()[quantity]
         try:
-            require(quantity.replace(".", " "), value, bench.reach()[quantity])
+            require(quantity.replace(".", " "), value, reach)
         except LimitError as error:
-            message = f"{error.message} (from {given})"
-            raise LimitError(message, remedy(error, bench)) from None
+            raise LimitError(
+                f"{given} {value:g} {reach.unit} ({reckoned}); the {reach.owner} allows "
+                f"{reach.low:g} to {reach.high:g} {reach.unit}",
+                remedy(error, bench),
+            ) from None
 
     # --- doing it -------------------------------------------------------------------------------
 

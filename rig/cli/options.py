@@ -84,16 +84,16 @@ def _metavar(field: str, info: FieldInfo) -> str:
 
 def texts_of(model: type[Settings], given: Mapping[str, list[str] | None]) -> dict[str, str]:
     """Return one text for each option that was given. A list that is given in several parts is one
-    list; ConfigurationError for any other option that is given twice."""
-    texts = {field: parts for field, parts in given.items() if parts}
-    twice = [
-        f"{option_name(field)} is given {len(parts)} times: {', '.join(parts)}"
-        for field, parts in texts.items()
-        if len(parts) > 1 and get_origin(model.model_fields[field].annotation) is not tuple
-    ]
-    if twice:
-        raise ConfigurationError("; ".join(twice), "give it once")
-    return {field: ",".join(parts) for field, parts in texts.items()}
+    list; of any other option that is given twice the last one holds, as is usual in a shell."""
+    return {
+        field: ",".join(parts) if _is_list(model.model_fields[field]) else parts[-1]
+        for field, parts in given.items()
+        if parts
+    }
+
+
+def _is_list(info: FieldInfo) -> bool:
+    return get_origin(info.annotation) is tuple
 
 
 def settings_from(model: type[Settings], given: Mapping[str, str | None]) -> Settings:

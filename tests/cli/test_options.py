@@ -187,11 +187,9 @@ def test_an_option_without_effect_is_refused_with_what_it_needs() -> None:
         settings_from(Example, {"speed_mm_s": "3", "speeds_mm_s": "1,2"})
 
 
-def test_a_list_may_be_given_in_parts_and_nothing_else_twice() -> None:
-    given = {"speeds_mm_s": ["1,2", "1cm/s"], "cycles": ["7"], "label": None, "ratio": []}
-    assert texts_of(Example, given) == {"speeds_mm_s": "1,2,1cm/s", "cycles": "7"}
-    with pytest.raises(ConfigurationError, match="--cycles is given 2 times: 7, 8"):
-        texts_of(Example, {"cycles": ["7", "8"]})
+def test_a_list_may_be_given_in_parts_and_of_anything_else_the_last_holds() -> None:
+    given = {"speeds_mm_s": ["1,2", "1cm/s"], "cycles": ["7", "8"], "label": None, "ratio": []}
+    assert texts_of(Example, given) == {"speeds_mm_s": "1,2,1cm/s", "cycles": "8"}
 
 
 def test_a_seed_beside_a_bench_file_is_refused(rig) -> None:

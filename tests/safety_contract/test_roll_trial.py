@@ -178,7 +178,7 @@ def test_ctrl_c_in_a_roll_stops_it_and_lifts_off_and_a_resume_rolls_again(rig):
 
 
 REFUSED = [
-    (("--angle", "80"), "from --angle 80 deg"),
+    (("--angle", "80"), "--angle 80 deg puts the object at 95 deg (15 deg upright +80 deg)"),
     pytest.param(
         ("--start", "-80"), "-80 mm from the middle is beside", marks=pytest.mark.thorough
     ),
