@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
+
+from rig.evaluation.simulated_truth import times_of
+from rig.files.describe import bench_name, mounted_on
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -48,6 +51,33 @@ def shade(panels: Iterable[Axes], begin_s: float, end_s: float, what: str) -> No
         axes.axvspan(begin_s, end_s, color="C2", alpha=0.07, linewidth=0, label=label)
 
 
+WHOLE_RIDGE = "whole ridge slips"
+"""The slip of the ridge that holds the strips, which incipient slip means here."""
+SLIPS = {
+    "first node slips": ("node_slip_s", "C3", ":"),
+    WHOLE_RIDGE: ("ridge_slip_s", "C3", "--"),
+    "gross slip": ("gross_slip_s", "C4", "-."),
+}
+"""Slips that the World of a simulated bench records, with their colours and lines."""
+
+
+def slips_of_the_world(run: RunFile, number: int, record_s: float) -> dict[str, float]:
+    """Return the times in s at which a trial slipped by the World's account, by their names in
+    `SLIPS`; empty on a real bench. `record_s` is the length of the record."""
+    times = times_of(run.readings()[number], record_s)
+    found = {name: times.get(key) for name, (key, _, _) in SLIPS.items()}
+    return {name: at_s for name, at_s in found.items() if at_s is not None}
+
+
+def mark_slips(panels: Sequence[Axes], slips: Mapping[str, float]) -> None:
+    """Draw a line for each slip through the panels, with its label in the last one."""
+    for number, axes in enumerate(panels, 1):
+        for name, at_s in slips.items():
+            _, colour, line = SLIPS[name]
+            label = f"{name} (World)" if number == len(panels) else None
+            axes.axvline(at_s, color=colour, linestyle=line, linewidth=0.8, label=label)
+
+
 def show_allowed_error(axes: Axes, run: RunFile) -> None:
     """Draw the rms error above which a trial is invalid."""
     allowed = float(run.settings.get("force_error_rms_percent", 0.0))
@@ -67,12 +97,30 @@ def from_touch_on(
         axes.set_xlim(max(0.0, float(touched[0]) - BEFORE_S), float(t[-1]))
 
 
+def circumstances(run: RunFile) -> str:
+    """Return in one line what a figure needs to be understood without its file: object, speed,
+    start, sample, bench and date, as far as the run states them."""
+    header, settings = run.header, run.settings
+    on = f"on {settings.get('object') or mounted_on(header) or 'an object'}"
+    if (speed := settings.get("speed_mm_s")) is not None:
+        on += f" at {speed:g} mm/s"
+    if (angle := settings.get("angle_deg")) is not None and not settings.get("profile_times_s"):
+        on += f" by {angle:g} deg"
+    if (start := settings.get("start_mm")) is not None:
+        on += f" from x = {start:g} mm"
+    of = f"sample {header.sample.name}" if header.sample.name else ""
+    begun = str(header.start_time or "")[:16].replace("T", " ")
+    return ", ".join(part for part in (on, of, bench_name(header), begun) if part)
+
+
 def heading(figure: Figure, run: RunFile, number: int, point: str) -> int:
-    """Write title, file, and why the trial is invalid if it is; return the number of lines."""
+    """Write title, circumstances, file, and why the trial is invalid if it is; return the number of
+    lines."""
     doubt = str(run.column("invalid")[number])
     invalid = f"\ninvalid: {doubt}" if doubt else ""
     of = f"trial {number + 1} of {len(run.column('invalid'))}"
     force = f"{run.settings['normal_force_N']:g} N normal force"
     title = run.header.marked(f"{run.header.procedure.removesuffix('-trial')} {of}, {force}")
-    figure.suptitle(f"{title}\n{run.path.name}{invalid}", fontsize=9)
-    return 3 if doubt else 2
+    lines = f"{title}\n{circumstances(run)}\n{run.path.name}{invalid}"
+    figure.suptitle(lines, fontsize=9, parse_math=False)
+    return lines.count("\n") + 1

@@ -12,12 +12,15 @@ from matplotlib.figure import Figure
 
 from rig.figures.pressed import (
     LEAST_FORCE,
+    WHOLE_RIDGE,
     a_figure_a_trial,
     from_touch_on,
     heading,
+    mark_slips,
     seconds,
     shade,
     show_allowed_error,
+    slips_of_the_world,
 )
 from rig.figures.style import STYLE, legend_above, set_margins
 
@@ -27,6 +30,8 @@ if TYPE_CHECKING:
 
     from rig.files.runfile.reader import RunFile
 
+ZOOM_S = 0.3
+"""Time around the slip that is shown enlarged, as in the paper's Figure 10."""
 REASON_WIDTH = 80
 """Number of characters of a line that fits into a panel."""
 
@@ -37,21 +42,36 @@ def draw_trials(run: RunFile) -> dict[str, Figure]:
 
 
 def draw_trial(run: RunFile, number: int, point: str) -> Figure:
-    """Draw signal, forces, ratio and force error over time, with the slide or the ramp shaded."""
+    """Draw v_d, strips, forces, ratio and force error over time, with the slide or the ramp shaded
+    and, on a simulated bench, the slips of the World marked; below, v_d around the slip."""
     series = {w.stream: w for w in run.waveforms(point)}
     signals, force = series["signals"], series["force"]
     begin, end = (float(run.column(name)[number]) for name in ("slide_from", "slide_to"))
     wanted = float(run.column("set_normal_force")[number])
     with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(7.2, 7.6))
-        volts, newtons, ratio, error = figure.subplots(
-            4, 1, sharex=True, gridspec_kw={"height_ratios": [2.4, 1.6, 1.2, 1.0]}
-        )
+        figure = Figure(figsize=(7.2, 10.4))
+        # The empty row is for the times below the panels that share them.
+        grid = figure.add_gridspec(7, 1, height_ratios=[1.8, 1.5, 1.6, 1.2, 1.0, 0.1, 2.0])
+        difference = figure.add_subplot(grid[0])
+        below = [figure.add_subplot(grid[row], sharex=difference) for row in range(1, 5)]
+        strips, newtons, ratio, error = below
+        zoom = figure.add_subplot(grid[6])
+        for axes in (difference, *below[:-1]):
+            axes.tick_params(labelbottom=False)
         t, mV = seconds(signals), {name: 1e3 * signals.values(name) for name in signals.counts}
-        volts.plot(t, mV["v_d"], linewidth=0.8, color="C0", label="$v_d = v_1 - v_2$")
+        for axes in (difference, zoom):
+            axes.plot(t, mV["v_d"], linewidth=0.8, color="C0", label="$v_d = v_1 - v_2$")
+            axes.set_ylabel("$v_d$ (mV)")
         for colour, name, label in (("C1", "v_1", "$v_1$"), ("C2", "v_2", "$v_2$")):
-            volts.plot(t, mV[name], linewidth=0.5, alpha=0.5, color=colour, label=label)
-        volts.set_ylabel("Signal (mV)")
+            strips.plot(t, mV[name], linewidth=0.6, color=colour, label=label)
+        strips.set_ylabel("Strips (mV)")
+        slid = (t >= begin) & (t <= end)
+        slips = slips_of_the_world(run, number, float(t[-1]))
+        seen = t[slid][np.abs(mV["v_d"][slid]).argmax()] if slid.any() else begin
+        middle = slips.get(WHOLE_RIDGE, float(seen))
+        zoom.set_xlim(middle - ZOOM_S / 2, middle + ZOOM_S / 2)
+        zoom.set_xlabel("Time since the record's start (s)")
+        mark_slips((difference, zoom), slips)
         t, pressing, sideways = seconds(force), force.values("F_n"), force.values("F_t")
         newtons.plot(t, pressing, linewidth=0.8, label="$F_n$")
         newtons.plot(t, sideways, linewidth=0.8, label="$F_t$")
@@ -62,14 +82,13 @@ def draw_trial(run: RunFile, number: int, point: str) -> Figure:
         error.plot(t[held], 100 * (pressing[held] / wanted - 1), linewidth=0.6, color="C3")
         show_allowed_error(error, run)
         error.set_ylabel("$F_n$ error (%)")
-        error.set_xlabel("Time since the record's start (s)")
         loading = run.header.settings.get("loading", "slide")
-        shade((volts, newtons, ratio, error), begin, end, f"the {loading}")
-        for axes in (volts, newtons, ratio, error):
+        shade((difference, *below), begin, end, f"the {loading}")
+        for axes in (difference, *below, zoom):
             legend_above(axes)
         from_touch_on(error, t, pressing, wanted)
         lines = heading(figure, run, number, point)
-        set_margins(figure, top=0.72 + 0.18 * (lines - 2), between=0.22)
+        set_margins(figure, top=0.72 + 0.18 * (lines - 2), between=0.3)
     return figure
 
 

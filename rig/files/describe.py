@@ -39,7 +39,7 @@ def describe(file: Path, header: RunHeader, outcome: RecordedOutcome) -> dict[st
         "notes": header.notes,
         "accepted": header.accepted,
         "bench": _bench(header),
-        "fixture": _mounted(header),
+        "fixture": mounted_on(header),
         "calibrations": [
             f"{record.get('kind', 'calibration')} of {record.get('sensor', 'unknown')}"
             for record in header.calibrations
@@ -106,7 +106,7 @@ def _named(who: PersonOrSample) -> str:
     return f"{who.name} ({details})" if details else who.name
 
 
-def _mounted(header: RunHeader) -> str:
+def mounted_on(header: RunHeader) -> str:
     """Return the mounted fixture, with the film that it holds; "" where the bench file does not
     say."""
     with contextlib.suppress(tomllib.TOMLDecodeError, TypeError, AttributeError):
@@ -117,11 +117,17 @@ def _mounted(header: RunHeader) -> str:
     return ""
 
 
+def bench_name(header: RunHeader) -> str:
+    """Return the bench's name; "" where its file does not say."""
+    with contextlib.suppress(tomllib.TOMLDecodeError):
+        if name := str(tomllib.loads(header.bench_toml).get("name", "")):
+            return f"bench {name}"
+    return ""
+
+
 def _bench(header: RunHeader) -> str:
     """Return the bench's name and the file that described it."""
-    name = ""
-    with contextlib.suppress(tomllib.TOMLDecodeError):
-        name = str(tomllib.loads(header.bench_toml).get("name", ""))
+    name = bench_name(header).removeprefix("bench ")
     if name and header.bench_file:
         return f"{name} ({header.bench_file})"
     return name or header.bench_file
