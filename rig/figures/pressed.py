@@ -21,6 +21,8 @@ TRIALS_SHOWN = 20
 """Largest number of trials with a figure; the file contains all trials."""
 BEFORE_S = 0.3
 """Time shown before the contact; the file contains all of the record."""
+MARGIN = 0.08
+"""Room above and below what an axis is scaled to, as a share of its span."""
 LEAST_FORCE = 0.1
 """Fraction of the normal force from which the object is considered touched."""
 
@@ -86,6 +88,14 @@ def show_allowed_error(axes: Axes, run: RunFile) -> None:
         label = f"validity limit: rms ≤ {allowed:g} %"
         axes.axhline(allowed, color="0.5", linewidth=0.8, linestyle=":", label=label)
         axes.axhline(-allowed, color="0.5", linewidth=0.8, linestyle=":")
+
+
+def scale_to(axes: Axes, values: Iterable[NDArray[np.float64]]) -> None:
+    """Scale an axis to the extremes of these values, with a margin, unless there are none."""
+    every = np.concatenate(list(values))
+    every = every[np.isfinite(every)]
+    if every.size and (span := float(np.ptp(every))) > 0:
+        axes.set_ylim(float(every.min()) - MARGIN * span, float(every.max()) + MARGIN * span)
 
 
 def from_touch_on(

@@ -12,6 +12,7 @@ from rig.figures.pressed import (
     a_figure_a_trial,
     from_touch_on,
     heading,
+    scale_to,
     seconds,
     shade,
     show_allowed_error,
@@ -22,29 +23,41 @@ if TYPE_CHECKING:
     from rig.files.runfile.reader import RunFile
 
 
+AROUND_S = 0.05
+"""Time around the roll whose signals set the scale."""
+
+
 def draw_trials(run: RunFile) -> dict[str, Figure]:
     """Draw one figure per trial: the first has the run's name, the others append their own."""
     return a_figure_a_trial(run, draw_trial)
 
 
 def draw_trial(run: RunFile, number: int, point: str) -> Figure:
-    """Draw angle, strips, difference, forces and force error over time, with the roll shaded."""
+    """Draw the angle and its deviation from the commanded one, strips, difference, forces and force
+    error over time, with the roll shaded. Strips and difference are scaled by the roll; what the
+    touch-down goes beyond is in the file."""
     series = {w.stream: w for w in run.waveforms(point)}
     signals, force, rotation = series["signals"], series["force"], series["rotation"]
     begin, end = (float(run.column(name)[number]) for name in ("roll_from", "roll_to"))
     wanted = float(run.column("set_normal_force")[number])
     with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(7.2, 8.6))
+        figure = Figure(figsize=(7.2, 9.8))
         panels = figure.subplots(
-            5, 1, sharex=True, gridspec_kw={"height_ratios": [1.1, 2.0, 1.4, 1.5, 1.0]}
+            6, 1, sharex=True, gridspec_kw={"height_ratios": [1.2, 0.9, 2.0, 1.4, 1.5, 1.0]}
         )
-        angle, strips, difference, newtons, error = panels
+        angle, deviation, strips, difference, newtons, error = panels
         ticks = series["ticks"].values("elapsed")
         angle.plot(ticks, rotation.values("angle"), linewidth=0.9, label=r"$\phi$ measured")
         commanded = rotation.values("angle_commanded")
         angle.plot(ticks, commanded, "--", linewidth=0.7, color="0.4", label=r"$\phi$ commanded")
         angle.set_ylabel("Angle (deg)")
+        behind = rotation.values("angle") - commanded
+        deviation.plot(ticks, behind, linewidth=0.7, color="C5", label="measured - commanded")
+        deviation.set_ylabel("Dev. (deg)")
         t = seconds(signals)
+        rolled = (t >= begin - AROUND_S) & (t <= end + AROUND_S)
+        for axes, names in ((strips, ("v_1", "v_2")), (difference, ("v_d",))):
+            scale_to(axes, [1e3 * signals.values(name)[rolled] for name in names])
         for colour, name, label in (("C1", "v_1", "$v_1$"), ("C2", "v_2", "$v_2$")):
             strips.plot(t, 1e3 * signals.values(name), linewidth=0.7, color=colour, label=label)
         strips.set_ylabel("Strips (mV)")
