@@ -87,6 +87,9 @@ def show(
             help="Draw the figures again, into this folder [that of the run file].", metavar="DIR"
         ),
     ] = None,
+    pdf: Annotated[
+        bool, typer.Option("--pdf", help="Draw the figures again, as PDF as well.")
+    ] = False,
     as_json: Annotated[
         bool, typer.Option("--json", help="One JSON object a file on stdout, with all settings.")
     ] = False,
@@ -95,7 +98,7 @@ def show(
     """Show what a run file, processed file or journal holds."""
     with reported(debug):
         shown = _shown_as_json if as_json else _tell
-        draws = figures or figures_to is not None
+        draws = figures or pdf or figures_to is not None
         from rig.files.checksum import checksum_findings
         from rig.files.describe import describe, describe_processed, ending_of
         from rig.files.file_kind import kind_of
@@ -124,7 +127,7 @@ def show(
                     said |= _results(run.header, run.readings()) | _analysed(analyse_run(run))
                     shown(said if all_settings or as_json else _without_defaults(said, run.header))
             if draws:
-                _draw(path, figures_to, say if as_json else _print)
+                _draw(path, figures_to, pdf, say if as_json else _print)
 
 
 def verify(files: Files, debug: Debug = False) -> None:
@@ -264,12 +267,12 @@ def _analysed(analyses: Analyses) -> dict[str, Any]:
     }
 
 
-def _draw(file: Path, folder: Path | None, tell: Callable[[str], None]) -> None:
+def _draw(file: Path, folder: Path | None, pdf: bool, tell: Callable[[str], None]) -> None:
     """Draw the figures of a file and tell where they are; one that fails costs a line, not the
     command."""
     from rig.figures.drawing import draw
 
-    drawn = draw(file, folder)
+    drawn = draw(file, folder, pdf)
     for picture in drawn.files:
         tell(f"figure: {picture}")
     for warning in drawn.warnings:

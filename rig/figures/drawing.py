@@ -35,8 +35,9 @@ class Drawn:
     warnings: tuple[str, ...] = ()
 
 
-def draw(file: Path, folder: Path | None = None) -> Drawn:
-    """Draw all registered figures of a run file or processed file as PNG and SVG.
+def draw(file: Path, folder: Path | None = None, pdf: bool = False) -> Drawn:
+    """Draw all registered figures of a run file or processed file as PNG and SVG, and as PDF where
+    that is asked for.
 
     They are written to `folder`, or next to the file. A run without a completed point has no
     figures. A figure that fails, and a folder that cannot be written to, are warnings. Raises
@@ -46,7 +47,7 @@ def draw(file: Path, folder: Path | None = None) -> Drawn:
         opened, kind, simulated = _open(file, stack)
         if not kind:
             return Drawn()
-        drawing = _Drawing(file if folder is None else folder / file.name, simulated)
+        drawing = _Drawing(file if folder is None else folder / file.name, simulated, pdf)
         drawing.warnings += strays(FIGURES, (kind,))
         try:
             for registered in figures_of(kind):
@@ -119,11 +120,12 @@ class _NoPlaceError(RigError):
 class _Drawing:
     """The pictures of one file."""
 
-    def __init__(self, place: Path, simulated: bool):
-        """Prepare the pictures, which are named after the file `place` and go to its folder."""
+    def __init__(self, place: Path, simulated: bool, pdf: bool):
+        """Prepare the pictures, which are named after the file `place` and go to its folder; `pdf`
+        is whether there is a PDF of each."""
         self.files: list[Path] = []
         self.warnings: list[str] = []
-        self._place, self._simulated = place, simulated
+        self._place, self._simulated, self._pdf = place, simulated, pdf
         self._suffixes: set[str] = set()
 
     def add(self, registered: RegisteredFigure, opened: Any) -> None:
@@ -149,7 +151,7 @@ class _Drawing:
         place = self._place.with_stem(self._place.stem + suffix)
         try:
             place.parent.mkdir(parents=True, exist_ok=True)
-            self.files += save(figure, place, self._simulated)
+            self.files += save(figure, place, self._simulated, self._pdf)
         except OSError as error:
             raise _NoPlaceError(
                 f"no figure was drawn: {place.parent} cannot be written to "

@@ -36,8 +36,9 @@ def import_ahead() -> None:
     import matplotlib.figure  # noqa: F401
 
 
-def save(figure: Figure, run_file: Path, simulated: bool) -> list[Path]:
-    """Write the figure as PNG and SVG next to its run file, with a mark if it is simulated."""
+def save(figure: Figure, run_file: Path, simulated: bool, pdf: bool = False) -> list[Path]:
+    """Write the figure as PNG and SVG, and as PDF if asked to, next to its run file, with a mark if
+    it is simulated; return the files."""
     import matplotlib as mpl
 
     if simulated:
@@ -54,7 +55,8 @@ def save(figure: Figure, run_file: Path, simulated: bool) -> list[Path]:
         )
     with mpl.rc_context(STYLE):
         _lay_out(figure)
-        return [_save_png(figure, run_file), _save_svg(figure, run_file)]
+        files = [_save_png(figure, run_file), _save_svg(figure, run_file)]
+        return [*files, _save_pdf(figure, run_file)] if pdf else files
 
 
 # The canvases themselves: `savefig` draws everything once more before each of them.
@@ -76,6 +78,15 @@ def _save_svg(figure: Figure, run_file: Path) -> Path:
     with replacing(run_file.with_suffix(".svg"), durable=False, shared=True) as part:
         canvas.print_svg(part, metadata={"Date": None})
     return run_file.with_suffix(".svg")
+
+
+def _save_pdf(figure: Figure, run_file: Path) -> Path:
+    from matplotlib.backends.backend_pdf import FigureCanvasPdf
+
+    canvas: Any = FigureCanvasPdf(figure)
+    with replacing(run_file.with_suffix(".pdf"), durable=False, shared=True) as part:
+        canvas.print_pdf(part, metadata={"CreationDate": None})
+    return run_file.with_suffix(".pdf")
 
 
 def set_margins(figure: Figure, *, top: float = 0.35, between: float = 0.08) -> None:

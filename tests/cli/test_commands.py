@@ -132,10 +132,10 @@ def test_show_draws_into_the_named_folder_and_works_without_figures(
 ) -> None:
     for path in run_file.parent.iterdir():
         shutil.copy(path, rig.folder)
-    elsewhere = rig.run("show", run_file.name, "--figures-to", "figures")
+    elsewhere = rig.run("show", run_file.name, "--figures-to", "figures", "--pdf")
     assert elsewhere.code == 0, elsewhere.stderr
     drawn = {path.suffix for path in (rig.folder / "figures").iterdir()}
-    assert drawn == {".png", ".svg"}
+    assert drawn == {".png", ".svg", ".pdf"}
     assert not list(rig.folder.glob("*.png"))
 
     refused = rig.run("show", run_file.name, "--figures-to", "/proc/figures")
