@@ -232,12 +232,13 @@ def test_a_child_that_does_not_end_is_ended(
 
 
 def test_our_own_figures_can_all_be_loaded() -> None:
-    kinds = ("sweep", "slip-trial", "roll-trial", "import", "processed")
+    kinds = ("sweep", "slip-trial", "roll-trial", "path-trial", "import", "processed")
     own = [f for kind in kinds for f in figures_of(kind) if f.package == "tactile-rig"]
     names = [figure.entry.name for figure in own]
     assert names == [
         *("sweep", "sweep.gain", "sweep.linearity", "sweep.readings"),
-        *("slip-trial", "roll-trial", "import", "processed"),
+        *("slip-trial", "slip-trial.series", "roll-trial", "roll-trial.series"),
+        *("path-trial", "path-trial.series", "import", "processed"),
     ]
     assert all(callable(figure.load()) for figure in own)
 

@@ -97,3 +97,17 @@ def test_a_set_point_that_leaps_is_no_lost_force_and_z_stays_slow_enough_to_brak
     assert "force error peak" in reading["invalid"], "the force was far from its set point"
     fastest_mm_s = (np.diff(z_mm) / np.diff(looked_s))[looked_s[1:] > 0.3].max()
     assert 0.2 < fastest_mm_s < 0.55, "3 N at 250 N/mm allow 0.52 mm/s, 13 N would allow 1.3"
+
+
+@pytest.mark.thorough
+def test_a_series_has_a_figure_of_its_trials_and_a_single_trial_has_none(rig: Any) -> None:
+    given = ("path-trial", "--json", "--force-times", "0,0.1", "--force-shares", "1,1.1")
+    one = rig.run(*given, "--stay", "0.1", "--results", "one")
+    assert one.code == 0, one.stderr
+    assert not any("-series" in name for name in one.object["figures"])
+    two = rig.run(*given, "--stay", "0.1", "--results", "two", "-n", "2")
+    assert two.code == 0, two.stderr
+    (name,) = [name for name in two.object["figures"] if name.endswith("-series.svg")]
+    drawn = (rig.folder / name).read_text("utf-8")
+    assert "SIMULATED path series, 2 of 2 trials valid" in drawn
+    assert "strip 1: " in drawn

@@ -1,0 +1,85 @@
+"""The figure of a series of pressed trials: what each trial gave, and how it scatters."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+
+from rig.figures.pressed import circumstances
+from rig.figures.style import STYLE, legend_above, set_margins
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from numpy.typing import NDArray
+
+    from rig.files.runfile.reader import RunFile
+
+    Reals = NDArray[np.float64]
+
+PANELS: tuple[tuple[str, tuple[tuple[str, str], ...]], ...] = (
+    ("Friction", (("static_friction", "static"), ("kinetic_friction", "kinetic"))),
+    ("Touch gain (mV s/N)", (("touch_gain_1", "strip 1"), ("touch_gain_2", "strip 2"))),
+    ("$F_n$ error (%)", (("force_error_rms", "rms"), ("force_error_peak", "peak"))),
+)
+"""Label of each panel, and the columns that it shows with their names."""
+IN_MILLI = "touch_gain"
+"""Columns whose values are shown in thousandths of their unit."""
+FEWEST = 2
+"""Trials of which there is a figure."""
+
+
+def draw_series(run: RunFile) -> dict[str, Figure]:
+    """Draw friction, touch gains and force errors over the trials of a series with their
+    distribution beside; invalid trials are open circles. None for a single trial."""
+    invalid = np.array([bool(why) for why in run.column("invalid")])
+    if len(invalid) < FEWEST:
+        return {}
+    known = set(run.columns())
+    shown = [(label, columns) for label, columns in PANELS if columns[0][0] in known]
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(7.2, 1.2 + 1.9 * len(shown)))
+        panels = figure.subplots(
+            len(shown), 2, squeeze=False, sharey="row", gridspec_kw={"width_ratios": [3.0, 1.0]}
+        )
+        for (over_trials, distribution), (label, columns) in zip(panels, shown, strict=True):
+            for number, (column, name) in enumerate(columns):
+                values = np.array(run.column(column), dtype=float)
+                values *= 1e3 if column.startswith(IN_MILLI) else 1.0
+                _plot(over_trials, distribution, values, invalid, f"C{number}", name)
+            over_trials.set_ylabel(label)
+            over_trials.xaxis.set_major_locator(MaxNLocator(integer=True))
+            legend_above(over_trials)
+        panels[-1][0].set_xlabel("Trial")
+        panels[-1][1].set_xlabel("Valid trials")
+        of = f"{int((~invalid).sum())} of {len(invalid)} trials valid"
+        kind = run.header.procedure.removesuffix("-trial")
+        title = run.header.marked(f"{kind} series, {of}, {run.settings['normal_force_N']:g} N")
+        figure.suptitle(
+            f"{title}\n{circumstances(run)}\n{run.path.name}", fontsize=9, parse_math=False
+        )
+        set_margins(figure, top=0.9, between=0.35)
+        figure.subplots_adjust(wspace=0.08)
+    return {"": figure}
+
+
+def _plot(
+    over_trials: Axes, distribution: Axes, values: Reals, invalid: NDArray[np.bool_],
+    colour: str, name: str,
+) -> None:  # fmt: skip
+    """Plot a column over the trials, and the distribution of its valid ones."""
+    trials, found = np.arange(1, len(values) + 1), np.isfinite(values)
+    valid, doubtful = found & ~invalid, found & invalid
+    if valid.any():
+        spread = f" ± {values[valid].std(ddof=1):.2g}" if valid.sum() > 1 else ""
+        name = f"{name}: {values[valid].mean():.4g}{spread}"
+        distribution.hist(
+            values[valid], bins="auto", orientation="horizontal", color=colour, alpha=0.5
+        )
+    over_trials.plot(trials[valid], values[valid], "o", markersize=3.5, color=colour, label=name)
+    over_trials.plot(
+        trials[doubtful], values[doubtful], "o", markersize=4, color=colour, fillstyle="none"
+    )
