@@ -106,6 +106,18 @@ def tell_failure(error: RigError, debug: bool = False) -> None:
         traceback.print_exception(error)
 
 
+@contextlib.contextmanager
+def turning(what: str) -> Iterator[None]:
+    """Show on a terminal, as long as the block lasts, that something takes its time."""
+    if not sys.stderr.isatty():
+        yield
+        return
+    from rich.console import Console  # takes longer to import than most commands take
+
+    with Console(stderr=True).status(what):
+        yield
+
+
 def say(text: str) -> None:
     """Print one line for a person to stderr."""
     print(printable(text), file=sys.stderr, flush=True)  # noqa: T201 - the command line's own voice

@@ -23,7 +23,7 @@ from rig.cli.option_groups import (
     option_group,
 )
 from rig.cli.options import SimulatedStages, parameters, settings_from, texts_of
-from rig.cli.outcome import reported, say, start_log
+from rig.cli.outcome import reported, say, start_log, turning
 from rig.run.bench_selector import BenchRequest, BenchSelector, bench_file, refuse_seed
 
 if TYPE_CHECKING:
@@ -111,7 +111,11 @@ def perform(
         else:
             start_log(results)
         with stop.nothing_connected():
-            selector = BenchSelector(say, while_it_boots=lambda: _import_for(procedure))
+            selector = BenchSelector(
+                say,
+                waiting=lambda: turning("the simulated bench is starting"),
+                while_it_boots=lambda: _import_for(procedure),
+            )
             bench = selector.select(request, stack, procedure.fixtures[0])
         from rig.run.execute import execute
         from rig.run.job import RunJob

@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, ProgressColumn, Task, TaskID, TextColumn
 from rich.text import Text
 
-from rig.cli.outcome import say, tell_failure
+from rig.cli.outcome import say, tell_failure, turning
 from rig.core.settings import name_without_unit, unit_of
 from rig.core.units import counted, duration
 from rig.figures.drawing import DrawingProcess, Drawn
@@ -139,7 +139,8 @@ def finish(
         say(outcome.taken_over.summary)
     drawn = Drawn()
     if drawing is not None and outcome.file is not None and outcome.points_done:
-        drawn = drawing.draw(outcome.file)
+        with turning("drawing the figures"):
+            drawn = drawing.draw(outcome.file)
     outcome.warnings.extend(drawn.warnings)
     for warning in outcome.warnings:
         say(f"warning: {warning}")

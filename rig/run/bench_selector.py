@@ -8,7 +8,7 @@ boots as a process of its own and belongs to the command alone. Nothing is conne
 from __future__ import annotations
 
 from collections.abc import Callable
-from contextlib import ExitStack, suppress
+from contextlib import AbstractContextManager, ExitStack, nullcontext, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -102,6 +102,9 @@ class BenchSelector:
     """Function that shows what became of an earlier run; None for `say`."""
     paced: bool = False
     """True if a simulated bench's time passes at a person's pace."""
+    waiting: Callable[[], AbstractContextManager[None]] = nullcontext
+    """Function whose context lasts while a simulated bench is waited for, to show a person that
+    something happens."""
     while_it_boots: Callable[[], None] = lambda: None
     """Function that is called while a simulated bench boots, which takes about a second; nothing is
     connected yet."""
@@ -167,7 +170,8 @@ class BenchSelector:
         self._report_takeovers(*sorted(request.results.glob(f"*/*{GUARD_SUFFIX}")))
         self.while_it_boots()
         _import_drivers(started.drivers)
-        ready = started.ready()
+        with self.waiting():
+            ready = started.ready()
         why = "dry run" if request.dry_run else f"no {BENCH_FILE} found in {Path.cwd()}"
         self.say(f"SIMULATED bench ({why}; seed {request.seed}). {NOT_MEASURED}")
         plan = parse_bench(ready["bench_toml"], "the simulated bench")
