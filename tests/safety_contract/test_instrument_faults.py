@@ -238,7 +238,7 @@ def test_a_load_that_is_never_steady_is_reported_when_the_time_of_its_point_is_o
     assert ended.code == 3, ended.stderr
     (error,) = ended.errors
     assert error.startswith("error: generator: load at 300 Hz: ")
-    assert "N after 12 s, 1 N wanted; no two successive records agreed; check" in error
+    assert "N after 12 s, 1 N ± 1 % wanted (--longest-point, --load-tolerance); check" in error
     assert rig.outputs() == [True, False]
 
 

@@ -40,7 +40,7 @@ def test_the_same_sweep_runs_on_a_bench_file_in_real_time(rig, bench_file):
 def test_a_simulated_bench_whose_file_hides_it_is_still_marked(rig, bench_file):
     """The instruments admit it themselves: their serial numbers begin with SIM."""
     text = bench_file.read_text()
-    hidden = re.sub(r"\[simulation\]\n(?:.+\n)*", "", text)
+    hidden = re.sub(r"\[+simulation(?:\.[\w.]+)?\]+\n(?:.+\n)*", "", text)
     assert "simulation" not in tomllib.loads(hidden)
     bench_file.with_name("b.toml").write_text(hidden)
     ended = rig.run("sweep", "--bench", "b.toml", "--json", "--no-figures", "--frequencies", "2100")
