@@ -156,6 +156,11 @@ def name_without_unit(field_name: str) -> str:
     return field_name
 
 
+OPTION_HINTS = ("short", "only_with", "not_with")
+"""What `json_schema_extra` of a field may say of its option: its letter, the value of another field
+without which it has no effect, and the field beside which it has none."""
+
+
 def option_name(field_name: str) -> str:
     """Return the command-line option of a settings field: ``settling_s`` gives ``--settling``."""
     return "--" + name_without_unit(field_name).replace("_", "-")

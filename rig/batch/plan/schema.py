@@ -8,7 +8,7 @@ from typing import Any
 from rig.batch.plan.procedures import installed, known
 from rig.batch.plan.settings import BatchFile
 from rig.core.errors import ConfigurationError
-from rig.core.settings import unit_of
+from rig.core.settings import OPTION_HINTS, unit_of
 
 TEXT_WITH_UNIT = {"type": "string", "description": "text as on the command line, with its unit"}
 
@@ -71,7 +71,7 @@ def _or_text(field: str, part: dict[str, Any]) -> dict[str, Any]:
     """Return the schema of a setting as its procedure takes it, or as text with a unit."""
     unit = unit_of(field)
     described = {k: v for k, v in part.items() if k in ("description", "default", "title")}
-    bare = {k: v for k, v in part.items() if k not in described}
+    bare = {k: v for k, v in part.items() if k not in described and k not in OPTION_HINTS}
     if unit is not None:
         described["description"] = f"{described.get('description', '')} [{unit}]".strip()
     return {**described, "anyOf": [bare, TEXT_WITH_UNIT]}
