@@ -139,8 +139,11 @@ def _refused(model: type[Settings], given: Mapping[str, str | None], item: Any) 
     if field in names:
         message = message.rpartition(": ")[2] if ": " in message else message
         message = f"{names[field]} {given.get(field) or ''}".rstrip() + f": {message}"
-    words = r"(?<![\w-])(" + "|".join(sorted(names, key=len, reverse=True)) + r")\b"
-    message = re.sub(words, lambda match: names[match[1]], message)
+    # A name without an underscore, such as `object`, is an English word as well.
+    fields = [name for name in sorted(names, key=len, reverse=True) if "_" in name]
+    words = r"(?<![\w-])(" + "|".join(fields) + r")\b"
+    if fields:
+        message = re.sub(words, lambda match: names[match[1]], message)
     return message.replace("has to be", "must be")
 
 

@@ -111,16 +111,18 @@ def circumstances(run: RunFile) -> str:
     """Return in one line what a figure needs to be understood without its file: object, speed,
     start, sample, bench and date, as far as the run states them."""
     header, settings = run.header, run.settings
-    on = f"on {settings.get('object') or mounted_on(header) or 'an object'}"
+    parts = [f"object: {settings.get('object') or mounted_on(header) or 'not stated'}"]
     if (speed := settings.get("speed_mm_s")) is not None:
-        on += f" at {speed:g} mm/s"
+        parts.append(f"{speed:g} mm/s")
     if (angle := settings.get("angle_deg")) is not None and not settings.get("profile_times_s"):
-        on += f" by {angle:g} deg"
+        parts.append(f"{angle:g} deg")
     if (start := settings.get("start_mm")) is not None:
-        on += f" from x = {start:g} mm"
-    of = f"sample {header.sample.name}" if header.sample.name else ""
-    begun = str(header.start_time or "")[:16].replace("T", " ")
-    return ", ".join(part for part in (on, of, bench_name(header), begun) if part)
+        parts.append(f"start {start:g} mm")
+    if header.sample.name:
+        parts.append(f"sample {header.sample.name}")
+    parts.append(bench_name(header))
+    parts.append(str(header.start_time or "")[:16].replace("T", " "))
+    return ", ".join(part for part in parts if part)
 
 
 def heading(figure: Figure, run: RunFile, number: int, point: str) -> int:

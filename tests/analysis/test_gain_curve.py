@@ -307,7 +307,7 @@ def test_a_part_of_the_range_says_what_it_cannot_judge():
 
 
 def test_a_simulated_film_is_recovered_and_not_measured():
-    """A number that the World put in is no finding about films."""
+    """A number that the World put in is not a result of the measurement."""
     truth = FilmTruth.of(
         json.dumps(
             {

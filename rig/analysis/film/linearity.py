@@ -85,7 +85,7 @@ class LoadLinearity:
         return float(self.frequencies[int(np.argmax(self.worst_deviations))])
 
     def beyond(self, bounds: Bounds) -> NDArray[np.bool_]:
-        """Returns True for the frequencies (k,) whose own slope is surely beyond the bound."""
+        """Returns True for frequencies (k,) whose own slope is significantly beyond the bound."""
         sigmas = NormalDist().inv_cdf(1 - FALSE_ALARM / self.frequencies.size)
         surely: NDArray[np.bool_] = (
             np.abs(self.slopes) - sigmas * self.slope_errors > bounds.slope_dB_decade

@@ -15,7 +15,7 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
-from rig.physics.population import Range
+from rig.physics.population import PopulationSettings, Range
 
 WireKind = Literal[
     "slide", "ramp", "hold", "roll a", "roll b", "reversal", "tremor", "re-grip", "falling force",
@@ -24,10 +24,8 @@ WireKind = Literal[
 """Kinds of trials on the simulated bench. Rolls are those of Figure 19, a and b."""
 WIRE_KINDS: tuple[WireKind, ...] = get_args(WireKind)
 
-STATIC_COEFFICIENT = Range(low=0.4, high=1.1)
-FRICTION_RATIO = Range(low=0.65, high=0.97)
-WEAKENING_um = Range(low=1.0, high=20.0, logarithmic=True)
-RELAXATION_ms = Range(low=0.25, high=1.3, logarithmic=True)
+POPULATION = PopulationSettings()
+"""Ranges of friction and rubber, the same as those of labelled trials and of benches."""
 NOISE_V_sqrtHz = Range(low=0.5e-6, high=5e-6, logarithmic=True)
 """0.09 to 0.9 mV rms of a sample at the converter."""
 MAINS_mV = Range(low=0.0, high=0.5)
@@ -89,16 +87,19 @@ def drawn(kind: WireKind, seed: int, limit: Limit | None) -> WireTrial:
     assert limit is not None or not needs_limit(kind)
     common = np.random.default_rng([seed, 100])
     own = np.random.default_rng([seed, WIRE_KINDS.index(kind)])
-    static, ratio = STATIC_COEFFICIENT.draw(common), FRICTION_RATIO.draw(common)
+    static, ratio = (
+        POPULATION.static_coefficient.draw(common),
+        POPULATION.friction_ratio.draw(common),
+    )
     force_N, tick_Hz = FORCE_N.draw(common), round(TICK_Hz.draw(common))
     noise_V = NOISE_V_sqrtHz.draw(common)
     world: dict[str, Any] = {
         "contact": {
-            "relaxation_time_ms": _digits(RELAXATION_ms.draw(common)),
+            "relaxation_time_ms": _digits(POPULATION.relaxation_time_ms.draw(common)),
             "friction": {
                 "static_coefficient": _digits(static),
                 "kinetic_coefficient": _digits(static * ratio),
-                "weakening_distance_um": _digits(WEAKENING_um.draw(common)),
+                "weakening_distance_um": _digits(POPULATION.weakening_distance_um.draw(common)),
             },
         },
         "strip_input": {
