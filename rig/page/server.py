@@ -403,8 +403,8 @@ def serve(state: PageState, port: int, ready: Callable[[str], None]) -> None:
             ws="none",
         )
     )
-    # A page that a script starts in the background inherits that Ctrl-C is ignored. The server ends by
-    # it all the same, and then the page has to say so by its exit code.
+    # A page that a script starts in the background inherits that Ctrl-C is ignored. The server ends
+    # by it all the same, and then the page has to say so by its exit code.
     signal.signal(signal.SIGINT, signal.default_int_handler)
     ready(f"http://127.0.0.1:{listening.getsockname()[1]}/")
     try:
