@@ -156,6 +156,12 @@ class Server:
         """Wait until a command has ended, no longer than this."""
         select.select([self._control], [], [], at_most_s)
 
+    def processor_time_s(self) -> float:
+        """Return the processor time in s of all commands that have ended, with what they waited for
+        themselves."""
+        numbers = Path(f"/proc/{self._process.pid}/stat").read_text().rpartition(")")[2].split()
+        return (int(numbers[13]) + int(numbers[14])) / os.sysconf("SC_CLK_TCK")
+
     def close(self) -> None:
         """End the server. Commands that run are left alone."""
         self._control.close()
@@ -231,6 +237,19 @@ def _import_without_a_thread() -> None:
     from compiled_kernels import call_kernels
 
     call_kernels()
+    _make_simulators()
+
+
+def _make_simulators() -> None:
+    """Make the simulated instruments once, as far as they need no thread and no port: the 160
+    expressions of their command tables stay compiled."""
+
+    from drivers.simulated.bench.mounted import Instruments
+    from drivers.simulated.bench.options import Options
+    from drivers.simulated.faults.plan import FaultPlan
+    from drivers.simulated.world.world import World, WorldSettings
+
+    Instruments(World(WorldSettings(), 0, True, None, ()), Options(), FaultPlan())
 
 
 def _report_ended(control: socket.socket) -> None:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import random
 from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import Any, get_args
 
 from drivers.simulated.faults.plan import (
@@ -25,7 +24,7 @@ from drivers.simulated.faults.plan import (
 )
 
 from .invariants import PRESSED_N, Ran
-from .trials import Trial, world_of
+from .trials import ON_A_LINE, STAGES, Trial, world_of
 
 KINDS = tuple(
     kind
@@ -33,13 +32,6 @@ KINDS = tuple(
     for kind in get_args(fault.model_fields["kind"].annotation)
 )
 """Faults of the wire that need no time to pass: a bench in virtual time stands still meanwhile."""
-STAGES = ("festo", "az", "festo-az", "az-festo")
-ON_A_LINE = {
-    "festo": (),
-    "az": (STAGE_Z, STAGE_X),
-    "festo-az": (STAGE_X,),
-    "az-festo": (STAGE_Z,),
-}
 LINKS = {
     "sweep": (GENERATOR, DAQ, STAGE_Z, FORCE_SENSOR, FORCE_STREAM),
     "slip-trial": (DAQ, STAGE_Z, STAGE_X, FORCE_SENSOR, FORCE_STREAM),
@@ -61,23 +53,8 @@ MOST_REQUESTS = 20
 """Within how many requests of a moment an attack begins."""
 
 
-@dataclass(frozen=True)
-class Attack:
-    """One fault on one link."""
-
-    stages: str
-    trial: Trial
-
-    @property
-    def told(self) -> str:
-        """The attack in words."""
-        (fault,) = self.trial.faults
-        keys = " ".join(f"{k}={v}" for k, v in fault.items() if k not in ("device", "kind"))
-        return f"{self.trial.procedure} {self.stages} {fault['device']} {fault['kind']} {keys}"
-
-
-def attack(seed: int) -> Attack:
-    """The attack of a seed."""
+def attack(seed: int) -> Trial:
+    """The attack of a seed: a trial with one fault."""
     chance = random.Random(f"attack {seed}")
     procedure = chance.choice(("slip-trial", "slip-trial", "sweep", "roll-trial"))
     stages = chance.choice(STAGES)
@@ -95,7 +72,7 @@ def attack(seed: int) -> Attack:
     if kind == "flip":
         fault |= {"byte": chance.randint(-6, 20), "bit": chance.randint(0, 7)}
     arguments = (procedure, *OPTIONS[procedure], "--stages", stages, "--seed", str(seed % 1000))
-    return Attack(stages, Trial(seed, arguments, world_of(procedure, [fault]), (fault,)))
+    return Trial(seed, arguments, world_of(procedure, [fault]), (fault,))
 
 
 def _moment(chance: random.Random, procedure: str) -> dict[str, Any]:
@@ -123,18 +100,3 @@ def left_pressed(ran: Ran) -> Iterator[str]:
     for last_N in ran.values("last-force"):
         if last_N > PRESSED_N and not lasts:
             yield f"{last_N:.3g} N are pressed at the end, although z could be reached"
-
-
-def pressed_after_s(ran: Ran) -> float | None:
-    """Return how long the object was pressed after the fault, s of bench time; None where it was
-    not pressed then, or where the World saw no lift."""
-    injected = [x["t_us"] for x in ran.log if x["what"] == "injected"]
-    down = [x["value"]["at_us"] for x in ran.log if x["what"] == "touch-down"]
-    up = [x["value"]["at_us"] for x in ran.log if x["what"] == "lift-off"]
-    if not injected:
-        return None
-    at_us = injected[0]
-    lifted = [t for t in up if t >= at_us]
-    if not any(t <= at_us for t in down) or not lifted or any(at_us < t < lifted[0] for t in down):
-        return None
-    return (lifted[0] - at_us) * 1e-6

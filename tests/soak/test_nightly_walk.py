@@ -17,10 +17,10 @@ from forked_rig import server
 
 from drivers.simulated.faults.plan import devices_by_fault
 
-from .attacks import KINDS, LINKS, ON_A_LINE, OPTIONS, STAGES, left_pressed
+from .attacks import KINDS, LINKS, OPTIONS, left_pressed
 from .invariants import breaches
 from .running import run
-from .trials import Trial, world_of
+from .trials import ON_A_LINE, STAGES, Trial, world_of
 
 pytestmark = [pytest.mark.nightly, pytest.mark.timeout(0)]
 

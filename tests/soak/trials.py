@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import random
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -15,6 +15,7 @@ from drivers.simulated.faults.plan import (
     ROTARY,
     STAGE_X,
     STAGE_Z,
+    devices_by_fault,
 )
 
 Fault = dict[str, Any]
@@ -36,6 +37,16 @@ TALLER = "taller-object"
 TALLER_SHARE = 0.05
 TALLER_mm = (10.2, 11.9)
 """Between the place where z of a simulated bench begins and the earliest contact stated."""
+
+STAGES = ("festo", "az", "festo-az", "az-festo")
+ON_A_LINE = {
+    "festo": (),
+    "az": (STAGE_Z, STAGE_X),
+    "festo-az": (STAGE_X,),
+    "az-festo": (STAGE_Z,),
+}
+"""Stages on the serial line, by combination."""
+WIDE_SLIP_SHARE, WIDE_ROLL_SHARE = 0.3, 0.2
 
 REQUESTS = {
     "generator": 60,
@@ -74,6 +85,23 @@ class Trial:
         return self.arguments[0]
 
     @property
+    def stages(self) -> str:
+        """Kinds of the drives of z and x."""
+        where = self.arguments.index("--stages") if "--stages" in self.arguments else None
+        return STAGES[0] if where is None else self.arguments[where + 1]
+
+    @property
+    def told(self) -> str:
+        """The trial in words."""
+        words = [
+            " ".join(str(v) if k in ("device", "kind") else f"{k}={v}" for k, v in fault.items())
+            for fault in self.faults
+        ]
+        if self.contact_mm is not None:
+            words.append(f"{TALLER} at {self.contact_mm} mm")
+        return f"{self.procedure} {self.stages}: {'; '.join(words)}"
+
+    @property
     def limit_N(self) -> float:  # noqa: N802 - the unit keeps its capital
         """The force limit of the program."""
         return SWEEP_LIMIT_N if self.procedure == "sweep" else SKIN_LIMIT_N
@@ -88,6 +116,8 @@ KINDS = tuple(kind for kind in DEVICES_BY_FAULT if kind not in ("late", "flip", 
 """All but those that were added after the first seeds were recorded: a seed means what it meant.
 A late answer is no fault in virtual time, which stops meanwhile; `tests/drivers` and
 `tests/safety_contract` flip bits."""
+WIDE_KINDS = tuple(kind for kind in DEVICES_BY_FAULT if kind != "late")
+"""Of `draw_wide`."""
 ROTARY_KINDS = tuple(kind for kind, able in DEVICES_BY_FAULT.items() if set(able) == {ROTARY})
 """That befall roll trials alone."""
 
@@ -112,6 +142,32 @@ def draw(seed: int, slip_share: float = 0.15, roll_share: float = 0.05) -> Trial
     contact_mm = round(chance.uniform(*TALLER_mm), 2) if chance.random() < TALLER_SHARE else None
     world = world_of(arguments[0], faults, contact_mm)
     return Trial(seed, (*arguments, "--seed", str(seed % 1000)), world, tuple(faults), contact_mm)
+
+
+def draw_wide(seed: int) -> Trial:
+    """The trial of a seed in the series that has every combination of stages, every kind of fault
+    but late answers, and slips and rolls as often as sweeps."""
+    chance = random.Random(f"wide {seed}")
+    stages = chance.choice(STAGES)
+    which = chance.random()
+    rotary_share = 0.0
+    if which < WIDE_SLIP_SHARE:
+        arguments, absent = _slip(chance), {"generator", ROTARY}
+    elif which < WIDE_SLIP_SHARE + WIDE_ROLL_SHARE:
+        arguments, absent = _roll(chance), {"generator"}
+        rotary_share = 0.3
+    else:
+        arguments, absent = _sweep(chance), {STAGE_X, ROTARY}
+    able = devices_by_fault(ON_A_LINE[stages])
+    faults = []
+    for _ in range(chance.choice((1, 1, 1, 2, 3))):
+        only_rotary = chance.random() < rotary_share
+        away = {*DEVICES} - {ROTARY} if only_rotary else absent
+        faults.append(fault(chance, away, able, WIDE_KINDS))
+    contact_mm = round(chance.uniform(*TALLER_mm), 2) if chance.random() < TALLER_SHARE else None
+    world = world_of(arguments[0], faults, contact_mm)
+    arguments = (*arguments, "--stages", stages, "--seed", str(seed % 1000))
+    return Trial(seed, arguments, world, tuple(faults), contact_mm)
 
 
 def world_of(procedure: str, faults: Sequence[Fault], contact_mm: float | None = None) -> str:
@@ -189,10 +245,16 @@ def _roll(chance: random.Random) -> tuple[str, ...]:
     )  # fmt: skip
 
 
-def fault(chance: random.Random, absent: set[str]) -> Fault:
-    """A fault of any kind that befalls a device which is not `absent`."""
-    kind = chance.choice([kind for kind in KINDS if set(DEVICES_BY_FAULT[kind]) - absent])
-    device = chance.choice([name for name in DEVICES_BY_FAULT[kind] if name not in absent])
+def fault(
+    chance: random.Random,
+    absent: set[str],
+    able: Mapping[str, Sequence[str]] = DEVICES_BY_FAULT,
+    kinds: Sequence[str] = KINDS,
+) -> Fault:
+    """A fault of one of the kinds that befalls a device which is not `absent`; `able` are the
+    devices that each can befall."""
+    kind = chance.choice([kind for kind in kinds if set(able[kind]) - absent])
+    device = chance.choice([name for name in able[kind] if name not in absent])
     return {"device": device, "kind": kind, **_KEYS.get(kind, _reply)(chance, device)}
 
 
@@ -227,6 +289,9 @@ def _timed(chance: random.Random, device: str) -> Fault:
 _KEYS: dict[str, Callable[[random.Random, str], Fault]] = {
     "error": _error,
     "refused": lambda chance, device: {"at": chance.randint(1, 4)},
+    "flip": lambda chance, device: {
+        **_reply(chance, device), "byte": chance.randint(-6, 20), "bit": chance.randint(0, 7),
+    },
     **dict.fromkeys(
         (
             *("stuck", "runaway", "limit-switch", "reference-lost"),
