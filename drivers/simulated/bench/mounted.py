@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     )
     from drivers.simulated.instruments.festo_cmmt import CmmtDrive
     from drivers.simulated.instruments.force_sensor import ForceSensorCore
+    from drivers.simulated.instruments.keysight_u2300a import KeysightU2300A
     from drivers.simulated.instruments.oriental_az import AzDrive
     from drivers.simulated.instruments.zaber_rst import SimulatedRotaryStage
     from drivers.simulated.transports.scpi_servers import HislipServer, ScpiSocketServer
@@ -90,6 +91,8 @@ class Instruments:
         self._own: dict[str, tuple[InstrumentCore, PtyServer | InstrumentTcpServer]] = {}
         """Simulators of other packages with their servers, by role."""
         self.generator = None if self._skin else self._make_generator()
+        self.converter: KeysightU2300A | None = None
+        """The DAQ that converts while time passes; None for one of another package."""
         self.daq = self._make_daq()
         self.rotary = self._make_rotary() if options.fixture == HEAD else None
         self.turning = None if self.rotary is None else self._serve_rotary(self.rotary)
@@ -151,6 +154,7 @@ class Instruments:
 
         samples = settings.daq_buffer_samples
         daq = KeysightU2300A(settings.daq_model, world, world, buffer_samples=samples)
+        self.converter = daq
         world.on_fault(DAQ, lambda fault, t_us: daq.overrun())
         return HislipServer(daq, faults=self._wire(DAQ, SCPI_DIALECT))
 

@@ -65,6 +65,8 @@ async def serve(options: Options, ready: Callable[[dict[str, Any]], None]) -> No
         if bench.rotary is not None:
             bench.rotary.settle(world.now_us)
         world.settle()
+        if bench.converter is not None:
+            bench.converter.settle()
 
     def after_time_passed() -> None:
         settle()

@@ -59,6 +59,11 @@ class StartedBench:
             self._process.stdin.write(json.dumps(asdict(options)).encode() + b"\n")
             self._process.stdin.flush()
 
+    @property
+    def pid(self) -> int:
+        """Number of the process."""
+        return self._process.pid
+
     def ready(self) -> dict[str, Any]:
         """Wait until the bench listens: ``control_port``, ``bench_toml``, ``recorded_toml``."""
         assert self._process.stdout is not None

@@ -60,6 +60,11 @@ DIGITAL_BITS = {501: 8, 502: 8, 503: 4, 504: 4}
 be read while an acquisition runs (UNCONFIRMED)."""
 
 
+CONVERTED_ROWS = 32_768
+"""Rows of a single shot that are converted at once while time passes: some 10 ms of processor
+time."""
+
+
 class Terminals(AnalogueInputPort, DigitalInputPort, Protocol):
     """The signals at the unit's terminals."""
 
@@ -188,6 +193,8 @@ class KeysightU2300A(ScpiInstrument):
         self._log = log
         self._name = name
         self._acquisition: SimulatedAcquisition | None = None
+        self._converted: list[npt.NDArray[np.int16]] = []
+        """Words of the present single shot that `settle` has converted, `CONVERTED_ROWS` each."""
         self._defaults()
         super().__init__(
             ("Agilent Technologies", model, "SIMULATED", "A.2010.01.01"), self._commands()
@@ -444,6 +451,7 @@ class KeysightU2300A(ScpiInstrument):
 
     def _begin(self, by: str, continuous: bool) -> None:
         self._refuse_while_running()
+        self._converted = []
         self._acquisition = SimulatedAcquisition(
             number=self._port.begin_acquisition(),
             start_us=self._port.now_us,
@@ -461,6 +469,23 @@ class KeysightU2300A(ScpiInstrument):
         if self._acquisition is not None:
             self._log.log(self._name, "acquisition", why, by)
         self._acquisition = None
+        self._converted = []
+
+    def settle(self) -> None:
+        """Convert what is due of a single shot, as a real converter does while it samples.
+
+        Called while time passes. A record of 20 s that was converted only when it is read would
+        keep the client waiting for all of it at once, beyond its time-out on a busy computer.
+        """
+        acquisition = self._acquisition
+        if acquisition is None or acquisition.continuous:
+            return
+        taken = acquisition.taken(self._port.now_us)
+        while taken >= (first := self._rows_converted()) + CONVERTED_ROWS:
+            self._converted.append(self._samples_of(acquisition, first, CONVERTED_ROWS))
+
+    def _rows_converted(self) -> int:
+        return len(self._converted) * CONVERTED_ROWS
 
     def _caught_up(self) -> SimulatedAcquisition | None:
         """Return the acquisition as it is now; a full buffer has stopped it and lost its data."""
@@ -511,7 +536,10 @@ class KeysightU2300A(ScpiInstrument):
             self.report(ScpiError(-230, "not acquired yet"))
             return ScpiBlock(b"")
         self._acquisition = replace(acquisition, read=first + acquisition.points)
-        words = self._samples_of(acquisition, first)
+        # A block of a stream is not converted before; a single shot is up to its last rows.
+        ready = 0 if acquisition.continuous else self._rows_converted()
+        rest = self._samples_of(acquisition, first + ready, acquisition.points - ready)
+        words = np.concatenate([*self._converted, rest]) if ready else rest
         codes = np.right_shift(words, 16 - self.model.bits).astype("<i2")
         handed_out = {
             "acquisition": acquisition.number,
@@ -522,14 +550,16 @@ class KeysightU2300A(ScpiInstrument):
         self._log.log(self._name, "block", handed_out, call.by)
         return ScpiBlock(words.astype("<i2").tobytes())
 
-    def _samples_of(self, acquisition: SimulatedAcquisition, first: int) -> npt.NDArray[np.int16]:
+    def _samples_of(
+        self, acquisition: SimulatedAcquisition, first: int, rows: int
+    ) -> npt.NDArray[np.int16]:
         volts = self._port.volts(
             acquisition.number,
             acquisition.channels,
             acquisition.start_us,
             float(acquisition.rate_S_s),
             first,
-            acquisition.points,
+            rows,
             acquisition.skew_s,
         )
         words = np.empty(volts.shape, np.int16)

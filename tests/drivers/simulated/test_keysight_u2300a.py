@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from drivers.simulated.instruments.keysight_u2300a import (
     BUFFER_SAMPLES,
+    CONVERTED_ROWS,
     MODELS,
     KeysightU2300A,
     codes_of_volts,
@@ -22,6 +23,11 @@ from .ideal import IdealBench, Talk
 @pytest.fixture
 def bench() -> IdealBench:
     return IdealBench()
+
+
+def unit_of(user: Talk) -> KeysightU2300A:
+    assert isinstance(user.instrument, KeysightU2300A)
+    return user.instrument
 
 
 def user_of(bench: IdealBench, model: str = "U2331A") -> Talk:
@@ -248,3 +254,39 @@ def test_every_model_of_the_family_takes_its_own_maximum(bench: IdealBench) -> N
         say = user_of(bench, name)
         assert say("ACQ:SRAT MAX;:ACQ:SRAT?") == str(model.single_rate_S_s)
         assert say("*RST;ACQ:SRAT?;:ACQ:POIN?;:WAV:POIN?") == "1000;500;500"
+
+
+def test_a_long_single_shot_is_converted_while_time_passes_and_not_when_it_is_read(
+    say: Talk, bench: IdealBench
+) -> None:
+    asked: list[int] = []
+
+    def wave(terminal: int, time_s: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        asked.append(time_s.size)
+        return np.sin(40 * time_s + terminal)
+
+    bench.wave = wave
+    unit, rows = unit_of(say), 5 * CONVERTED_ROWS + 123
+    say(f"ROUT:SCAN (@101,102);:ACQ:SRAT 64000;:ACQ:POIN {rows};:DIG")
+    while say("WAV:COMP?") == "NO":
+        bench.now_us += 20_000
+        unit.settle()
+    asked.clear()
+    words = read_words(say, 2)
+    assert len(words) == rows
+    assert max(asked) < CONVERTED_ROWS  # it was all of the record, and a client waited for it
+
+
+def test_words_do_not_depend_on_when_they_were_converted(bench: IdealBench) -> None:
+    bench.wave = lambda terminal, time_s: np.sin(40 * time_s + terminal)
+    patient, hasty = user_of(bench), user_of(bench)
+    for user in (patient, hasty):
+        user(f"ROUT:SCAN (@101,102);:ACQ:SRAT 64000;:ACQ:POIN {2 * CONVERTED_ROWS + 5};:DIG")
+    for bench.now_us in range(0, 1_200_000, 10_000):
+        unit_of(patient).settle()
+    np.testing.assert_array_equal(read_words(patient, 2), read_words(hasty, 2))
+    for user in (patient, hasty):  # a further record has nothing of the one before
+        user("DIG")
+    bench.now_us += 1_200_000
+    unit_of(patient).settle()
+    np.testing.assert_array_equal(read_words(patient, 2), read_words(hasty, 2))

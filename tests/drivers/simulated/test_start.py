@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
 
+from drivers.shared.visa_link import VisaLink
 from drivers.simulated.bench import start as simulated
+from rig.core.clock import ControlLink, SlavedClock
 from rig.core.errors import ConfigurationError
 
 PATIENCE_S = 30.0
@@ -35,3 +39,32 @@ def test_no_process_is_started_for_a_fault_plan_that_is_wrong(
     with pytest.raises(ConfigurationError, match="kettle"):
         simulated.start({"fault": str(plan), "results": str(tmp_path)})
     assert started == []
+
+
+def processor_time_s(pid: int) -> float:
+    """Processor time of a process so far, in s."""
+    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def test_a_long_record_is_computed_while_its_time_passes_and_not_while_the_link_waits(
+    tmp_path: Path,
+) -> None:
+    bench = simulated.start({"results": str(tmp_path)})
+    ready = bench.ready()
+    clock = SlavedClock(ControlLink(ready["control_port"]))
+    table = tomllib.loads(ready["bench_toml"])["daq"]
+    link = VisaLink("daq", table["resource"], PATIENCE_S, clock)
+    try:
+        link.command("ROUT:SCAN (@101,102)", "ACQ:SRAT 64000", "ACQ:POIN 640000", "DIG")
+        begun_s = processor_time_s(bench.pid)
+        clock.sleep(10.1)
+        passed_s = processor_time_s(bench.pid)
+        content = link.query_block("WAV:DATA?", 2 * 2 * 640_000)
+        read_s = processor_time_s(bench.pid)
+    finally:
+        link.close()
+        clock.close()
+        bench.wait()
+    assert len(content) == 2 * 2 * 640_000
+    assert read_s - passed_s < 0.25 * (read_s - begun_s)
