@@ -37,6 +37,9 @@ FRICTION = 2.5
 least rise that is judged while the force is held."""
 ENOUGH, KEPT = 3, 30
 """Fewest readings that a mean is taken of, and number of the latest ones that are used."""
+FLAT, FLAT_N = 10, 2.0
+"""Number of readings, all alike to the last bit, and least force in N that they would have shown:
+an AZ reports its torque in steps of 0.1 %, about 0.1 N."""
 HIDDEN_SHARE = 0.75
 """Share of the torque limit beyond which a margin leaves nothing to watch."""
 SUSPECT = (
@@ -72,6 +75,9 @@ class TorqueWatch:
         """First readings under the held force."""
         self._held_N = 0.0
         self._reported = False
+        self._shown: set[float | None] = set()
+        """Different values that were read so far, until there are two."""
+        self._readings = 0
 
     def is_due(self) -> bool:
         """Return whether the torque is to be read again."""
@@ -85,6 +91,9 @@ class TorqueWatch:
             return
         self._read_at_s = self._run.clock.now()
         self.latest_percent, self._fresh = self._stage.torque_percent(), True
+        if len(self._shown) < 2:
+            self._shown.add(self.latest_percent)
+        self._readings += 1
         if self.latest_percent is None:
             self._stage = None
             self._report("stage_z reports no torque: only its torque limit is behind the force")
@@ -125,6 +134,12 @@ class TorqueWatch:
     def hold_begins(self, force_N: float) -> None:
         """Compare with the readings from here on, in which the sensor reads `force_N`."""
         self._held, self._held_N = [], force_N
+        if self._readings >= FLAT and len(self._shown) == 1 and abs(force_N) >= FLAT_N:
+            self._report(
+                f"stage_z shows the same torque, {self.latest_percent:.3g} %, in free air and "
+                f"under {force_N:.2g} N: it is no witness, only its torque limit is behind the "
+                "force sensor; check the torque that the drive reports"
+            )
         if self._stage is not None and self._hold_margin_percent() > self._hidden_percent:
             self._report(
                 f"the friction of stage_z, {self._friction_percent():.2g} % of its torque, hides "

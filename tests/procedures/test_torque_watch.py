@@ -197,3 +197,17 @@ def go_down(bench: Bench, torque: WayTorque) -> None:
         bench.now_s += TICK_S
         bench.mm += SPEED_mm_s * TICK_S
         torque.refuse_rise(0.0)
+
+
+@pytest.mark.parametrize(("shown_percent", "warnings"), [(0.0, 1), (None, 0)])
+def test_a_torque_that_never_changes_is_no_witness_and_is_reported(
+    shown_percent: float | None, warnings: int
+) -> None:
+    """What the drive reports is 0 % in free air and under 8 N; or, the second time, the torque."""
+    bench = Bench(1.0)
+    if shown_percent is not None:
+        bench.torque_percent = lambda: shown_percent  # type: ignore[method-assign]
+    held(bench)
+    reported = [text for text in bench.events if "the same torque, 0 %, in free air" in text]
+    assert len(reported) == warnings
+    assert all("under 8 N" in text for text in reported)

@@ -55,6 +55,56 @@ def test_a_dead_sensor_is_named_by_the_torque_before_the_force_limit_is_reached(
         assert pressed_for_s(rig) < 3.0
 
 
+WRONG_TORQUE = '[[fault]]\ndevice = "stage_z"\nkind = "wrong-torque"\n{keys}\n'
+DEAD = '[[fault]]\ndevice = "force_sensor"\nkind = "dead-noisy"\n'
+
+
+def run_with(rig, procedure, plan):
+    """A run under a whole fault plan; the World notes the largest true force."""
+    own, options, _, _ = PROCEDURES[procedure]
+    return rig.run(
+        procedure, "--json", "--no-figures", "--world-log", str(rig.world_log),
+        "--fault", rig.fault(plan), "--world", rig.world(f"{own}{WATCHED.format(limit_N=100.0)}"),
+        *options,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("procedure", "keys", "said"),
+    [
+        ("sweep", 'shows = "zero"', True),
+        *(
+            pytest.param(*case, marks=pytest.mark.thorough)
+            for case in (
+                ("slip-trial", 'shows = "zero"', True),
+                ("slip-trial", 'shows = "scaled"\nfactor = 0.1', False),
+                ("roll-trial", 'shows = "frozen"\nmove = 1', True),
+            )
+        ),
+    ],
+)
+def test_a_torque_that_does_not_belong_to_the_force_ends_no_run_and_is_said_where_it_never_changes(
+    rig, procedure, keys, said
+):
+    ended = run_with(rig, procedure, WRONG_TORQUE.format(keys=keys))
+    assert ended.code == 0, ended.stderr
+    assert ("shows the same torque" in ended.stderr) == said, ended.stderr
+    assert largest_N(rig) < PROCEDURES[procedure][3]
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("procedure", ["sweep", "slip-trial"])
+def test_behind_a_dead_sensor_and_a_wrong_torque_the_torque_limit_bounds_the_force(rig, procedure):
+    """Two witnesses that are silent at once: the stage is held, and z goes up."""
+    plan = WRONG_TORQUE.format(keys='shows = "zero"') + DEAD
+    ended = run_with(rig, procedure, plan)
+    assert ended.code == 3, ended.stderr
+    assert "as if it pressed with all its torque limit allows" in ended.errors[0]
+    assert largest_N(rig) <= PROCEDURES[procedure][2] + 0.5
+    last_N = [entry["value"] for entry in rig.log() if entry["what"] == "last-force"]
+    assert last_N == [0.0]
+
+
 @pytest.mark.parametrize(
     ("after_s", "largest"), [(0.8, 0.0), pytest.param(1.2, 15.0, marks=pytest.mark.thorough)]
 )

@@ -96,7 +96,11 @@ def left_pressed(ran: Ran) -> Iterator[str]:
     """What is pressed at the end although the fault was over, or a new connection without it: said
     or not, it could have been lifted."""
     (fault,) = ran.trial.faults
-    lasts = fault.get("count") == 0 and "for_s" not in fault and fault["kind"] != "half-open"
+    on_a_line = fault["device"] in (*ON_A_LINE[ran.trial.stages], ROTARY, FORCE_SENSOR)
+    if fault["kind"] == "half-open":
+        lasts = on_a_line  # elsewhere a new connection reaches the instrument
+    else:
+        lasts = fault.get("count") == 0 and "for_s" not in fault
     for last_N in ran.values("last-force"):
         if last_N > PRESSED_N and not lasts:
             yield f"{last_N:.3g} N are pressed at the end, although z could be reached"

@@ -12,6 +12,7 @@ from drivers.simulated.faults.plan import (
     DEVICES,
     DEVICES_BY_FAULT,
     FORCE_STREAM,
+    ON_TCP,
     ROTARY,
     STAGE_X,
     STAGE_Z,
@@ -112,10 +113,16 @@ class Trial:
         return as_toml(self.faults)
 
 
-KINDS = tuple(kind for kind in DEVICES_BY_FAULT if kind not in ("late", "flip", "before-last"))
+LATER_KINDS = ("late", "flip", "before-last", "wrong-torque")
+KINDS = tuple(kind for kind in DEVICES_BY_FAULT if kind not in LATER_KINDS)
 """All but those that were added after the first seeds were recorded: a seed means what it meant.
 A late answer is no fault in virtual time, which stops meanwhile; `tests/drivers` and
 `tests/safety_contract` flip bits."""
+EARLIER_DEVICES: dict[str, tuple[str, ...]] = {
+    **DEVICES_BY_FAULT,
+    **dict.fromkeys(("reset", "half-open"), ON_TCP),
+}
+"""The devices of each kind when the first seeds were recorded."""
 WIDE_KINDS = tuple(kind for kind in DEVICES_BY_FAULT if kind != "late")
 """Of `draw_wide`."""
 ROTARY_KINDS = tuple(kind for kind, able in DEVICES_BY_FAULT.items() if set(able) == {ROTARY})
@@ -180,7 +187,7 @@ def world_of(procedure: str, faults: Sequence[Fault], contact_mm: float | None =
     limit_N = SWEEP_LIMIT_N if on_film else SKIN_LIMIT_N
     kinds = {fault["kind"] for fault in faults}
     watch: dict[str, float] = {"force_limit_N": limit_N}
-    if kinds & {*UNNOTICED}:
+    if kinds & {*UNNOTICED} or kinds >= {"dead-noisy", "wrong-torque"}:
         watch["force_limit_N"] = TORQUE_LIMIT_N[limit_N] + 0.5
     if "dead-noisy" in kinds:
         watch |= {"reaction_s": DEAD_S, "longest_over_s": DEAD_S}
@@ -248,7 +255,7 @@ def _roll(chance: random.Random) -> tuple[str, ...]:
 def fault(
     chance: random.Random,
     absent: set[str],
-    able: Mapping[str, Sequence[str]] = DEVICES_BY_FAULT,
+    able: Mapping[str, Sequence[str]] = EARLIER_DEVICES,
     kinds: Sequence[str] = KINDS,
 ) -> Fault:
     """A fault of one of the kinds that befalls a device which is not `absent`; `able` are the
@@ -299,6 +306,10 @@ _KEYS: dict[str, Callable[[random.Random, str], Fault]] = {
         ),
         _move,
     ),
+    "wrong-torque": lambda chance, device: {
+        **_move(chance, device), "shows": chance.choice(("zero", "frozen", "scaled")),
+        "factor": round(math.exp(chance.uniform(-2.5, 2.5)), 3),
+    },
     "drive-fault": lambda chance, device: {
         **_move(chance, device), "code": chance.choice((58, 126, 391)),
     },

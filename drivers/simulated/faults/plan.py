@@ -49,7 +49,8 @@ INTERLOCK = "interlock"
 """The contacts of the bench; a fault says which one by its name."""
 STAGES = (STAGE_Z, STAGE_X)
 ON_TCP = (GENERATOR, DAQ, *STAGES)
-ON_A_WIRE = (*ON_TCP, ROTARY, FORCE_SENSOR, FORCE_STREAM)
+ANSWERING = (*ON_TCP, ROTARY, FORCE_SENSOR)
+ON_A_WIRE = (*ANSWERING, FORCE_STREAM)
 DEVICES = (*ON_A_WIRE, INTERLOCK, CLOCK, DISK)
 LONGEST_AFTER_s = 36_000.0
 
@@ -137,7 +138,8 @@ class WireFault(ReplyFault):
     front of which it arrives late; ``before-last`` sends the connection's reply before the last one
     once more instead, if there is one; ``checksum`` spoils its check; ``close`` ends the connection
     in its place, ``reset`` breaks it; ``half-open`` leaves it open while nothing answers any
-    more."""
+    more. A serial port has no connections: ``close`` unplugs it and plugs it in again, ``reset``
+    takes it away for a while, and behind ``half-open`` the line stays cut."""
 
 
 class LateReply(ReplyFault):
@@ -209,6 +211,17 @@ class WrongPosition(Placed):
 
     kind: Literal["wrong-position"]
     by_mm: float = Field(default=2.0, ge=-1000, le=1000)
+
+
+class WrongTorque(Placed):
+    """The drive shows a torque that does not belong to the force, from then on; what limits its
+    torque is not affected."""
+
+    kind: Literal["wrong-torque"]
+    shows: Literal["zero", "frozen", "scaled"] = "zero"
+    """None at all, the value of the moment at which it begins, or a multiple."""
+    factor: float = Field(default=0.1, ge=0.001, le=1000)
+    """The multiple that ``scaled`` shows."""
 
 
 class DriveFault(Placed):
@@ -358,7 +371,7 @@ class SlowSync(Settings):
 
 # --- the plan ---------------------------------------------------------------------------------
 
-MoveFault = AxisFault | DriveFault | SlowAxis | StaleStatus | WrongPosition
+MoveFault = AxisFault | DriveFault | SlowAxis | StaleStatus | WrongPosition | WrongTorque
 RotaryFault = AxisFault | SlowAxis | RaisedFlag | TurnedKnob
 ConverterFault = SensorFault | StuckSensorAxis | WrongValue | EarlierFrames
 """A fault in the force sensor's amplifier, which its simulator carries out."""
@@ -372,17 +385,18 @@ Fault = WireKind | MoveFault | RotaryFault | TimedFault | FileFault
 DEVICES_BY_FAULT: dict[str, tuple[str, ...]] = {
     **dict.fromkeys(("silence", "garbage", "truncate", "stale", "close"), ON_A_WIRE),
     "double": (DAQ, *STAGES, ROTARY, FORCE_SENSOR),
-    "before-last": (DAQ, *STAGES, ROTARY),
-    "late": (*ON_TCP, ROTARY, FORCE_SENSOR),
-    "flip": ON_TCP,
+    "before-last": (DAQ, *STAGES, ROTARY, FORCE_SENSOR),
+    "late": ANSWERING,
+    "flip": ON_A_WIRE,
     "checksum": (ROTARY, FORCE_SENSOR, FORCE_STREAM),
     "error": (*ON_TCP, FORCE_SENSOR),
     "rejected": (ROTARY,),
-    **dict.fromkeys(("reset", "half-open", "refused"), ON_TCP),
+    **dict.fromkeys(("reset", "half-open"), ANSWERING),
+    "refused": ON_TCP,
     **dict.fromkeys(
         ("slow", *get_args(AxisFault.model_fields["kind"].annotation)), (*STAGES, ROTARY)
     ),
-    **dict.fromkeys(("drive-fault", "stale-status", "wrong-position"), STAGES),
+    **dict.fromkeys(("drive-fault", "stale-status", "wrong-position", "wrong-torque"), STAGES),
     **dict.fromkeys(("warning-flag", "knob"), (ROTARY,)),
     **dict.fromkeys(("spike", "saturated", "frozen"), (FORCE_SENSOR,)),
     **dict.fromkeys(("dead-noisy", "one-axis-stuck", "drift"), (FORCE_SENSOR,)),
@@ -398,11 +412,11 @@ DEVICES_BY_FAULT: dict[str, tuple[str, ...]] = {
 
 def devices_by_fault(on_a_line: Sequence[str]) -> dict[str, tuple[str, ...]]:
     """`DEVICES_BY_FAULT` where the stages `on_a_line` are on a serial line."""
-    tcp_only = ("flip", "before-last", "reset", "half-open", "refused")
-    there = {
-        kind: tuple(d for d in DEVICES_BY_FAULT[kind] if d not in on_a_line) for kind in tcp_only
+    return {
+        **DEVICES_BY_FAULT,
+        "checksum": (*DEVICES_BY_FAULT["checksum"], *on_a_line),
+        "refused": tuple(name for name in ON_TCP if name not in on_a_line),
     }
-    return {**DEVICES_BY_FAULT, "checksum": (*DEVICES_BY_FAULT["checksum"], *on_a_line), **there}
 
 
 _WHY_NOT = {
@@ -411,8 +425,8 @@ _WHY_NOT = {
     "error": "its answers carry no error numbers",
     "late": "it is sent without being asked",
     "before-last": "its protocol cannot distinguish an earlier reply from the one that is due",
-    "flip": "its protocol has a checksum, which a flipped bit does not pass",
-    **dict.fromkeys(("reset", "half-open", "refused"), "it is not on a TCP connection"),
+    **dict.fromkeys(("reset", "half-open"), "it is sent without being asked"),
+    "refused": "it is not on a TCP connection",
 }
 F = TypeVar("F")
 

@@ -536,7 +536,7 @@ class CmmtDrive(SimulatedDrive[MoveFault]):
 
     def _torque(self) -> bytes:
         """Return the present torque; none without power."""
-        force_N = self.axis.drive_force_N(self._port.now_us) if self.enabled else 0.0
+        force_N = self._shown_force_N(self._port.now_us) if self.enabled else 0.0
         share = force_N / self.settings.force_at_full_torque_N
         return struct.pack("<f", share * RATED_TORQUE_Nm)
 

@@ -373,7 +373,7 @@ class AzDrive(SimulatedDrive[MoveFault]):
 
     def _torque(self, now: int) -> int:
         """Return the present torque in tenths of a percent; none with an alarm."""
-        force_N = 0.0 if self.alarm else self.axis.drive_force_N(now)
+        force_N = 0.0 if self.alarm else self._shown_force_N(now)
         return round(1000 * force_N / self.settings.force_at_full_current_N)
 
     def _status(self, now: int) -> int:

@@ -31,6 +31,8 @@ TICK_S = 0.001
 """Interval in s at which a server in real time polls whether its instrument has something to send,
 and whether the kernel accepts more of the queue."""
 READ_BYTES = 65536
+GONE_US = 300_000
+"""Bench time in us for which a port is gone that is reset."""
 
 
 class PtyServer:
@@ -39,7 +41,9 @@ class PtyServer:
     `faults` disturb replies, request by request, by device where several are on the line;
     `stream_faults` what the instrument says of its
     own accord, one `pump` that has something counting as one request named ``STREAM``. A fault of
-    kind ``close`` unplugs the port: clients see it vanish, and the path leads to a new one.
+    kind ``close`` unplugs the port: clients see it vanish, and the path leads to a new one. After
+    one of kind ``reset`` there is no port for `GONE_US` of bench time, as while an adapter starts
+    anew; behind one of kind ``half-open`` the line is cut: nothing passes in either direction.
 
     In slaved time the owner of the time calls `pump` after every advance. In real time, from
     `start` or from `set_free` on, the server does that by itself.
@@ -72,6 +76,10 @@ class PtyServer:
         self._ticking: asyncio.Task[None] | None = None
         self._loop: asyncio.AbstractEventLoop | None = None
         self._retry: asyncio.TimerHandle | None = None
+        self._back_us: int | None = None
+        """World time in us at which a port that is gone is there again."""
+        self._cut = False
+        """True behind a half-open line."""
 
     @property
     def path(self) -> str:
@@ -110,6 +118,9 @@ class PtyServer:
 
     def pump(self) -> None:
         """Send what the instrument has to say up to now."""
+        if self._back_us is not None and self._timeline.now_us >= self._back_us:
+            self._back_us = None
+            self._plug_in()
         data = self.instrument.frames_until(self._timeline.now_us)
         if data:
             self._deliver(self._stream_link.exchange(b"STREAM", data), may_be_lost=True)
@@ -147,6 +158,8 @@ class PtyServer:
         self._master = self._slave = -1
         if plug_in:
             self._plug_in()
+        else:  # else it would lead to the next terminal that somebody opens
+            Path(self.path).unlink(missing_ok=True)
         for descriptor in old:
             os.close(descriptor)
 
@@ -156,25 +169,31 @@ class PtyServer:
         except (BlockingIOError, InterruptedError):
             return
         self.pump()  # what fell due before the request goes out before its reply
+        if self._cut:
+            return
         for exchange in self.instrument.exchanges(data, self._name):
-            delivery = self._links[exchange.device].exchange(exchange.request, exchange.reply)
+            link = self._links[exchange.device]
+            delivery = link.exchange(exchange.request, exchange.reply)
+            self._cut = link.half_open
             line_s = exchange.delay_s if self._ticking is not None else 0.0
             if line_s + delivery.after_s:
                 assert self._loop is not None
                 self._loop.call_later(line_s + delivery.after_s, self._deliver, delivery)
             else:
                 self._deliver(delivery)
-            if delivery.close:
-                return  # and with the port went what had been sent after it
+            if delivery.close or self._cut:
+                return  # and with the port or the line went what had been sent after it
 
     def _deliver(self, delivery: Delivery, may_be_lost: bool = False) -> None:
         for reply in delivery.replies:
             self._send(reply.data, may_be_lost)
         if delivery.close:
-            self._unplug(plug_in=True)
+            self._unplug(plug_in=not delivery.reset)
+            if delivery.reset:
+                self._back_us = self._timeline.now_us + GONE_US
 
     def _send(self, data: bytes, may_be_lost: bool) -> None:
-        if self._master < 0:  # a reply that took its time finds the port closed
+        if self._master < 0 or self._cut:  # a reply that took its time finds the port closed
             return
         if may_be_lost and len(self._queue) + len(data) > LONGEST_BACKLOG:
             self.bytes_lost += len(data)

@@ -22,6 +22,7 @@ from drivers.simulated.faults.plan import (
     SlowAxis,
     StaleStatus,
     WrongPosition,
+    WrongTorque,
 )
 from drivers.simulated.ports import DrivePort
 from drivers.simulated.world.axis import Load, Mechanics, SimulatedAxis
@@ -55,6 +56,9 @@ class SimulatedDrive(ABC, Generic[F]):
         """The share of a commanded speed that the axis reaches."""
         self._shows_off_mm = 0.0
         """By how much the position that it shows is off."""
+        self._shown_torque: WrongTorque | None = None
+        """How the torque that it shows is wrong."""
+        self._frozen_N = 0.0
         self._runs_to_mm: float | None = None
         """Position to which a runaway moves instead of its target, until it is stopped."""
         self._schedule = Schedule(faults)
@@ -107,6 +111,14 @@ class SimulatedDrive(ABC, Generic[F]):
     def _apply_own_fault(self, fault: F, t_us: int, velocity_mm_s: float) -> None:
         """Apply a fault of the drive itself: its number, a limit switch, a lost reference."""
 
+    def _shown_force_N(self, t_us: int) -> float:  # noqa: N802 - the unit keeps its capital
+        """Return the force of the drive at a World time, as the torque that it shows has it."""
+        force_N = self.axis.drive_force_N(t_us)
+        if self._shown_torque is None:
+            return force_N
+        shown = {"zero": 0.0, "frozen": self._frozen_N}
+        return shown.get(self._shown_torque.shows, self._shown_torque.factor * force_N)
+
     def _freeze_status(self) -> None:
         """From now on the drive shows the state and the position that it has now."""
         raise NotImplementedError(f"{self._drive_name} shows no status of its own")
@@ -137,6 +149,9 @@ class SimulatedDrive(ABC, Generic[F]):
                 self.axis.move(t_us, slower)
         elif isinstance(fault, WrongPosition):
             self._shows_off_mm = fault.by_mm
+        elif isinstance(fault, WrongTorque):
+            self._frozen_N = self._shown_force_N(t_us)
+            self._shown_torque = fault
         elif isinstance(fault, StaleStatus):
             self._freeze_status()
         elif fault.kind == "stuck":

@@ -17,7 +17,7 @@ import serial
 from drivers.simulated.faults.plan import FaultPlan
 from drivers.simulated.faults.wire import WireFaults
 from drivers.simulated.ports import Exchange
-from drivers.simulated.transports.serial_server import LONGEST_BACKLOG, PtyServer
+from drivers.simulated.transports.serial_server import GONE_US, LONGEST_BACKLOG, PtyServer
 from simulated.ideal import serving
 
 
@@ -184,15 +184,69 @@ def test_an_unplugged_port_vanishes_and_its_path_leads_to_a_new_one() -> None:
             assert port.readline() == b"AGAIN\n"
 
 
+def test_a_port_that_is_reset_is_gone_for_a_while_and_leads_nowhere_meanwhile() -> None:
+    server = PtyServer(parrot := Parrot(), parrot, slaved=True, faults=faults(kind="reset"))
+    with serving(server):
+        with client(server.path) as port:
+            port.write(b"a\n")
+            with pytest.raises((serial.SerialException, OSError)):
+                port.read(1)
+        parrot.now_us = GONE_US - 1
+        in_loop(server, server.pump)
+        assert not os.path.lexists(server.path)
+        parrot.now_us = GONE_US
+        in_loop(server, server.pump)
+        with client(server.path) as port:
+            port.write(b"b\n")
+            assert port.readline() == b"B\n"
+
+
+def test_behind_a_line_that_is_cut_nothing_is_obeyed_on_any_opening_of_the_port() -> None:
+    half_open = faults(kind="half-open", at=2)
+    server = PtyServer(parrot := Parrot(b"x"), parrot, slaved=True, faults=half_open)
+    with serving(server):
+        for asked, heard in ((b"a\nb\nc\n", b"A\n"), (b"d\n", b"")):
+            with client(server.path) as port:
+                port.timeout = 0.2
+                port.write(asked)
+                assert port.read(20) == heard
+        parrot.now_us = 1000
+        in_loop(server, server.pump)
+        assert server.bytes_sent == 2, "what it says of its own accord does not arrive either"
+
+
+def test_an_answer_that_is_late_arrives_after_the_time_for_which_a_client_waits() -> None:
+    late = faults(kind="late", at=1, by_s=0.4)
+    server = PtyServer(parrot := Parrot(), parrot, faults=late)
+    with serving(server), client(server.path) as port:
+        port.timeout = 0.1
+        port.write(b"a\n")
+        assert port.readline() == b""
+        port.timeout = 10
+        assert port.readline() == b"A\n"
+
+
 @pytest.mark.parametrize(
     ("kind", "heard"),
-    [("silence", b"C\n"), ("truncate", b"BBC\n"), ("stale", b"BBB\nC\n")],
+    [
+        ("silence", b"C\n"),
+        ("truncate", b"BBC\n"),
+        ("stale", b"BBB\nC\n"),
+        ("flip", b"BBB\x0bC\n"),
+    ],
 )
 def test_faults_disturb_replies_by_request(kind: str, heard: bytes) -> None:
     server = PtyServer(parrot := Parrot(), parrot, faults=faults(kind=kind, at=2))
     with serving(server), client(server.path) as port:
         port.write(b"a\nbbb\nc\n")
         assert port.read(2 + len(heard)) == b"A\n" + heard
+
+
+def test_the_answer_before_last_comes_once_more() -> None:
+    server = PtyServer(parrot := Parrot(), parrot, faults=faults(kind="before-last", at=3))
+    with serving(server), client(server.path) as port:
+        port.write(b"a\nb\nc\nd\n")
+        assert port.read(8) == b"A\nB\nA\nD\n"
 
 
 def test_faults_disturb_the_stream_batch_by_batch_and_no_reply() -> None:
