@@ -30,6 +30,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "recover": ("rig.cli.files", "recover"),
     "import": ("rig.cli.imports", "import_"),
     "detect": ("rig.cli.detect", "detect"),
+    "detectors": ("rig.cli.detectors", "detectors"),
     "filter": ("rig.cli.low_pass", "filter_"),
     "simulate": ("rig.cli.simulate", "simulate"),
     "jog": ("rig.cli.jog", "jog"),

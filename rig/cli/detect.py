@@ -18,7 +18,7 @@ from rig.detector import DEFAULT_DETECTOR
 if TYPE_CHECKING:
     from rich.progress import Progress, TaskID
 
-    from rig.detector.settings import DetectorSettings
+    from rig.detector.registered import ChosenDetector
     from rig.processing.detection import DetectionFailure, DetectionJob, DetectionResult
 
     Answer = DetectionResult | RigError
@@ -29,11 +29,12 @@ def detect(
     detector: Annotated[
         str,
         typer.Option(
-            help="rig, paper-literal or paper-hp. On the simulated bench (decision 0080) paper-hp "
-            "and paper-literal find 1 slip of 3 in time, hardly any where friction falls by less "
-            "than 15 % or the grip loosens, and alarm falsely in 2 of 100 trials without a slip or "
-            "less; rig finds 2 of 3, alarms early in 4 of 10, and falsely in most holds, "
-            "reversals, tremors and re-grips, because it was trained on the skin model alone. "
+            help="rig, paper-literal, paper-hp, or one of another package (rig detectors). On the "
+            "simulated bench (decision 0080) paper-hp and paper-literal find 1 slip of 3 in time, "
+            "hardly any where friction falls by less than 15 % or the grip "
+            "loosens, and alarm falsely in 2 of 100 trials without a slip or less; rig finds "
+            "2 of 3, alarms early in 4 of 10, and falsely in most holds, reversals, "
+            "tremors and re-grips, because it was trained on the skin model alone. "
             "paper-hp also alarms where the object is let go.",
             metavar="NAME",
         ),
@@ -62,10 +63,10 @@ def detect(
 ) -> None:
     """Find incipient slips in run files and write the results to processed files."""
     with reported(debug, as_json):
-        from rig.cli.detector_settings import detector_settings
+        from rig.cli.detector_settings import detector_with_settings
         from rig.processing.parallel import completed, processors
 
-        wanted = detector_settings(detector, settings)
+        wanted = detector_with_settings(detector, settings)
 
         from rig.processing.detection import DetectionJob, detect_file, prepare
         from rig.processing.identity import detection_digest
@@ -98,10 +99,13 @@ def detect(
             raise typer.Exit(int(code))
 
 
-def literal_remark(wanted: DetectorSettings, answers: Sequence[Answer]) -> str | None:
+def literal_remark(wanted: ChosenDetector, answers: Sequence[Answer]) -> str | None:
     """Return why the paper's literal logic found nothing where it was armed; None where it did, or
     for another logic."""
-    if wanted.logic != "paper-literal":
+    from rig.detector.settings import DetectorSettings
+
+    settings = wanted.settings
+    if not isinstance(settings, DetectorSettings) or settings.logic != "paper-literal":
         return None
     missed = sum(
         answer.events.get("predictive", 0) > 0 and not answer.events.get("incipient slip", 0)
@@ -112,11 +116,11 @@ def literal_remark(wanted: DetectorSettings, answers: Sequence[Answer]) -> str |
         return None
     return (
         f"note: in {counted(missed, 'file')} there was an early warning and v_d stayed below "
-        f"{wanted.fire_mV:g} mV. The paper states no threshold; 30 mV is the lowest that alarms in "
-        "at most 2 % of simulated rolls, and the default simulated slide reaches 28.7 mV. So v_d "
-        "itself does not separate slips from rolls here, which DISAGREES with the paper's 4.3 read "
-        "literally: its high-frequency part does (--detector paper-hp). Another threshold: fire_mV "
-        "in a file for --settings."
+        f"{settings.fire_mV:g} mV. The paper states no threshold; 30 mV is the lowest that alarms "
+        "in at most 2 % of simulated rolls, and the default simulated slide reaches 28.7 mV. So "
+        "v_d itself does not separate slips from rolls here, which DISAGREES with the paper's "
+        "4.3 read literally: its high-frequency part does (--detector paper-hp). Another "
+        "threshold: fire_mV in a file for --settings."
     )
 
 

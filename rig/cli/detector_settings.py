@@ -1,8 +1,9 @@
-"""Parameters of a detector from its name and a TOML file that overrides some of them."""
+"""A detector from its name and a TOML file that overrides some of its parameters."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -10,8 +11,9 @@ from rig.core.errors import ConfigurationError
 from rig.core.toml_files import read_toml
 
 if TYPE_CHECKING:
+    from rig.core.settings import Settings
     from rig.detector.low_pass import LowPassSettings
-    from rig.detector.settings import DetectorSettings
+    from rig.detector.registered import ChosenDetector
 
 EITHER = {"lag_deg": "stop_Hz", "stop_Hz": "lag_deg"}
 """Fields of a low-pass filter that determine each other: a given one replaces the other."""
@@ -23,29 +25,44 @@ def low_pass_values(named: LowPassSettings, changes: Mapping[str, Any]) -> dict[
     return named.model_dump() | replaced | dict(changes)
 
 
-def detector_settings(name: str, file: Path | None) -> DetectorSettings:
-    """Returns the parameters of the named detector, overridden by those in a TOML file.
+def detector_with_settings(name: str, file: Path | None) -> ChosenDetector:
+    """Returns the named detector, its parameters overridden by those in a TOML file.
 
-    Raises ConfigurationError for an unknown name, an unknown parameter or an invalid value.
+    Raises ConfigurationError for an unknown name, a package that cannot be used, an unknown
+    parameter or an invalid value.
     """
     from pydantic import ValidationError
 
-    from rig.detector.settings import DetectorSettings, named_detectors
+    from rig.detector.registered import chosen_detector, detector_names
 
-    known = named_detectors()
-    if name not in known:
+    if name not in (known := detector_names()):
         raise ConfigurationError(f"--detector {name}: has to be one of {', '.join(known)}")
-    named = known[name]
+    chosen = chosen_detector(name)
     if file is None:
-        return named
+        return chosen
     changes = read_toml(file, "file of settings")
     if "logic" in changes:
         raise ConfigurationError(f"{file}: logic: unknown key", "--detector names the logic")
-    if isinstance(changes.get("low_pass"), dict):
-        changes["low_pass"] = low_pass_values(named.low_pass, changes["low_pass"])
-    if isinstance(changes.get("network"), dict) and named.network is not None:
-        changes["network"] = named.network.model_dump() | changes["network"]
+    settings = chosen.settings
     try:
-        return DetectorSettings.model_validate(named.model_dump() | changes)
+        changed = type(settings).model_validate(_changed(settings, changes))
     except ValidationError as error:
         raise ConfigurationError.from_validation(error, str(file)) from error
+    return replace(chosen, settings=changed)
+
+
+def _changed(settings: Settings, changes: Mapping[str, Any]) -> dict[str, Any]:
+    """Returns the values of settings with some of them changed, tables within tables, too."""
+    from rig.core.settings import Settings
+    from rig.detector.low_pass import LowPassSettings
+
+    values = settings.model_dump()
+    for name, value in changes.items():
+        named = getattr(settings, name, None)
+        if isinstance(named, LowPassSettings) and isinstance(value, Mapping):
+            values[name] = low_pass_values(named, value)
+        elif isinstance(named, Settings) and isinstance(value, Mapping):
+            values[name] = _changed(named, value)
+        else:
+            values[name] = value
+    return values

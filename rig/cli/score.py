@@ -79,8 +79,9 @@ Detectors = Annotated[
     list[str] | None,
     typer.Option(
         "--detector",
-        help=f"Detector to score; repeatable. Default: {DEFAULT_DETECTOR}.",
-        metavar="[rig|paper-literal|paper-hp]",
+        help="Detector to score: rig, paper-literal, paper-hp, or one of another package (rig "
+        f"detectors); repeatable. Default: {DEFAULT_DETECTOR}.",
+        metavar="NAME",
     ),
 ]
 DetectorFile = Annotated[
@@ -396,19 +397,20 @@ def _with_options(
 
 
 def _detectors(names: Sequence[str], overrides: Path | None) -> list[Contender]:
-    from rig.cli.detector_settings import detector_settings
+    from rig.cli.detector_settings import detector_with_settings
     from rig.evaluation.scoring.contenders import DetectorContender
 
     if overrides is None:
         return [
-            DetectorContender(name, detector_settings(name, None)) for name in dict.fromkeys(names)
+            DetectorContender(name, detector_with_settings(name, None))
+            for name in dict.fromkeys(names)
         ]
     if len(names) != 1:
         raise ConfigurationError(
             f"--settings {overrides}: unclear which of the {len(names)} detectors it changes",
             "give exactly one --detector",
         )
-    changed = detector_settings(names[0], overrides)
+    changed = detector_with_settings(names[0], overrides)
     return [DetectorContender(f"{names[0]} with {overrides.stem}", changed)]
 
 

@@ -111,7 +111,6 @@ def report(
     Trivial answers are scored beside the detectors. `said` goes into the JSON file.
     """
     from rig.core.settings import fingerprint
-    from rig.detector.detector import DETECTOR_VERSION
     from rig.evaluation.scoring.results import ROW, results, rows
     from rig.evaluation.scoring.trivial import with_trivial_answers
 
@@ -123,10 +122,10 @@ def report(
         "use": use,
         "trials": len(judged),
         **said,
-        "detector_version": DETECTOR_VERSION,
         "detectors": [
             {
                 "name": one.name,
+                **_identity(one),
                 "parameters": fingerprint(one.settings),
                 "tuned_on": None if one.tuned_on is None else str(one.tuned_on),
             }
@@ -272,6 +271,21 @@ def _draw(scored: Sequence[ContenderResult], use: str, simulated: bool, out: Pat
         for name, figure in drawn.items()
         for file in save(figure, out / f"{name}.png", simulated)
     ]
+
+
+def _identity(contender: Contender) -> dict[str, Any]:
+    """Returns version and package of a detector; nothing of a baseline, which has none."""
+    from rig.evaluation.scoring.contenders import DetectorContender
+
+    if not isinstance(contender, DetectorContender):
+        return {}
+    detector = contender.detector
+    return {
+        "version": detector.version,
+        "package": detector.package,
+        "package_version": detector.package_version,
+        "code": detector.code_digest or None,
+    }
 
 
 def _plain(value: Any) -> Any:

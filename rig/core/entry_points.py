@@ -1,7 +1,7 @@
-"""Loads what installed packages register with this one: procedures, drivers, simulators and
-benches.
+"""Loads what installed packages register with this one: procedures, drivers, simulators, benches
+and detectors.
 
-A package names modules, and for a procedure a class (``module:Class``), in the entry-point groups
+A package names modules, and for a procedure or a detector a class (``module:Class``), in the groups
 below. `load` is the one place where they are imported: it checks that what is registered has
 everything that its group demands, and names the package where it does not. So a broken package
 disables what it registers and nothing else.
@@ -28,12 +28,14 @@ PROCEDURES = "rig.procedures"
 DRIVERS = "rig.drivers"
 BENCHES = "rig.benches"
 SIMULATORS = "rig.simulators"
+DETECTORS = "rig.detectors"
 
 KINDS = {
     PROCEDURES: "procedure",
     DRIVERS: "driver",
     BENCHES: "simulated bench",
     SIMULATORS: "simulator",
+    DETECTORS: "detector",
 }
 """Name of an entry point of each group in a message."""
 DATA: dict[str, tuple[str, ...]] = {

@@ -7,7 +7,7 @@ import math
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import NoReturn
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,6 +16,7 @@ from rig.core.cache import place_numba_cache
 
 place_numba_cache(Path(__file__).parent)
 from rig.detector import kernel  # noqa: E402 - after numba's cache has its place
+from rig.detector.contract import Detector, FASTEST_Hz, SLOWEST_Hz  # noqa: E402
 from rig.detector.events import EVENT_KINDS, SlipEvent  # noqa: E402
 from rig.detector.low_pass import LowPass, design_low_pass  # noqa: E402
 from rig.detector.settings import DetectorSettings  # noqa: E402
@@ -27,8 +28,6 @@ DETECTOR_VERSION = "1"
 find in the same rows."""
 NETWORK_RATE_Hz = 1000.0
 """Sampling rate at which the network was trained, in Hz."""
-SLOWEST_Hz, FASTEST_Hz = 500.0, 4000.0
-"""Sampling rates that are accepted, in Hz."""
 MAINS_Hz = (50.0, 60.0)
 """Mains frequencies at which hum is looked for."""
 _SLICE = 4096
@@ -46,8 +45,8 @@ class NetworkInputs:
     """Inputs (m, inputs), in the order of `kernel.INPUTS`."""
 
 
-class IncipientSlipDetector:
-    """A causal, streaming detector of incipient slip.
+class IncipientSlipDetector(Detector):
+    """The three detectors of this project: which one it is, its settings say.
 
     The events depend on the rows alone, to the last bit, and not on how they were cut into blocks.
 
@@ -58,6 +57,10 @@ class IncipientSlipDetector:
     >>> detector.rows
     600
     """
+
+    Settings = DetectorSettings
+    version: ClassVar[str] = DETECTOR_VERSION
+    settings: DetectorSettings
 
     def __init__(self, settings: DetectorSettings, rate_Hz: float):
         """Raises ValueError for a rate, or a network, with which these settings cannot be used."""
@@ -76,71 +79,59 @@ class IncipientSlipDetector:
                 f"network {settings.network.name!r} needs other inputs than this program's "
                 f"detector {DETECTOR_VERSION} offers: train it again, or take the one it brings"
             )
-        self.settings, self.rate_Hz = settings, rate_Hz
-        self.low_pass: LowPass = design_low_pass(settings.low_pass, rate_Hz)
-        self._constants = _constants(settings, rate_Hz, self.low_pass)
+        super().__init__(settings, rate_Hz)
+        self.saturation_V = settings.saturation_V
+        self._low_pass = design_low_pass(settings.low_pass, rate_Hz)
+        self._constants = _constants(settings, rate_Hz, self._low_pass)
         self._sections = _high_pass(settings.impulse_Hz, rate_Hz)
         if settings.network is None:
             self._hidden, self._output = np.zeros((len(kernel.INPUTS) + 1, 0)), np.zeros((2, 1))
         else:
             self._hidden, self._output = settings.network.weights()
         self._units = np.zeros(self._hidden.shape[1])
-        self._line = np.zeros(self.low_pass.taps.size)
+        self._line = np.zeros(self._low_pass.taps.size)
         self._piece = np.zeros((4, int(self._constants["quiet_rows"][0])))
         self._room = np.zeros(self._piece.shape[1])
         self._events = np.zeros((_MOST_A_ROW * _SLICE, kernel.EVENT_COLUMNS))
         self._seen = np.zeros((1, len(kernel.INPUTS)))
         self._unseen = np.zeros(0, np.bool_)
-        self._first = 0
-        self._begin()
+        self.reset()
 
     @property
-    def rows(self) -> int:
-        """Number of rows so far, including those missing in gaps."""
-        return self._first + int(self._state["row"][0])
+    def low_pass(self) -> LowPass:
+        """The low-pass filter that extracts the predictive signal."""
+        return self._low_pass
 
-    def add(self, volts: ArrayLike, first_sample: int | None = None) -> list[SlipEvent]:
-        """Takes further rows (n, 2) of v_1 and v_2 in V and returns the events found in them.
+    def reset(self) -> None:
+        """Forgets all rows: offset and noise are measured anew."""
+        self._first = self.rows
+        self._state = np.zeros(1, kernel.STATE)
 
-        `first_sample` is the index of the first of these rows, if it is known. Missing rows are
-        reported as a rejected event, and offset and noise are measured anew after them.
-
-        Raises ValueError for rows of another shape, rows that were given before, and values that
-        are not finite.
-        """
-        rows = np.ascontiguousarray(volts, dtype=np.float64)
-        if rows.ndim != 2 or rows.shape[1] != 2:
-            raise ValueError(f"volts of shape {rows.shape} must be (n, 2): v_1 and v_2")
-        events = [] if first_sample is None else self._step_over_gap(first_sample)
-        for begin in range(0, len(rows), _SLICE):
-            part = rows[begin : begin + _SLICE]
-            count = self._advance(part, self._seen, self._unseen)
-            if count:
-                events += [self._event(row) for row in self._events[:count]]
+    def judge(self, volts: Reals) -> list[SlipEvent]:
+        """Returns the events decided in further rows (n, 2) of v_1 and v_2 in V."""
+        events: list[SlipEvent] = []
+        for begin in range(0, len(volts), _SLICE):
+            count = self._advance(volts[begin : begin + _SLICE], self._seen, self._unseen)
+            events += [self._event(row) for row in self._events[:count]]
         return events
 
-    def finish(self) -> list[SlipEvent]:
-        """Returns the events due at the end of a recording: one if there never was a quiet piece to
-        measure offset and noise on."""
+    def end(self) -> list[SlipEvent]:
+        """Returns one event if there never was a quiet piece to measure offset and noise on."""
         if self._state["ready"][0] or not self._state["row"][0]:
             return []
-        reason = kernel.REASONS[kernel.NOT_QUIET]
-        return [SlipEvent("rejected", self.rows - 1, (self.rows - 1) / self.rate_Hz, 0.0, reason)]
+        return [self.event("rejected", -1, 0.0, kernel.REASONS[kernel.NOT_QUIET])]
 
     def network_inputs(self, volts: ArrayLike) -> NetworkInputs:
         """Returns the inputs of the network over a whole recording (n, 2) in V, for training."""
-        rows = np.ascontiguousarray(volts, dtype=np.float64)
+        rows = self.checked(volts)
         seen, looked = np.zeros((len(rows), len(kernel.INPUTS))), np.zeros(len(rows), np.bool_)
         for begin in range(0, len(rows), _SLICE):
             part = slice(begin, begin + _SLICE)
             self._advance(rows[part], seen[part], looked[part])
         return NetworkInputs(np.flatnonzero(looked), seen[looked])
 
-    def _begin(self) -> None:
-        self._state = np.zeros(1, kernel.STATE)
-
     def _advance(self, rows: Reals, seen: Reals, looked: NDArray[np.bool_]) -> int:
-        count = int(
+        return int(
             kernel.advance(
                 rows,
                 self._state,
@@ -148,7 +139,7 @@ class IncipientSlipDetector:
                 self._piece,
                 self._room,
                 self._constants,
-                self.low_pass.taps,
+                self._low_pass.taps,
                 self._sections,
                 self._hidden,
                 self._output,
@@ -158,9 +149,6 @@ class IncipientSlipDetector:
                 looked,
             )
         )
-        if count < 0:
-            self._refuse_not_finite(rows)
-        return count
 
     def _event(self, row: Reals) -> SlipEvent:
         sample = self._first + int(row[1])
@@ -171,28 +159,6 @@ class IncipientSlipDetector:
             confidence=float(row[2]),
             reason=kernel.REASONS[int(row[3])],
             features=dict(zip(kernel.EVENT_FEATURES, row[4:].tolist(), strict=True)),
-        )
-
-    def _step_over_gap(self, first_sample: int) -> list[SlipEvent]:
-        expected = self.rows
-        if first_sample == expected:
-            return []
-        if first_sample < expected:
-            raise ValueError(
-                f"first_sample {first_sample} must be at least {expected}: rows came twice"
-            )
-        self._begin()
-        self._first = first_sample
-        if not expected:
-            return []
-        reason = f"gap of {first_sample - expected} samples: offset and noise are judged anew"
-        return [SlipEvent("rejected", first_sample, first_sample / self.rate_Hz, 0.0, reason)]
-
-    def _refuse_not_finite(self, rows: Reals) -> NoReturn:
-        row, channel = np.argwhere(~np.isfinite(rows))[0]
-        raise ValueError(
-            f"v_{channel + 1} is {rows[row, channel]} V at sample {self.rows + row}: every sample "
-            "must be finite; cut the recording there, or repair it"
         )
 
 

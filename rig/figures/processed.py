@@ -62,11 +62,10 @@ def draw_trial(processed: ProcessedFile, trial: DetectedTrial) -> Figure:
             signal.set_xlim(max(0.0, min(times) - AROUND_S), end)
         for axes in (signal, low):
             legend_above(axes)
-        settings = processed.settings
         mark = f"{processed.source.mark} " if processed.source.mark else ""
         figure.suptitle(
             f"{mark}slip detection, {trial.id}\n"
-            f"detector {settings.logic} {processed.version}: {_in_words(trial)}\n"
+            f"detector {processed.detector.name} {processed.version}: {_in_words(trial)}\n"
             f"{processed.path.name}",
             fontsize=9,
             parse_math=False,

@@ -7,6 +7,7 @@ import tomllib
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from rig.core.entry_points import OWN_PACKAGE
 from rig.files.journal.reader import JournalContents, ending
 from rig.files.journal.values import PersonOrSample, RunHeader
 from rig.files.runfile.reader import RecordedOutcome
@@ -72,10 +73,12 @@ def ending_of(contents: JournalContents) -> RecordedOutcome:
 
 def describe_processed(file: ProcessedFile) -> dict[str, Any]:
     """Return a processed file's source, detector, parameters and events as JSON-able values."""
-    source, settings = file.source, file.settings
-    parameters = settings.model_dump(exclude={"logic", "network"})
-    if settings.network is not None:
-        parameters["network"] = settings.network.name
+    source, detector = file.source, file.detector
+    parameters = detector.settings.model_dump(exclude={"logic", "network"})
+    network = getattr(detector.settings, "network", None)
+    if network is not None:
+        parameters["network"] = getattr(network, "name", network)
+    foreign = detector.package not in ("", OWN_PACKAGE)
     events = file.events()
     return {
         "file": str(file.path),
@@ -84,8 +87,9 @@ def describe_processed(file: ProcessedFile) -> dict[str, Any]:
         "run_sha256": source.sha256,
         **({} if source.start_time is None else {"start_time": source.start_time}),
         **({} if source.simulated is None else {"simulated": source.simulated}),
-        "detector": settings.logic,
-        "version": file.version,
+        "detector": detector.name,
+        "version": detector.version,
+        **({"package": f"{detector.package} {detector.package_version}"} if foreign else {}),
         "parameters": parameters,
         "trials": {
             trial: [_event(event) for of, event in events if of == trial] or ["nothing found"]

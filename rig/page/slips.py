@@ -24,7 +24,7 @@ from rig.files.journal.values import RunHeader, Stream, StreamState
 from rig.page.watch import BenchWatch
 
 if TYPE_CHECKING:
-    from rig.detector.detector import IncipientSlipDetector
+    from rig.detector.contract import Detector
 
 log = logging.getLogger("rig")
 
@@ -66,7 +66,7 @@ class SlipSearch:
         self._point = ""
         self._first_index = 0
         """Index of the first row of the attempt, from which the detector counts."""
-        self._detector: IncipientSlipDetector | None = None
+        self._detector: Detector | None = None
 
     def take(self, record: JournalRecord) -> list[FoundSlip]:
         """Take the next record, and return what the detector finds in it.
@@ -170,10 +170,9 @@ def _volts(block: Block, stream: Stream, state: StreamState) -> NDArray[np.float
     return volts
 
 
-def _detector(rate_Hz: float) -> IncipientSlipDetector:
+def _detector(rate_Hz: float) -> Detector:
     """Return the default detector. Raises ValueError for a rate that it cannot judge."""
     # Imported where the first strips come: the kernel costs a sweep's page 0.5 s and its memory.
-    from rig.detector.detector import IncipientSlipDetector
-    from rig.detector.settings import named_detectors
+    from rig.detector.registered import chosen_detector
 
-    return IncipientSlipDetector(named_detectors()[DEFAULT_DETECTOR], rate_Hz)
+    return chosen_detector(DEFAULT_DETECTOR).make(rate_Hz)

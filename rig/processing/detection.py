@@ -14,16 +14,19 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rig.core.errors import ConfigurationError, ExitCode, RigError
-from rig.detector.detector import DETECTOR_VERSION, IncipientSlipDetector
 from rig.detector.events import EVENT_KINDS, SlipEvent
-from rig.detector.fir import StreamingFir
-from rig.detector.settings import DetectorSettings
+from rig.detector.registered import ChosenDetector
 from rig.files.checksum import checksum_findings, sha256_of
 from rig.files.errors import RunFileError
 from rig.files.journal.strips import STRIPS, stream_of_strips
 from rig.files.naming import checksum_path
 from rig.files.processed.reader import ProcessedFile, is_processed
-from rig.files.processed.values import DetectedTrial, ProcessedSource, processed_path
+from rig.files.processed.values import (
+    DetectedTrial,
+    ProcessedSource,
+    StatedDetector,
+    processed_path,
+)
 from rig.files.processed.writer import write_processed
 from rig.files.runfile.reader import RunFile
 from rig.files.verify import verify_in_child
@@ -43,7 +46,7 @@ class DetectionJob:
     """A run file to be processed: everything that `detect_file` needs, as plain values."""
 
     run_file: Path
-    settings: DetectorSettings
+    detector: ChosenDetector
     folder: Path | None = None
     """Folder for the result; None is ``processed`` beside the run file."""
     made_by: str = ""
@@ -85,12 +88,12 @@ class DetectionResult:
     """`detection_digest` of what did it. Empty from a program that does not know of it."""
 
 
-def prepare(settings: DetectorSettings) -> None:
-    """Compile the detector now, so that processes that are forked afterwards need not."""
+def prepare(detector: ChosenDetector) -> None:
+    """Import and compile the detector now, so that processes forked afterwards need not."""
     import h5py  # noqa: F401
     import numpy as np
 
-    IncipientSlipDetector(settings, 1000.0).add(np.zeros((1, 2)))
+    detector.make(detector.kind.design_rate_Hz).add(np.zeros((1, 2)))
 
 
 def detect_file(job: DetectionJob) -> DetectionResult | DetectionFailure:
@@ -104,7 +107,7 @@ def detect_file(job: DetectionJob) -> DetectionResult | DetectionFailure:
         return DetectionFailure(error.message + where, error.hint, error.code)
 
 
-def detect_trials(run: RunFile, settings: DetectorSettings) -> list[DetectedTrial]:
+def detect_trials(run: RunFile, detector: ChosenDetector) -> list[DetectedTrial]:
     """Return what the detector finds in every kept trial of a run, in the order of the trials.
 
     ConfigurationError where the run has no strips, or a trial cannot be judged.
@@ -122,15 +125,15 @@ def detect_trials(run: RunFile, settings: DetectorSettings) -> list[DetectedTria
     for point in run.point_ids():
         if point in pieces:
             try:
-                trials.append(_detect_trial(point, pieces[point], settings))
+                trials.append(_detect_trial(point, pieces[point], detector))
             except ValueError as error:
                 raise ConfigurationError(f"{run.path}: trial {point}: {error}") from error
     return trials
 
 
 def _detect(job: DetectionJob) -> DetectionResult:
-    run_file, settings = job.run_file, job.settings
-    made_by = detection_digest(settings)
+    run_file, detector = job.run_file, job.detector
+    made_by = detection_digest(detector)
     if job.made_by not in ("", made_by):
         raise other_code(run_file)
     warnings = _refuse_damaged(run_file)
@@ -138,15 +141,27 @@ def _detect(job: DetectionJob) -> DetectionResult:
         raise ConfigurationError(
             f"{run_file}: a processed file, not a run", "name the run file that it was made from"
         )
-    target = processed_path(run_file, settings, DETECTOR_VERSION, job.folder)
+    stated = _stated(detector)
+    target = processed_path(run_file, stated, job.folder)
     with RunFile.open(run_file) as run:
         source = _source(run, sha256_of(run_file))
         if (there := _already_there(target, source, made_by, warnings)) is not None:
             return there
-        trials = detect_trials(run, settings)
-    write_processed(target, source, settings, DETECTOR_VERSION, made_by, trials)
+        trials = detect_trials(run, detector)
+    write_processed(target, source, stated, made_by, trials)
     events = [(trial.id, event) for trial in trials for event in trial.events]
     return _found(target, False, source, made_by, len(trials), events, warnings)
+
+
+def _stated(detector: ChosenDetector) -> StatedDetector:
+    """Return what a processed file states of its detector."""
+    return StatedDetector(
+        name=detector.name,
+        version=detector.version,
+        package=detector.package,
+        package_version=detector.package_version,
+        settings=detector.settings,
+    )
 
 
 def other_code(run_file: Path) -> ConfigurationError:
@@ -247,7 +262,7 @@ def _stream_of_strips(run: RunFile) -> str:
     return stream
 
 
-def _detect_trial(point: str, pieces: list[Waveform], settings: DetectorSettings) -> DetectedTrial:
+def _detect_trial(point: str, pieces: list[Waveform], chosen: ChosenDetector) -> DetectedTrial:
     """Return the result for one trial. Raises ValueError if the detector cannot process it, or if
     its pieces are of different kinds."""
     import numpy as np
@@ -255,7 +270,7 @@ def _detect_trial(point: str, pieces: list[Waveform], settings: DetectorSettings
     rate_Hz = pieces[0].rate_Hz
     if rate_Hz is None:
         raise ValueError("the file gives no sampling rate of v_1 and v_2")
-    detector = IncipientSlipDetector(settings, rate_Hz)
+    detector = chosen.make(rate_Hz)
     events: list[SlipEvent] = []
     rows, differences, predictive = [], [], []
     for piece, volts in _rows_of(pieces):
@@ -264,7 +279,7 @@ def _detect_trial(point: str, pieces: list[Waveform], settings: DetectorSettings
         v_d = volts[:, 0] - volts[:, 1]
         rows.append(np.arange(first, first + len(v_d), dtype=np.int64))
         differences.append(v_d)
-        predictive.append(StreamingFir(detector.low_pass.taps, 1).add(v_d[:, None])[:, 0])
+        predictive.append(detector.predictive(v_d))
     events += detector.finish()
     return DetectedTrial(
         id=point,

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import rig
 from rig.core.settings import fingerprint
-from rig.detector.settings import DetectorSettings
+from rig.detector.registered import ChosenDetector
 
 CODE = (
     "detector/*.py",
@@ -40,7 +40,7 @@ CODE_DIGEST = _digest_of_code()
 """SHA-256 of the names and contents of the files of `CODE`."""
 
 
-def detection_digest(settings: DetectorSettings) -> str:
+def detection_digest(chosen: ChosenDetector) -> str:
     """Return the SHA-256 that two computers share if their code and parameters give the same
     processed file from the same run file."""
-    return fingerprint(CODE_DIGEST, settings)
+    return fingerprint(CODE_DIGEST, chosen.name, chosen.code_digest, chosen.settings)

@@ -26,7 +26,7 @@ from rig.batch.execute.postprocess import (
     make_files,
     result_from,
 )
-from rig.detector.settings import named_detectors
+from rig.detector.registered import chosen_detector
 from rig.files.verify import verify
 from rig.processing import detection
 
@@ -58,9 +58,7 @@ def test_a_journal_is_compiled_judged_and_drawn(tmp_path: Path) -> None:
     assert result.figures == (tmp_path / "a.png", tmp_path / "a.svg")
     assert all(figure.stat().st_size > 1000 for figure in result.figures)
     assert result.processed is not None
-    found = detection.detect_file(
-        detection.DetectionJob(result.file, named_detectors()["paper-hp"])
-    )
+    found = detection.detect_file(detection.DetectionJob(result.file, chosen_detector("paper-hp")))
     assert isinstance(found, detection.DetectionResult)
     assert found.kept, "as `rig detect` makes it"
     assert found.file == result.processed

@@ -28,7 +28,7 @@ from distributed import Client
 import rig as package
 from rig.cli.detect import literal_remark
 from rig.detector.detector import DETECTOR_VERSION
-from rig.detector.settings import named_detectors
+from rig.detector.registered import chosen_detector
 from rig.files.runfile.compile import compile_run
 from rig.processing.detection import DetectionResult
 
@@ -157,7 +157,7 @@ def test_parameters_that_are_none_are_refused(
 def test_an_unknown_detector_is_refused_with_the_known_ones(rig: Any, runs: list[str]) -> None:
     done = rig.run("detect", "--detector", "paper", runs[0])
     assert done.code == 2
-    assert "--detector paper: has to be one of rig, paper-literal, paper-hp" in done.errors[0]
+    assert "--detector paper: has to be one of paper-hp, paper-literal, rig" in done.errors[0]
 
 
 @pytest.mark.thorough
@@ -405,7 +405,7 @@ def test_specifications_that_cannot_be_met_are_refused(
 
 def test_the_literal_logic_says_that_it_disagrees_with_the_paper() -> None:
     """Its threshold is ours, and the default slide stays 1.3 mV below it."""
-    literal = named_detectors()["paper-literal"]
+    literal = chosen_detector("paper-literal")
 
     def found(**events: int) -> DetectionResult:
         kinds = {name.replace("_", " "): count for name, count in events.items()}
@@ -417,4 +417,4 @@ def test_the_literal_logic_says_that_it_disagrees_with_the_paper() -> None:
     assert "The paper states no threshold" in remark
     assert "DISAGREES with the paper" in remark
     assert literal_remark(literal, [found(predictive=1, incipient_slip=1), found()]) is None
-    assert literal_remark(named_detectors()["paper-hp"], [found(predictive=2)]) is None
+    assert literal_remark(chosen_detector("paper-hp"), [found(predictive=2)]) is None

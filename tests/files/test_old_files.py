@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 import recorded_run as run
 
-from rig.detector.settings import named_detectors
+from rig.detector.registered import chosen_detector
 from rig.files.journal.reader import read_journal
 from rig.files.journal.writer import JournalWriter
 from rig.files.processed.reader import ProcessedFile
@@ -105,7 +105,7 @@ def test_an_old_processed_file_is_read_and_made_again_by_the_present_code(old: P
         (first, *_) = [event for _, event in processed.events() if event.kind == "incipient slip"]
         assert first.time_s == 0.832
         assert processed.source.file_name == f"{IMPORT}.h5"
-    found = detect_file(DetectionJob(old / f"{IMPORT}.h5", named_detectors()["rig"]))
+    found = detect_file(DetectionJob(old / f"{IMPORT}.h5", chosen_detector("rig")))
     assert isinstance(found, DetectionResult)
     assert found.file == target
     # It does not say which code made it, so it is made again, and says then what it said before.

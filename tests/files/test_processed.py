@@ -5,6 +5,7 @@ from __future__ import annotations
 import platform
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,7 @@ from rig.core.errors import ExitCode
 from rig.detector.detector import DETECTOR_VERSION
 from rig.detector.fir import StreamingFir
 from rig.detector.low_pass import design_low_pass
+from rig.detector.registered import ChosenDetector, chosen_detector
 from rig.detector.settings import DetectorSettings
 from rig.files.checksum import sha256_of
 from rig.files.definitions import definition_path
@@ -36,7 +38,9 @@ from rig.processing.detection import (
 )
 from rig.processing.identity import CODE, detection_digest
 
-SETTINGS = DetectorSettings(logic="paper-hp")
+DETECTOR = chosen_detector("paper-hp")
+SETTINGS = DETECTOR.settings
+assert isinstance(SETTINGS, DetectorSettings)
 TRIALS = {"trial-001": trials.slipping(), "trial-002": trials.quiet(seed=2)}
 
 
@@ -56,15 +60,15 @@ def own_run(tmp_path: Path) -> Path:
 
 
 def detected(
-    run_file: Path, folder: Path | None = None, settings: DetectorSettings = SETTINGS
+    run_file: Path, folder: Path | None = None, detector: ChosenDetector = DETECTOR
 ) -> DetectionResult:
-    answer = detect_file(DetectionJob(run_file, settings, folder))
+    answer = detect_file(DetectionJob(run_file, detector, folder))
     assert isinstance(answer, DetectionResult), answer
     return answer
 
 
-def refused(run_file: Path, settings: DetectorSettings = SETTINGS) -> DetectionFailure:
-    answer = detect_file(DetectionJob(run_file, settings))
+def refused(run_file: Path, detector: ChosenDetector = DETECTOR) -> DetectionFailure:
+    answer = detect_file(DetectionJob(run_file, detector))
     assert isinstance(answer, DetectionFailure), answer
     assert str(run_file) in answer.message
     assert not (run_file.parent / "processed").exists(), "nothing is left behind"
@@ -109,7 +113,7 @@ def test_the_file_says_from_what_and_how_it_was_made(
 
 def test_what_is_read_is_what_was_detected(found: DetectionResult, run_file: Path) -> None:
     with ProcessedFile.open(found.file) as processed, RunFile.open(run_file) as run:
-        read, made = processed.trials(), detect_trials(run, SETTINGS)
+        read, made = processed.trials(), detect_trials(run, DETECTOR)
     assert [trial.events for trial in read] == [trial.events for trial in made]
     assert all(mine.same(own) for mine, own in zip(read, made, strict=True))
     volts = TRIALS["trial-001"]
@@ -181,9 +185,10 @@ def test_other_parameters_or_another_version_add_a_file(
     own_run: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     first = detected(own_run)
-    deaf = detected(own_run, settings=SETTINGS.model_copy(update={"fire_mV": 100.0}))
+    higher = SETTINGS.model_copy(update={"fire_mV": 100.0})
+    deaf = detected(own_run, detector=replace(DETECTOR, settings=higher))
     assert deaf.events["incipient slip"] == 0
-    monkeypatch.setattr("rig.processing.detection.DETECTOR_VERSION", "next")
+    monkeypatch.setattr(DETECTOR.kind, "version", "next")
     later = detected(own_run)
     files = {path.name for path in first.file.parent.glob("*.h5")}
     assert files == {first.file.name, deaf.file.name, later.file.name}
@@ -223,7 +228,7 @@ def test_another_runs_result_is_not_overwritten(own_run: Path, tmp_path: Path) -
     first = detected(own_run, results)
     content = first.file.read_bytes()
     answer = detect_file(
-        DetectionJob(trials.write_trials(other, TRIALS, run_uuid="another"), SETTINGS, results)
+        DetectionJob(trials.write_trials(other, TRIALS, run_uuid="another"), DETECTOR, results)
     )
     assert isinstance(answer, DetectionFailure)
     assert "another run of that name" in answer.message
@@ -289,13 +294,13 @@ def test_a_run_file_that_has_changed_is_refused_and_one_without_checksum_reporte
 
 
 def test_a_computer_with_other_code_refuses(own_run: Path, tmp_path: Path) -> None:
-    answer = detect_file(DetectionJob(own_run, SETTINGS, made_by="0" * 64, elsewhere=True))
+    answer = detect_file(DetectionJob(own_run, DETECTOR, made_by="0" * 64, elsewhere=True))
     assert isinstance(answer, DetectionFailure)
     assert "differs from that of the command" in answer.message
     assert platform.node() in answer.message
     assert not (tmp_path / "processed").exists()
-    digest = detection_digest(SETTINGS)
-    answer = detect_file(DetectionJob(own_run, SETTINGS, made_by=digest, elsewhere=True))
+    digest = detection_digest(DETECTOR)
+    answer = detect_file(DetectionJob(own_run, DETECTOR, made_by=digest, elsewhere=True))
     assert isinstance(answer, DetectionResult)
     assert answer.made_by == digest
 
@@ -316,7 +321,9 @@ def test_what_other_code_has_made_is_written_again(
 
 def test_the_digest_covers_all_code_from_run_file_to_processed_file() -> None:
     script = (
-        "import sys, rig.processing.detection as d; d.prepare(d.DetectorSettings(logic='paper-hp'))"
+        "import sys, rig.processing.detection as d\n"
+        "from rig.detector.registered import chosen_detector\n"
+        "d.prepare(chosen_detector('paper-hp'))"
         "\nprint(*(m.__file__ for n, m in sys.modules.items() if n.startswith('rig.')))"
     )
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
@@ -336,9 +343,9 @@ def test_the_digest_covers_all_code_from_run_file_to_processed_file() -> None:
 FULL_DISK = """
 import resource, sys
 from pathlib import Path
-from rig.detector.settings import DetectorSettings
+from rig.detector.registered import ChosenDetector, chosen_detector
 from rig.processing.detection import DetectionJob, detect_file
-job = DetectionJob(Path(sys.argv[1]), DetectorSettings(logic="paper-hp"))
+job = DetectionJob(Path(sys.argv[1]), chosen_detector("paper-hp"))
 for size in range(0, int(sys.argv[2]), 9001):
     resource.setrlimit(resource.RLIMIT_FSIZE, (size, resource.RLIM_INFINITY))
     print(detect_file(job).message)

@@ -16,7 +16,7 @@ from stops import WORLD, State, plan, read_stop
 from test_server import Page, serve
 
 from rig.detector import DEFAULT_DETECTOR
-from rig.detector.settings import named_detectors
+from rig.detector.registered import chosen_detector
 from rig.files.journal.writer import JournalWriter
 from rig.files.runfile.compile import compile_run
 from rig.files.runfile.reader import RunFile
@@ -96,7 +96,7 @@ def test_a_slip_trial_is_watched_to_its_end_and_the_values_are_those_of_its_file
             assert float(shown) == pytest.approx(latest, abs=5.1e-4)
         facts = browser.find_element("id", "facts").text
         assert f"{len(run.point_ids())} of {run.outcome.points_planned}" in facts
-        (trial,) = detect_trials(run, named_detectors()[DEFAULT_DETECTOR])
+        (trial,) = detect_trials(run, chosen_detector(DEFAULT_DETECTOR))
     slips = [event.time_s for event in trial.events if event.kind == "incipient slip"]
     assert slips
     for time_s in slips:

@@ -239,10 +239,10 @@ def _kind_of(file: Path) -> tuple[bool, bool]:
 def _detect(file: Path) -> tuple[Path | None, list[str]]:
     """Return the processed file of a run file, as `rig detect` makes it, and its warnings."""
     from rig.detector import DEFAULT_DETECTOR
-    from rig.detector.settings import named_detectors
+    from rig.detector.registered import chosen_detector
     from rig.processing import detection
 
-    found = detection.detect_file(detection.DetectionJob(file, named_detectors()[DEFAULT_DETECTOR]))
+    found = detection.detect_file(detection.DetectionJob(file, chosen_detector(DEFAULT_DETECTOR)))
     if isinstance(found, detection.DetectionFailure):
         return None, [found.error().one_line()]
     return found.file, list(found.warnings)

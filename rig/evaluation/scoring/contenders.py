@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.core.settings import Settings
+from rig.core.settings import Settings, fingerprint
 from rig.detector import kernel
-from rig.detector.detector import IncipientSlipDetector
-from rig.detector.settings import DetectorSettings
+from rig.detector.registered import ChosenDetector
 from rig.evaluation.scoring.baselines import BaselineSettings, baseline_reports
 from rig.evaluation.scoring.outcomes import DetectorReport
 from rig.evaluation.scoring.seeds import SeedRange
@@ -64,30 +63,40 @@ class Contender(Named, Protocol):
 
 @dataclass(frozen=True)
 class DetectorContender:
-    """A detector of `rig.detector`."""
+    """A registered detector."""
 
     name: str
     """Name in the tables."""
-    settings: DetectorSettings
-    """Parameters of the detector."""
+    detector: ChosenDetector
+    """The detector with its parameters."""
+
+    @property
+    def settings(self) -> Settings:
+        """All of its parameters."""
+        return self.detector.settings
 
     @property
     def tuned_on(self) -> SeedRange | None:
-        """Seeds of the trials on which its network was trained; None without a network."""
-        network = self.settings.network
-        if network is None:
-            return None
-        return SeedRange(first=network.first_seed, end=network.last_seed + 1)
+        """Seeds of the trials on which its parameters were chosen; None where it names none."""
+        seeds = self.detector.kind.seeds_seen(self.settings)
+        return None if seeds is None else SeedRange(first=seeds[0], end=seeds[1] + 1)
 
     def reports(
         self, volts: Floats, rate_Hz: float, factors: tuple[float, ...]
     ) -> list[DetectorReport]:
         """Returns the events that it detects at each threshold."""
-        return [self._report(volts, rate_Hz, at_threshold(self.settings, one)) for one in factors]
+        reports: dict[str, DetectorReport] = {}
+        found = []
+        for factor in factors:
+            settings = self.detector.kind.with_threshold(self.settings, factor)
+            key = fingerprint(settings)  # a detector without a threshold is run once
+            if key not in reports:
+                reports[key] = self._report(volts, rate_Hz, settings)
+            found.append(reports[key])
+        return found
 
-    @staticmethod
-    def _report(volts: Floats, rate_Hz: float, settings: DetectorSettings) -> DetectorReport:
-        detector = IncipientSlipDetector(settings, rate_Hz)
+    def _report(self, volts: Floats, rate_Hz: float, settings: Settings) -> DetectorReport:
+        detector = replace(self.detector, settings=settings).make(rate_Hz)
         events = [*detector.add(volts), *detector.finish()]
         slips = [one.time_s for one in events if one.kind == "incipient slip"]
         armings = [one.time_s for one in events if one.kind == "predictive"]
@@ -122,14 +131,3 @@ class BaselineContender:
     ) -> list[DetectorReport]:
         """Returns its alarms and early warnings at each threshold."""
         return baseline_reports(volts, rate_Hz, self.settings, factors)
-
-
-def at_threshold(settings: DetectorSettings, factor: float) -> DetectorSettings:
-    """Returns the settings of a detector with `factor` times its threshold."""
-    if settings.logic != "rig":
-        fire = {
-            "fire_mV": factor * settings.fire_mV, "fire_sigmas": factor * settings.fire_sigmas
-        }  # fmt: skip
-        return settings.model_copy(update=fire)
-    odds = factor**2 * settings.fire_probability / (1 - settings.fire_probability)
-    return settings.model_copy(update={"fire_probability": odds / (1 + odds)})

@@ -12,7 +12,8 @@ from functools import cached_property
 from pathlib import Path
 from typing import get_args
 
-from rig.core.settings import fingerprint
+from rig.core.entry_points import OWN_PACKAGE
+from rig.core.settings import Settings, fingerprint
 from rig.detector.events import EventKind, SlipEvent
 from rig.detector.settings import DetectorSettings
 from rig.files.errors import RunFileError, in_words
@@ -20,7 +21,14 @@ from rig.files.file_kind import IN_WORDS, kind_of
 from rig.files.hdf5.open_file import OpenFile
 from rig.files.hdf5.safe_reading import DAMAGE, refuse_links, text_of, texts_of, whole
 from rig.files.journal.values import SIMULATED
-from rig.files.processed.values import DEFINITION, DetectedTrial, ProcessedSource, processed_path
+from rig.files.processed.values import (
+    DEFINITION,
+    DetectedTrial,
+    ProcessedSource,
+    StatedDetector,
+    UnknownSettings,
+    processed_path,
+)
 
 
 def is_processed(path: Path) -> bool:
@@ -56,7 +64,7 @@ class ProcessedFile(OpenFile):
                 refuse_links(file)
                 if "entry/definition" not in file or opened._text("definition") != DEFINITION:
                     raise RunFileError(path, "an HDF5 file, but not a processed file")
-                _ = opened.source, opened.settings
+                _ = opened.source, opened.detector
         except RunFileError:
             file.close()
             raise
@@ -80,10 +88,26 @@ class ProcessedFile(OpenFile):
             )
 
     @cached_property
-    def settings(self) -> DetectorSettings:
-        """The detector's parameters."""
+    def detector(self) -> StatedDetector:
+        """The detector: its name, version, package and parameters. Another package's does not have
+        to be installed."""
         with _naming(self.path):
-            return DetectorSettings.model_validate_json(self._text("process/settings/data"))
+            stated = self.entry["process/program"].attrs
+            package = str(stated.get("package", ""))
+            own = package in ("", OWN_PACKAGE)
+            kind: type[Settings] = DetectorSettings if own else UnknownSettings
+            return StatedDetector(
+                name=str(stated["detector"]),
+                version=self.version,
+                package=package,
+                package_version=str(stated.get("package_version", "")),
+                settings=kind.model_validate_json(self._text("process/settings/data")),
+            )
+
+    @property
+    def settings(self) -> Settings:
+        """The detector's parameters."""
+        return self.detector.settings
 
     @property
     def title(self) -> str:
@@ -173,21 +197,22 @@ class ProcessedFile(OpenFile):
         """Return what the file holds: ``rig 1, 12 events in 3 trials``."""
         trials, events = len(self.trial_ids()), len(self.events())
         found = f"{events} event{'s' * (events != 1)} in {trials} trial{'s' * (trials != 1)}"
-        return f"{self.settings.logic} {self.version}, {found}"
+        return f"{self.detector.name} {self.version}, {found}"
 
     def findings(self) -> Iterator[str]:
         """Contents: what is wrong with what the file says of itself, one sentence each."""
-        source, settings = self.source, self.settings
+        source, detector = self.source, self.detector
         for where, title in (("title", self.title), ("source/title", source.title)):
             if not title.startswith(source.mark):
                 yield f"{where} does not say {source.mark}, as its source does"
         if (source.mark == SIMULATED) != bool(source.simulated):
             yield "source/simulated does not agree with source/mark"
         with _naming(self.path):
-            if self.entry["process/settings/data"].attrs["fingerprint"] != fingerprint(settings):
+            stated = self.entry["process/settings/data"].attrs["fingerprint"]
+            if stated != fingerprint(detector.settings):
                 yield "the parameters' fingerprint is not theirs"
             name = str(self._file.attrs["file_name"])
-        if name != processed_path(Path(source.file_name), settings, self.version).name:
+        if name != processed_path(Path(source.file_name), detector).name:
             yield "its name is not that of its run, detector and parameters"
         for trial in self.trials():
             rows = trial.sample.size

@@ -6,9 +6,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.core.settings import fingerprint
+from pydantic import ConfigDict
+
+from rig.core.settings import Settings, fingerprint
 from rig.detector.events import SlipEvent
-from rig.detector.settings import DetectorSettings
 from rig.files.naming import RUN_SUFFIX
 
 if TYPE_CHECKING:
@@ -69,13 +70,34 @@ class DetectedTrial:
         )
 
 
-def processed_path(
-    run_file: Path, settings: DetectorSettings, version: str, folder: Path | None = None
-) -> Path:
+class UnknownSettings(Settings):
+    """Parameters of another package's detector, as the file states them: values by name. They can
+    be read where that package is not installed."""
+
+    model_config = ConfigDict(extra="allow")
+
+
+@dataclass(frozen=True)
+class StatedDetector:
+    """The detector of a processed file, as the file states it."""
+
+    name: str
+    """Name under which it is registered."""
+    version: str
+    """The detector's version."""
+    package: str
+    """Package that it came from; empty in a file of before packages could bring detectors."""
+    package_version: str
+    settings: Settings
+    """All of its parameters."""
+
+
+def processed_path(run_file: Path, detector: StatedDetector, folder: Path | None = None) -> Path:
     """Return where the result belongs: in `folder`, or in ``processed`` beside the run file.
 
     ``<run>.<detector>-<version>-<hash of the parameters>.h5``
     """
     folder = run_file.parent / FOLDER if folder is None else folder
-    shown = fingerprint(settings)[:FINGERPRINT_LENGTH]
-    return folder / f"{run_file.stem}.{settings.logic}-{version}-{shown}{RUN_SUFFIX}"
+    shown = fingerprint(detector.settings)[:FINGERPRINT_LENGTH]
+    name = f"{run_file.stem}.{detector.name}-{detector.version}-{shown}{RUN_SUFFIX}"
+    return folder / name

@@ -9,11 +9,11 @@ the same bytes (with the same libraries), whoever computes them and when.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rig.core.settings import fingerprint, leaves, unit_of
-from rig.detector.settings import DetectorSettings
 from rig.files.errors import RecordingError, RunFileError
 from rig.files.hdf5.guarded_file import GuardedFile
 from rig.files.hdf5.nexus import (
@@ -30,7 +30,14 @@ from rig.files.hdf5.nexus import (
 )
 from rig.files.hdf5.publishing import publishing
 from rig.files.processed.reader import ProcessedFile
-from rig.files.processed.values import DEFINITION, LAYOUT_VERSION, DetectedTrial, ProcessedSource
+from rig.files.processed.values import (
+    DEFINITION,
+    LAYOUT_VERSION,
+    DetectedTrial,
+    ProcessedSource,
+    StatedDetector,
+    UnknownSettings,
+)
 
 if TYPE_CHECKING:
     import h5py
@@ -41,8 +48,7 @@ PROGRAM = "rig detect"
 def write_processed(
     target: Path,
     source: ProcessedSource,
-    settings: DetectorSettings,
-    version: str,
+    detector: StatedDetector,
     made_by: str,
     trials: Sequence[DetectedTrial],
 ) -> None:
@@ -56,8 +62,8 @@ def write_processed(
         target.parent.mkdir(parents=True, exist_ok=True)
         # `shared`: workers of a cluster may process the same run file at the same time.
         with publishing(target, shared=True) as part:
-            _write(part, target.name, source, settings, version, made_by, trials)
-            _read_back(part, target, source, settings, trials)
+            _write(part, target.name, source, detector, made_by, trials)
+            _read_back(part, target, source, detector, trials)
     except OSError as error:
         raise RecordingError(
             target,
@@ -70,23 +76,32 @@ def _read_back(
     part: Path,
     target: Path,
     source: ProcessedSource,
-    settings: DetectorSettings,
+    detector: StatedDetector,
     trials: Sequence[DetectedTrial],
 ) -> None:
     """Raise RunFileError unless the file holds what it was made of, bit for bit."""
     with ProcessedFile.open(part) as written:
         found = written.trials()
-        equal = written.settings == settings and written.source == source
+        equal = written.source == source and _same(written.detector, detector)
     if not equal or not all(mine.same(own) for mine, own in zip(found, trials, strict=True)):
         raise RunFileError(target, "does not read back equal", "run it again")
+
+
+def _same(read: StatedDetector, written: StatedDetector) -> bool:
+    """Return whether a file states the detector that it was made by, its parameters compared as
+    JSON has them."""
+    plain = [
+        replace(one, settings=UnknownSettings.model_validate(one.settings.model_dump(mode="json")))
+        for one in (read, written)
+    ]
+    return plain[0] == plain[1]
 
 
 def _write(
     path: Path,
     name: str,
     source: ProcessedSource,
-    settings: DetectorSettings,
-    version: str,
+    detector: StatedDetector,
     made_by: str,
     trials: Sequence[DetectedTrial],
 ) -> None:
@@ -100,7 +115,7 @@ def _write(
             entry = group(file, "entry", "NXentry")
             entry.attrs["default"] = "data"
             _write_source(entry, source)
-            _write_process(entry, settings, version, made_by)
+            _write_process(entry, detector, made_by)
             _write_events(group(entry, "events", "NXcollection"), trials)
             _write_trials(entry, source, trials)
         guarded.check()
@@ -150,12 +165,14 @@ def _unmarked(source: ProcessedSource) -> str:
     return source.title.removeprefix(source.mark).lstrip() or source.file_name
 
 
-def _write_process(
-    entry: h5py.Group, settings: DetectorSettings, version: str, made_by: str
-) -> None:
+def _write_process(entry: h5py.Group, detector: StatedDetector, made_by: str) -> None:
+    settings = detector.settings
     process = group(entry, "process", "NXprocess")
-    text_field(process, "program", PROGRAM).attrs["detector"] = settings.logic
-    text_field(process, "version", version).attrs["digest"] = made_by
+    program = text_field(process, "program", PROGRAM)
+    program.attrs["detector"] = plain_text(detector.name)
+    program.attrs["package"] = plain_text(detector.package)
+    program.attrs["package_version"] = plain_text(detector.package_version)
+    text_field(process, "version", detector.version).attrs["digest"] = made_by
     number_field(process, "sequence_index", 1)
     units = {name: unit for name, _, unit in leaves(settings) if unit is not None}
     write_values(group(process, "parameters", "NXparameters"), settings.model_dump(), units)

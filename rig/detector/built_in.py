@@ -1,0 +1,67 @@
+"""The detectors of this project, as they are registered in the entry-point group `rig.detectors`.
+
+Their docstrings are the lines of `rig detectors`. The parameters are in `rig.detector.settings`.
+"""
+
+from __future__ import annotations
+
+from typing import ClassVar, cast
+
+from rig.core import settings as core_settings
+from rig.detector.detector import IncipientSlipDetector, NETWORK_RATE_Hz
+from rig.detector.settings import DetectorSettings, Logic, named_detectors
+
+
+class _OwnDetector(IncipientSlipDetector):
+    name: ClassVar[Logic]
+
+    @classmethod
+    def default_settings(cls) -> DetectorSettings:
+        """Returns the parameters of this detector."""
+        return named_detectors()[cls.name]
+
+    @classmethod
+    def seeds_seen(cls, settings: core_settings.Settings) -> tuple[int, int] | None:
+        """Returns the first and last seed on which the network was trained, if it has one."""
+        network = cast(DetectorSettings, settings).network
+        return None if network is None else (network.first_seed, network.last_seed)
+
+
+class Rig(_OwnDetector):
+    """A small network judges v_1 - v_2 and v_1 + v_2; it tells rolls from slips."""
+
+    name = "rig"
+    slowest_Hz = (1 - 1e-3) * NETWORK_RATE_Hz
+    fastest_Hz = (1 + 1e-3) * NETWORK_RATE_Hz
+
+    @classmethod
+    def with_threshold(
+        cls, settings: core_settings.Settings, factor: float
+    ) -> core_settings.Settings:
+        """Returns the parameters with the odds of a slip multiplied by the square of `factor`."""
+        probability = cast(DetectorSettings, settings).fire_probability
+        odds = factor**2 * probability / (1 - probability)
+        return settings.model_copy(update={"fire_probability": odds / (1 + odds)})
+
+
+class _Published(_OwnDetector):
+    @classmethod
+    def with_threshold(
+        cls, settings: core_settings.Settings, factor: float
+    ) -> core_settings.Settings:
+        """Returns the parameters with `factor` times both thresholds of a slip."""
+        own = cast(DetectorSettings, settings)
+        fire = {"fire_mV": factor * own.fire_mV, "fire_sigmas": factor * own.fire_sigmas}
+        return settings.model_copy(update=fire)
+
+
+class PaperLiteral(_Published):
+    """The paper's logic, read literally: v_d itself passes a threshold while armed."""
+
+    name = "paper-literal"
+
+
+class PaperHighPassed(_Published):
+    """The paper's logic on the part of v_d above 100 Hz. It is the default."""
+
+    name = "paper-hp"

@@ -1,0 +1,171 @@
+"""A detector of another package, distrusted: what it returns is checked, what it raises is named.
+
+This protects the results: an event of the future, a kind that does not exist or a confidence of 7
+never reach a file. It cannot stop code that never returns or ends the process; a running trial has
+such a detector in a process of its own (`rig.processing.live`).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import sys
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.core.errors import LONGEST_REASON, ExitCode, RigError, is_stop, shortened
+from rig.core.settings import Settings
+from rig.detector.contract import Detector
+from rig.detector.events import EVENT_KINDS, SlipEvent
+
+if TYPE_CHECKING:
+    from rig.detector.low_pass import LowPass
+
+Reals = NDArray[np.float64]
+Given = TypeVar("Given")
+
+MOST_EVENTS_A_ROW = 16
+"""Most events that may be decided in one row: a detector that returns more is broken."""
+
+
+class DetectorError(RigError):
+    """Raised where a detector of another package fails or returns what is no event; the message
+    names the detector and its package."""
+
+    code = ExitCode.INTERNAL
+
+    def __init__(self, name: str, package: str, reason: str):
+        self.reason = reason
+        super().__init__(
+            f"detector {name!r} of the package {package} {reason}",
+            f"fix the package {package}, or choose another detector (rig detectors)",
+        )
+
+
+class CheckedDetector(Detector):
+    """Another detector, each of whose answers is checked."""
+
+    slowest_Hz: ClassVar[float] = 0.0
+    fastest_Hz: ClassVar[float] = math.inf
+
+    def __init__(
+        self,
+        make: Callable[[float], Detector],
+        name: str,
+        package: str,
+        settings: Settings,
+        rate_Hz: float,
+    ):
+        """Makes the detector with `make`. Raises ValueError for a rate that it does not judge,
+        DetectorError for anything else that it raises."""
+        super().__init__(settings, rate_Hz)
+        self._name, self._package = name, package
+        self._inner: Detector = self._ask("making it", make, rate_Hz, refusals=ValueError)
+
+    @property
+    def low_pass(self) -> LowPass:
+        """The filter of the predictive signal."""
+        return self._ask("low_pass", lambda: self._inner.low_pass)
+
+    def predictive(self, v_d: Reals) -> Reals:
+        """Returns v_d (n,) behind `low_pass`. DetectorError where that is not one number a row."""
+        found = np.asarray(self._ask("predictive", self._inner.predictive, v_d.copy()))
+        if found.shape != v_d.shape or not np.isfinite(found).all():
+            raise self._error("returned a predictive signal that is not one number for each row")
+        return found.astype(np.float64)
+
+    def reset(self) -> None:
+        """Does nothing: the other detector resets itself at a gap."""
+
+    def judge(self, volts: Reals) -> list[SlipEvent]:
+        """Returns the checked events of further rows (n, 2) in V."""
+        first = self.rows
+        found = self._ask("judging", self._inner.add, volts.copy(), first)
+        return self._checked_events(found, first, first + len(volts))
+
+    def end(self) -> list[SlipEvent]:
+        """Returns the checked events due at the end of a recording."""
+        found = self._ask("its end", self._inner.finish)
+        return self._checked_events(found, 0, self.rows)
+
+    def _step_over_gap(self, first_sample: int) -> list[SlipEvent]:
+        super()._step_over_gap(first_sample)
+        return []  # the other detector reports it
+
+    def _ask(
+        self,
+        what: str,
+        function: Callable[..., Given],
+        *arguments: Any,
+        refusals: type[Exception] | tuple[()] = (),
+    ) -> Given:
+        """Returns what the other package's function returns; what it prints goes to stderr."""
+        try:
+            with contextlib.redirect_stdout(sys.stderr):
+                return function(*arguments)
+        except refusals:
+            raise
+        except (Exception, SystemExit) as error:
+            if is_stop(error):
+                raise
+            words = f"{type(error).__name__}: {' '.join(str(error).split())}"
+            reason = f"failed at {what}: {shortened(words, LONGEST_REASON)}"
+            raise self._error(reason) from error
+
+    def _checked_events(self, found: Any, first: int, end: int) -> list[SlipEvent]:
+        if not isinstance(found, list):
+            raise self._error(f"returned {type(found).__name__} where a list of events is expected")
+        if len(found) > MOST_EVENTS_A_ROW * max(1, end - first):
+            raise self._error(f"returned {len(found)} events for {end - first} rows")
+        for event in found:
+            fault = self._fault(event, first, end)
+            if fault is not None:
+                raise self._error(f"returned {fault}")
+        return [_plain(event) for event in found]
+
+    def _fault(self, event: Any, first: int, end: int) -> str | None:
+        """Returns what is wrong with an event, as the end of a sentence; None if nothing."""
+        if not isinstance(event, SlipEvent):
+            return f"{type(event).__name__} where an event is expected"
+        if event.kind not in EVENT_KINDS:
+            return f"an event of the kind {shortened(str(event.kind))!r}: it must be one of " + (
+                ", ".join(EVENT_KINDS)
+            )
+        if not isinstance(event.sample, int | np.integer) or not (
+            first <= event.sample < max(end, first + 1)
+        ):
+            return (
+                f"an event in row {shortened(str(event.sample))}, but rows {first} to {end - 1} "
+                "were judged: an event lies in the row in which it was decided"
+            )
+        if event.time_s != event.sample / self.rate_Hz:
+            return f"an event whose time {event.time_s!r} s is not that of its row {event.sample}"
+        if not isinstance(event.confidence, int | float) or not 0 <= event.confidence <= 1:
+            return f"an event with the confidence {event.confidence!r}: it must be from 0 to 1"
+        if not isinstance(event.reason, str):
+            return "an event whose reason is not a text"
+        shown = event.features
+        if not isinstance(shown, dict) or not all(isinstance(name, str) for name in shown):
+            return "an event whose features are not a dict of numbers by name"
+        for name, value in shown.items():
+            if not isinstance(value, int | float | np.floating) or not math.isfinite(value):
+                return f"an event whose feature {shortened(name)!r} is not a finite number"
+        return None
+
+    def _error(self, reason: str) -> DetectorError:
+        return DetectorError(self._name, self._package, reason)
+
+
+def _plain(event: SlipEvent) -> SlipEvent:
+    """Returns an event with plain Python numbers, as files and JSON need them."""
+    return SlipEvent(
+        event.kind,
+        int(event.sample),
+        float(event.time_s),
+        float(event.confidence),
+        event.reason,
+        {name: float(value) for name, value in event.features.items()},
+    )

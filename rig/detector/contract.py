@@ -1,0 +1,181 @@
+"""What a detector of incipient slip is: rows of v_1 and v_2 in, events out.
+
+Every detector derives from `Detector`, those of this project and those of other packages, which
+register their class in the entry-point group ``rig.detectors`` (docs/add-a-detector.md). Files, the
+page, scores and trials use a detector through this class alone.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from rig.core import settings as core_settings
+from rig.detector.events import EventKind, SlipEvent
+from rig.detector.fir import StreamingFir
+from rig.detector.low_pass import LowPass, LowPassSettings, design_low_pass
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+Reals = NDArray[np.float64]
+
+SLOWEST_Hz, FASTEST_Hz = 500.0, 4000.0
+"""Sampling rates in Hz that a detector accepts unless it says otherwise."""
+DESIGN_RATE_Hz = 1000.0
+"""Rate in Hz to which other recordings are resampled unless a detector says otherwise."""
+
+
+class Detector(ABC):
+    """A causal, streaming detector of incipient slip. One instance judges one recording.
+
+    A subclass has a docstring, whose first line `rig detectors` shows, its `Settings`, its
+    `version`, and the methods `reset` and `judge`. Its events must depend on the rows alone, to the
+    last bit, and not on how they were cut into blocks; an instance shares no state with another.
+    """
+
+    Settings: ClassVar[type[core_settings.Settings]] = core_settings.Settings
+    """Class of the parameters. They are stored with every result, so that JSON must hold them."""
+    version: ClassVar[str] = ""
+    """Version of the detector. It is raised with every change of the events that the same
+    parameters find in the same rows."""
+    slowest_Hz: ClassVar[float] = SLOWEST_Hz
+    """Lowest sampling rate at which it judges rows as they are."""
+    fastest_Hz: ClassVar[float] = FASTEST_Hz
+    """Highest sampling rate at which it judges rows as they are."""
+    design_rate_Hz: ClassVar[float] = DESIGN_RATE_Hz
+    """Rate to which recordings at other rates are resampled for it."""
+
+    def __init__(self, settings: core_settings.Settings, rate_Hz: float):
+        """Raises ValueError for a rate at which this detector does not judge rows."""
+        if not self.accepts(rate_Hz):
+            raise ValueError(
+                f"rate {rate_Hz:g} Hz must be between {self.slowest_Hz:g} and "
+                f"{self.fastest_Hz:g} Hz for this detector: resample the recording to "
+                f"{self.design_rate_Hz:g} Hz"
+            )
+        self.settings, self.rate_Hz = settings, rate_Hz
+        self.saturation_V = math.inf
+        """Voltage at which a channel counts as saturated, so that resampling keeps it so."""
+        self._rows = 0
+        self._begun = False
+
+    @classmethod
+    def accepts(cls, rate_Hz: float) -> bool:
+        """Returns whether it judges rows at this rate as they are."""
+        return bool(cls.slowest_Hz <= rate_Hz <= cls.fastest_Hz)
+
+    @classmethod
+    def default_settings(cls) -> core_settings.Settings:
+        """Returns the parameters that are used where none are given."""
+        return cls.Settings()
+
+    @classmethod
+    def seeds_seen(cls, settings: core_settings.Settings) -> tuple[int, int] | None:
+        """Returns the first and the last seed of the simulated trials on which these parameters
+        were chosen, which scoring refuses; None where there are none."""
+        return None
+
+    @classmethod
+    def with_threshold(
+        cls, settings: core_settings.Settings, factor: float
+    ) -> core_settings.Settings:
+        """Returns the parameters with `factor` times the threshold of a slip, for the ROC of
+        `rig score`; unchanged, if the detector has no such threshold."""
+        return settings
+
+    @abstractmethod
+    def reset(self) -> None:
+        """Forgets all rows. Called before the first rows, and again after rows that are missing."""
+
+    @abstractmethod
+    def judge(self, volts: Reals) -> list[SlipEvent]:
+        """Returns the events (see `event`) decided in further rows (n, 2) of v_1 and v_2 in V. All
+        values are finite; n may be any number, also 0. Do not keep or change the array."""
+
+    def end(self) -> list[SlipEvent]:
+        """Returns the events due at the end of a recording. `row` of `event` must then be -1."""
+        return []
+
+    def event(
+        self,
+        kind: EventKind,
+        row: int,
+        confidence: float,
+        reason: str = "",
+        features: Mapping[str, float] | None = None,
+    ) -> SlipEvent:
+        """Returns an event that was decided in row `row` of the rows that are being judged, counted
+        from 0."""
+        sample = self._rows + int(row)
+        shown = {} if features is None else dict(features)
+        return SlipEvent(kind, sample, sample / self.rate_Hz, float(confidence), reason, shown)
+
+    @property
+    def rows(self) -> int:
+        """Number of rows so far, including those missing in gaps."""
+        return self._rows
+
+    @property
+    def low_pass(self) -> LowPass:
+        """The low-pass filter of the predictive signal that is stored and drawn beside events."""
+        return design_low_pass(LowPassSettings(), self.rate_Hz)
+
+    def predictive(self, v_d: Reals) -> Reals:
+        """Returns v_d (n,) behind `low_pass`, for files and figures. The rows are consecutive."""
+        return StreamingFir(self.low_pass.taps, 1).add(v_d[:, None])[:, 0]
+
+    def add(self, volts: ArrayLike, first_sample: int | None = None) -> list[SlipEvent]:
+        """Takes further rows (n, 2) of v_1 and v_2 in V and returns the events found in them.
+
+        `first_sample` is the index of the first of these rows, if it is known. Missing rows are
+        reported as a rejected event, and the detector begins anew after them.
+
+        Raises ValueError for rows of another shape, rows that were given before, and values that
+        are not finite.
+        """
+        rows = self.checked(volts)
+        events = [] if first_sample is None else self._step_over_gap(first_sample)
+        if not self._begun:
+            self.reset()
+            self._begun = True
+        events += self.judge(rows)
+        self._rows += len(rows)
+        return events
+
+    def finish(self) -> list[SlipEvent]:
+        """Returns the events due at the end of a recording."""
+        return self.end() if self._begun else []
+
+    def checked(self, volts: ArrayLike) -> Reals:
+        """Returns rows as an array (n, 2) of floats. Raises ValueError where they are no such
+        rows, or not finite."""
+        rows = np.ascontiguousarray(volts, dtype=np.float64)
+        if rows.ndim != 2 or rows.shape[1] != 2:
+            raise ValueError(f"volts of shape {rows.shape} must be (n, 2): v_1 and v_2")
+        if not np.isfinite(rows).all():
+            row, channel = np.argwhere(~np.isfinite(rows))[0]
+            raise ValueError(
+                f"v_{channel + 1} is {rows[row, channel]} V at sample {self.rows + row}: every "
+                "sample must be finite; cut the recording there, or repair it"
+            )
+        return rows
+
+    def _step_over_gap(self, first_sample: int) -> list[SlipEvent]:
+        expected = self._rows
+        if first_sample == expected:
+            return []
+        if first_sample < expected:
+            raise ValueError(
+                f"first_sample {first_sample} must be at least {expected}: rows came twice"
+            )
+        self._rows = first_sample
+        begun, self._begun = self._begun, False
+        if not begun:
+            return []
+        reason = f"gap of {first_sample - expected} samples: offset and noise are judged anew"
+        return [self.event("rejected", 0, 0.0, reason)]

@@ -1,0 +1,182 @@
+"""The detectors that installed packages register: entry-point group ``rig.detectors``.
+
+    [project.entry-points."rig.detectors"]
+    lab-cusum = "lab_cusum.detector:Cusum"
+
+The value is a class that derives from `rig.detector.contract.Detector`. A package that is broken
+disables its own detector alone; the message names the package.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import inspect
+import re
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cache, cached_property
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+from rig.core.entry_points import DETECTORS, OWN_PACKAGE, find, load, names, package
+from rig.core.errors import ConfigurationError
+from rig.core.settings import Settings
+from rig.detector.checking import CheckedDetector
+from rig.detector.contract import Detector
+from rig.detector.resampling import ResampledDetector
+
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]*")
+"""Form of a detector's name and version: both are part of the names of files."""
+_VERSION = re.compile(r"[A-Za-z0-9][A-Za-z0-9_+-]*")
+
+
+@dataclass(frozen=True)
+class ChosenDetector:
+    """A registered detector and its parameters: what a command chooses and a file states."""
+
+    name: str
+    """Name of its entry point."""
+    settings: Settings
+    """All of its parameters."""
+
+    @cached_property
+    def kind(self) -> type[Detector]:
+        """Its class. ConfigurationError where it is not installed or cannot be used."""
+        return detector_class(self.name)
+
+    @property
+    def version(self) -> str:
+        """Its version."""
+        return self.kind.version
+
+    @property
+    def is_own(self) -> bool:
+        """True for a detector of this project."""
+        return self.package == OWN_PACKAGE
+
+    @property
+    def package(self) -> str:
+        """Name of the package that registers it."""
+        return _package_of(self.name)[0]
+
+    @property
+    def package_version(self) -> str:
+        """Version of that package."""
+        return _package_of(self.name)[1]
+
+    @property
+    def code_digest(self) -> str:
+        """SHA-256 of the code of another package's detector; empty for one of this project."""
+        return "" if self.is_own else _digest_of(self.kind)
+
+    def make(self, rate_Hz: float) -> Detector:
+        """Returns a new detector for a recording at a rate, which is resampled where it must be.
+
+        What another package's detector returns is checked; what it raises becomes a DetectorError,
+        which names the package. Raises ValueError for a rate that no detector judges.
+        """
+        if self.is_own:
+            return self._made(rate_Hz)
+        return CheckedDetector(self._made, self.name, self.package, self.settings, rate_Hz)
+
+    def _made(self, rate_Hz: float) -> Detector:
+        if self.kind.accepts(rate_Hz):
+            return self.kind(self.settings, rate_Hz)
+        return ResampledDetector(self.kind, self.settings, rate_Hz)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickles names and numbers only: who unpickles it may have another version, or none."""
+        return _chosen_again, (self.name, self.settings.model_dump_json())
+
+
+def chosen_detector(name: str) -> ChosenDetector:
+    """Returns a detector with its own parameters. ConfigurationError where it is unknown, or its
+    package cannot be used."""
+    return ChosenDetector(name, detector_class(name).default_settings())
+
+
+def detector_names() -> tuple[str, ...]:
+    """Returns the names of all registered detectors, this project's first; nothing is imported."""
+    return tuple(sorted(names(DETECTORS), key=lambda name: (not _is_own(name), name)))
+
+
+@cache
+def detector_class(name: str) -> type[Detector]:
+    """Returns the class of a registered detector. ConfigurationError where it is unknown, or its
+    package cannot be used."""
+    with quiet_stdout():
+        found: type[Detector] = load(DETECTORS, name, lambda value: _fault(name, value))
+    return found
+
+
+@contextlib.contextmanager
+def quiet_stdout() -> Iterator[None]:
+    """Sends to stderr what code of another package prints: stdout carries the command's data."""
+    with contextlib.redirect_stdout(sys.stderr):
+        yield
+
+
+def _fault(name: str, value: Any) -> str | None:
+    """Returns what is wrong with a registered class, as the end of a sentence; None if nothing."""
+    if _NAME.fullmatch(name) is None:
+        return "has a name that is not of letters, digits, - and _, which file names need"
+    if not (isinstance(value, type) and issubclass(value, Detector)):
+        return "is not a class that derives from rig.detector.contract.Detector"
+    if inspect.isabstract(value):
+        return f"lacks {', '.join(sorted(value.__abstractmethods__))}"
+    if not (isinstance(value.version, str) and _VERSION.fullmatch(value.version)):
+        return 'lacks a version such as "1", of letters, digits, +, - and _'
+    rates = (value.slowest_Hz, value.design_rate_Hz, value.fastest_Hz)
+    if not all(isinstance(rate, int | float) for rate in rates) or sorted(rates) != list(rates):
+        return "has slowest_Hz, design_rate_Hz and fastest_Hz that do not ascend"
+    if not (isinstance(value.Settings, type) and issubclass(value.Settings, Settings)):
+        return "has Settings that are not a subclass of rig.core.settings.Settings"
+    try:
+        settings = value.default_settings()
+        again = value.Settings.model_validate_json(settings.model_dump_json())
+    except (ValidationError, ValueError, TypeError) as error:
+        return f"has Settings without usable defaults: {' '.join(str(error).split())}"
+    return None if again == settings else "has Settings that JSON does not hold"
+
+
+def _chosen_again(name: str, settings_json: str) -> ChosenDetector:
+    kind = detector_class(name)
+    try:
+        return ChosenDetector(name, kind.Settings.model_validate_json(settings_json))
+    except ValidationError as error:
+        raise ConfigurationError.from_validation(error, f"detector {name!r} here") from error
+
+
+def _is_own(name: str) -> bool:
+    return _package_of(name)[0] == OWN_PACKAGE
+
+
+@cache
+def _package_of(name: str) -> tuple[str, str]:
+    """Returns name and version of the package that registers a detector."""
+    entry = find(DETECTORS, name)
+    if entry is None:
+        return "", ""
+    return package(entry), "" if entry.dist is None else entry.dist.version
+
+
+@cache
+def _digest_of(kind: type[Detector]) -> str:
+    """Returns the SHA-256 of every file of the package around a class, or of its only module: a
+    version that is kept by hand does not tell two states of the code apart."""
+    top = import_module(kind.__module__.partition(".")[0])
+    file = Path(top.__file__ or "")
+    root = file.parent
+    files = sorted(root.rglob("*")) if hasattr(top, "__path__") else [file]
+    hashed = hashlib.sha256()
+    for path in files:
+        if path.is_file() and "__pycache__" not in path.parts:
+            content = path.read_bytes()
+            name = path.relative_to(root).as_posix()
+            hashed.update(f"{name} {len(content)}\n".encode() + content)
+    return hashed.hexdigest()

@@ -1,0 +1,223 @@
+"""Detectors of other packages run by the same commands; a broken one disables only itself."""
+
+from __future__ import annotations
+
+import json
+import re
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parent.parent / "files"))
+
+import recorded_trials as trials
+from packages import install, on_path
+from tiers import mostly_thorough
+
+from rig.files.processed.reader import ProcessedFile
+
+LAB = "[rig.detectors]\nlab-level = lab.level:Level\n"
+LEVEL = '''"""A level detector."""
+import numpy as np
+from pydantic import Field
+
+from rig.core.settings import Settings
+from rig.detector.contract import Detector
+from rig.detector.events import SlipEvent
+
+
+class LevelSettings(Settings):
+    level_mV: float = Field(20.0, gt=0)
+    """A slip is reported where v_d first passes this level."""
+
+
+class Level(Detector):
+    """Reports a slip where v_d first passes a level."""
+
+    Settings = LevelSettings
+    version = "3"
+
+    def reset(self):
+        self.fired = False
+
+    def judge(self, volts):
+        above = 1e3 * np.abs(volts[:, 0] - volts[:, 1]) > self.settings.level_mV
+        if self.fired or not above.any():
+            return []
+        self.fired = True
+        return [self.event("incipient slip", above.argmax(), 0.75)]
+'''
+MODULES = {"lab/__init__.py": "", "lab/level.py": LEVEL}
+
+
+def installed(rig: Any, source: str = LEVEL, entries: str = LAB) -> None:
+    modules = {**MODULES, "lab/level.py": source}
+    on_path(rig, install(rig.folder / "site", "lab-level", entries, modules))
+
+
+def recorded(rig: Any, rate_Hz: float = 1000.0) -> Path:
+    made = {"trial-001": trials.slipping(), "trial-002": trials.quiet(seed=2)}
+    return trials.write_trials(rig.folder / "a_r001.rigj", made, rate_Hz=rate_Hz)
+
+
+def test_it_judges_files_and_the_file_says_whose_it_was(rig: Any) -> None:
+    installed(rig)
+    file = recorded(rig)
+    (rig.folder / "low.toml").write_text("level_mV = 5.0\n")
+    done = rig.run("detect", "--detector", "lab-level", "--settings", "low.toml", file.name)
+    assert done.code == 0, done.stderr
+    assert "2 trials: 1 incipient slip (first at " in done.stdout
+    (made,) = (file.parent / "processed").glob("a_r001.lab-level-3-*.h5")
+    del rig.env["PYTHONPATH"]  # years later, without the package
+    with ProcessedFile.open(made) as processed:
+        assert processed.detector.name == "lab-level"
+        assert (processed.detector.package, processed.detector.package_version) == (
+            "lab-level", "1.0",
+        )  # fmt: skip
+        assert processed.detector.settings.model_dump() == {"level_mV": 5.0}
+        assert len(processed.events()) == 1
+        assert list(processed.findings()) == []
+    verified = rig.run("verify", str(made))
+    assert verified.code == 0, verified.stderr
+    assert "sound (lab-level 3, 1 event in 2 trials)" in verified.stdout
+    shown = rig.run("show", "--all", str(made))
+    assert "lab-level 1.0" in shown.stdout
+    assert "level_mV" in shown.stdout
+
+
+@pytest.mark.thorough
+def test_it_runs_in_several_processes_and_its_new_code_is_a_new_result(rig: Any) -> None:
+    installed(rig)
+    file = recorded(rig)
+    other = trials.write_trials(rig.folder / "b_r001.rigj", {"trial-001": trials.slipping()})
+    line = ("detect", "--detector", "lab-level", "--jobs", "2", file.name, other.name)
+    assert rig.run(*line).code == 0
+    again = rig.run(*line)
+    assert again.stdout.count("Saved before") == 2
+    (rig.folder / "site/lab/level.py").write_text(LEVEL.replace("argmax()", "argmax() + 1"))
+    newer = rig.run(*line)
+    assert newer.code == 0, newer.stderr
+    assert newer.stderr.count("other code has made it") == 2
+
+
+def test_the_list_names_it_with_its_package(rig: Any) -> None:
+    installed(rig)
+    shown = rig.run("detectors")
+    assert shown.code == 0, shown.stderr
+    lines = shown.stdout.splitlines()
+    assert [line.split()[0] for line in lines] == ["paper-hp", "paper-literal", "rig", "lab-level"]
+    assert re.search(r"lab-level +3 +lab-level 1\.0 +Reports a slip where v_d first", lines[3])
+    said = json.loads(rig.run("detectors", "--json").stdout)
+    assert said["detectors"][3]["settings"] == {"level_mV": 20.0}
+
+
+BROKEN = {
+    "it cannot be imported": ("import acme_sdk\n", "install acme_sdk, which the package lab-level"),
+    "it ends the program": ("raise SystemExit(0)\n", "cannot be imported: .*SystemExit"),
+    "a class of another kind": ("class Level: pass\n", "is not a class that derives from"),
+    "without judge": (LEVEL.replace("def judge", "def judges"), "lacks judge"),
+    "without a version": (LEVEL.replace('version = "3"', 'version = "3/1"'), "lacks a version"),
+    "settings of its own kind": (
+        LEVEL.replace("Settings = LevelSettings", "Settings = dict"),
+        "has Settings that are not a subclass",
+    ),
+    "settings without defaults": (
+        LEVEL.replace("Field(20.0, gt=0)", "Field(gt=0)"),
+        "has Settings without usable defaults: .*level_mV",
+    ),
+    "rates that do not ascend": (
+        LEVEL.replace('version = "3"', 'version = "3"\n    slowest_Hz = 2000.0'),
+        "that do not ascend",
+    ),
+}
+
+
+@pytest.mark.parametrize(
+    "fault", mostly_thorough(BROKEN, default=("without judge", "it ends the program"))
+)
+def test_a_broken_one_is_named_and_disables_only_itself(rig: Any, fault: str) -> None:
+    source, expected = BROKEN[fault]
+    installed(rig, source)
+    file = recorded(rig)
+    refused = rig.run("detect", "--detector", "lab-level", file.name)
+    assert refused.code == 2
+    (error,) = refused.errors
+    assert "of the package lab-level" in error
+    assert re.search(expected, error), error
+    listed = rig.run("detectors")
+    assert listed.code == 0
+    assert [line.split()[0] for line in listed.stdout.splitlines()] == [
+        "paper-hp", "paper-literal", "rig",
+    ]  # fmt: skip
+    assert listed.stderr.count("warning:") == 1
+    assert rig.run("detect", file.name).code == 0
+
+
+NONSENSE = {
+    "an event of the future": ("above.argmax()", "len(volts) + 3", "but rows 0 to .* were judged"),
+    "an event of the past": ("above.argmax()", "-1", "an event lies in the row"),
+    "no list": ("return [self.event(", "return (self.event(", "TypeError: .SlipEvent"),
+    "no event": (
+        'return [self.event("incipient slip", above.argmax(), 0.75)]',
+        "return [1]",
+        "returned int where an event",
+    ),
+    "an unknown kind": ('"incipient slip"', '"SLIP!"', "kind 'SLIP!': it must be one of"),
+    "a confidence of 7": ("0.75", "7.0", "confidence 7.0: it must be from 0 to 1"),
+    "no number as confidence": ("0.75", "float('nan')", "confidence nan"),
+    "a feature without a number": (
+        "0.75)", "0.75, '', {'x': float('inf')})", "feature 'x' is not a finite number",
+    ),
+    "a time of its own": (
+        "return [self.event(",
+        "return [SlipEvent('roll', 3, 9.0, 0.5), self.event(",
+        "an event whose time 9.0 s is not that of its row 3",
+    ),
+    "too many events": ("0.75)]", "0.75)] * 1000000", "returned 1000000 events for"),
+    "it raises": ("above.argmax()", "1 // 0", "failed at judging: ZeroDivisionError"),
+    "it ends the program": ("above.argmax()", "exit(0)", "failed at judging: SystemExit"),
+    "it changes the rows": ("above.argmax()", "volts.fill(0) or 5", ""),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "nonsense", mostly_thorough(NONSENSE, default=("an event of the future", "it changes the rows"))
+)
+def test_nonsense_is_refused_and_leaves_nothing(rig: Any, nonsense: str) -> None:
+    old, new, expected = NONSENSE[nonsense]
+    source = LEVEL.replace(old, new)
+    if nonsense == "no list":
+        source = source.replace("0.75)]", "0.75))")
+    assert source != LEVEL
+    installed(rig, source)
+    file = recorded(rig)
+    done = rig.run("detect", "--detector", "lab-level", "--json", file.name)
+    assert len(done.stdout.splitlines()) == 1
+    if not expected:
+        assert done.code == 0, done.stderr
+        with ProcessedFile.open(next((file.parent / "processed").glob("*.h5"))) as processed:
+            assert abs(processed.trials()[0].v_d).max() > 0.01
+        return
+    assert done.code == 1, done.stderr
+    (error,) = done.errors
+    assert "detector 'lab-level' of the package lab-level" in error
+    assert re.search(expected, error), error
+    assert not (file.parent / "processed").exists()
+
+
+def test_what_it_prints_does_not_reach_the_command_s_data(rig: Any) -> None:
+    installed(rig, 'print("loading")\n' + LEVEL.replace("above =", 'print("hello"); above ='))
+    done = rig.run("detect", "--detector", "lab-level", "--json", recorded(rig).name)
+    assert done.code == 0, done.stderr
+    assert json.loads(done.stdout)["summary"]["files"] == 1
+    assert "hello" in done.stderr
+    assert "loading" in done.stderr
+
+
+def test_another_package_s_detector_of_our_name_does_not_replace_ours(rig: Any) -> None:
+    installed(rig, entries="[rig.detectors]\npaper-hp = lab.level:Level\n")
+    done = rig.run("detect", recorded(rig).name)
+    assert done.code == 0, done.stderr
+    assert ".paper-hp-1-" in done.stdout
