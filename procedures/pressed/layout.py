@@ -117,5 +117,7 @@ RECORDED = (
     Column("oldest_look", "s", "Longest time for which a moving axis was not seen"),
     Column("invalid", "", "Why the trial does not count", "text"),
     Column("filter_delay", "s", "Delay of the anti-alias filter"),
+    Column("detector", "", "Detector of slip during the trial", "text"),
+    Column("detections", "", "What it found during the trial, as JSON", "text"),
 )
 """Columns on the quality of the record."""

@@ -14,11 +14,12 @@ import numpy as np
 from procedures.pressed.contact import ForceZero
 from procedures.pressed.earlier_runs import EarlierPress
 from procedures.pressed.layout import TOUCHED
-from procedures.pressed.settings import AFTER_S, PressedSettings
+from procedures.pressed.settings import AFTER_S, PressedSettings, point_name
 from rig.analysis.trial.clock_offset import clock_offset
 from rig.analysis.trial.touch_down import TouchDownError, TouchRecord
 from rig.analysis.trial.touch_gain import touch_gain
 from rig.bench.settings import STRIPS
+from rig.files.journal.detections import Detection, to_text
 from rig.run.press_references import TouchGain
 
 if TYPE_CHECKING:
@@ -97,6 +98,13 @@ class TrialRecord:
     held_back: int = 0
     """Ticks of the servo without a new target: the drive had not answered to what came before."""
     loops: list[LoopStatistics] = field(default_factory=list)
+    detections: list[Detection] = field(default_factory=list)
+    """What the detector has found."""
+
+    @property
+    def point(self) -> str:
+        """Name of the trial's point."""
+        return point_name(self.number)
 
     @property
     def moves(self) -> bool:
@@ -193,6 +201,8 @@ def reading_of(run: Run, record: TrialRecord) -> Reading:
         "misread_positions": record.misread,
         "oldest_look_s": max(record.unseen_s.values(), default=None),
         "filter_delay_s": record.filter_delay_s,
+        "detector": settings.detector,
+        "detections": to_text(record.detections),
     }
     if record.held_back > HELD_BACK * ticks:
         run.event(

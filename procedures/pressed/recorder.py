@@ -12,8 +12,10 @@ import math
 from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING
 
+from procedures.pressed.detection import DetectionRecord, LiveDetection
 from procedures.pressed.force import TrialForce
 from procedures.pressed.positions import AxisRows, LookWatch, PositionRecorder
+from procedures.pressed.reading import DECIMATED_Hz
 from procedures.pressed.strips import StripRecorder
 from rig.core.errors import RigError
 from rig.instruments.roles import CountsMisreadings
@@ -23,7 +25,12 @@ if TYPE_CHECKING:
     from procedures.pressed.links import TrialLinks
     from procedures.pressed.reading import TrialRecord
     from rig.control.tick_loop import Tick
+    from rig.files.journal.detections import Detection
     from rig.run.context import Run
+
+
+LEAST_WAIT_S = 1e-6
+"""Shortest wait that a virtual clock counts in; a shorter one would never be over."""
 
 
 class PollSchedule:
@@ -77,7 +84,9 @@ class TickRecorder:
         self._axes: list[PolledAxis] = [*stages]
         """Axes in the order in which they are polled."""
         self.force = TrialForce(run, record)
-        self._strips = StripRecorder(run, record, links)
+        self._detection = LiveDetection(run.settings.detector, DECIMATED_Hz, run.clock)
+        self._strips = StripRecorder(run, record, links, self._detection)
+        self._found = DetectionRecord(run, record, self._detection)
         self._positions = PositionRecorder(run, record, *stages)
         self._schedule = PollSchedule(poll_rate_Hz)
         self._watch = LookWatch(record)
@@ -108,6 +117,7 @@ class TickRecorder:
         self._record.misread = self._misreadings() - self._misread_before
         self._recording = False
         self._strips.stop()
+        self._found.take()
 
     def _misreadings(self) -> int:
         stages = [axis.stage for axis in self._axes]
@@ -126,6 +136,23 @@ class TickRecorder:
                 self._record_open_blocks()
             raise
         self._record_open_blocks()
+
+    def wait(self, seconds: float) -> list[Detection]:
+        """Wait for at most so long, and read and judge the strips' blocks as they come; return as
+        soon as something was detected, with what it is."""
+        clock, strips, until_s = self._run.clock, self._strips, self._run.clock.now() + seconds
+        while not (found := self._found.take()):
+            if (now_s := clock.now()) >= until_s - LEAST_WAIT_S:
+                break
+            if now_s >= strips.next_s - LEAST_WAIT_S:
+                strips.ask_block()
+            else:
+                clock.sleep_unless(self._detection.woken, min(strips.next_s, until_s) - now_s)
+        return found
+
+    def detected(self) -> list[Detection]:
+        """Return what was detected since the last call of this or of `wait`."""
+        return self._found.take()
 
     def collect(self, tick: Tick, wait: bool = False) -> float:
         """Poll and record what is due in this tick; return the latest normal force in N.

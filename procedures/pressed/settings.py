@@ -12,7 +12,7 @@ import math
 import statistics
 from typing import TYPE_CHECKING, Any
 
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from procedures.pressed.contact import (
     HOMING_S,
@@ -30,6 +30,8 @@ from procedures.pressed.contact import (
 from rig.bench.settings import STRIPS, FixtureSettings
 from rig.core.errors import RigError
 from rig.core.settings import Settings as BaseSettings
+from rig.detector import DEFAULT_DETECTOR
+from rig.files.journal.detections import NO_DETECTOR
 from rig.instruments.roles import Acquisition, InputChannel
 from rig.run.points import Move, Point, Reading
 from rig.run.procedure import DriftFigure
@@ -106,12 +108,26 @@ class PressedSettings(BaseSettings):
     allows."""
     rate_S_s: float = Field(default=10e3, ge=10e3, le=50e3)
     """Sampling rate of the strips; a whole multiple of 1000."""
-    block_s: float = Field(default=0.02, ge=0.002, le=0.2)
+    block_s: float = Field(default=0.02, ge=0.001, le=0.2)
     """Length of a DAQ read block; upper bound on the delay of live data."""
     range_V: float = Field(default=1.25, gt=0)
     """Input range of the strips' channels, bipolar."""
     object: str = ""
     """Object that the skin is pressed on."""
+    detector: str = DEFAULT_DETECTOR
+    """Detector that looks for slips during the trial (rig detect --help names them), or none."""
+
+    @field_validator("detector")
+    @classmethod
+    def _detector_is_known(cls, name: str) -> str:
+        if name not in (DEFAULT_DETECTOR, NO_DETECTOR):
+            # Here and not at the top: numpy would slow `rig --help`.
+            from rig.detector.settings import named_detectors
+
+            if name not in named_detectors():
+                known = ", ".join((*named_detectors(), NO_DETECTOR))
+                raise ValueError(f"{name!r} is not a detector; choose one of {known}")
+        return name
 
     @model_validator(mode="after")
     def _can_be_held(self) -> PressedSettings:
@@ -181,7 +197,7 @@ def trial_points(
     trial_s = pressing_s(settings) + motion_s + AFTER_S
     return tuple(
         Point(
-            id=f"trial-{number:03d}",
+            id=point_name(number),
             condition=number,
             moves=(*held, *moves),
             acquisitions=(settings.acquisition,),
@@ -189,6 +205,11 @@ def trial_points(
         )
         for number in range(1, settings.trials * places + 1)
     )
+
+
+def point_name(number: int) -> str:
+    """Return the name of a trial's point, from its number."""
+    return f"trial-{number:03d}"
 
 
 def pressing_s(settings: PressedSettings) -> float:
@@ -281,11 +302,18 @@ def _touch_gains_of(readings: Sequence[Reading]) -> dict[str, float]:
     return found
 
 
-def import_what_a_trial_needs() -> None:
-    """Import what a trial needs. It takes seconds, so it must not happen while something is
-    switched on."""
+def import_what_a_trial_needs(settings: PressedSettings) -> None:
+    """Import what a trial needs, and compile its detector, which takes a minute on the first use on
+    a computer. It must not happen while something is switched on."""
+    import numpy as np
     import scipy.ndimage
     import scipy.special  # noqa: F401
+
+    from procedures.pressed.detection import live_detector
+    from rig.analysis.trial.decimation import RATE_Hz
+
+    if (detector := live_detector(settings.detector, RATE_Hz)) is not None:
+        detector.add(np.zeros((1, 2)))
 
 
 def arm_pressed(

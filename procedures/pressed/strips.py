@@ -1,4 +1,9 @@
-"""The strips' samples in a trial: read in the background, recorded raw and at 1 kHz."""
+"""The strips' samples in a trial: read in the background, decimated, judged, and recorded.
+
+A block is asked for as soon as it may be there, between the ticks of the servo as well, so that the
+detector sees a slip at most a block after it. Where the ticks record, they record all that has come
+since the tick before.
+"""
 
 from __future__ import annotations
 
@@ -11,18 +16,24 @@ import numpy as np
 from procedures.pressed.reading import DECIMATED_Hz, TrialRecord
 from rig.analysis.trial.decimation import Decimator
 from rig.bench.settings import STRIPS
+from rig.instruments.roles import Record
 from rig.run.sample_stream import SampleStream
 
 if TYPE_CHECKING:
     import numpy.typing as npt
 
+    from procedures.pressed.detection import LiveDetection
     from procedures.pressed.links import TrialLinks
     from procedures.pressed.settings import PressedSettings
-    from rig.instruments.roles import Record
     from rig.run.context import Run
+
+    Volts = npt.NDArray[np.float64]
 
 CLOCKS_DIFFER = 1e-3
 """Far more than the clocks of DAQ and computer do: a block is asked for when it may be there."""
+LINK_ROOM_S = 0.0002
+"""Time after the instant at which a block may be there, at which it is asked for: the acquisition
+began within the exchange that started it."""
 BLOCKS_A_POLL = 4
 """Largest number of blocks that are read in a row when one is due: a loop that is late has the
 force to handle too."""
@@ -34,21 +45,39 @@ are shorter."""
 class StripRecorder:
     """An acquisition of the strips: its blocks are read on the DAQ's link and recorded by ticks."""
 
-    def __init__(self, run: Run, record: TrialRecord, links: TrialLinks):
+    def __init__(self, run: Run, record: TrialRecord, links: TrialLinks, detection: LiveDetection):
         self._run, self._record, self._links = run, record, links
         links.add("daq")
         self._settings: PressedSettings = run.settings
         self._samples = SampleStream(run.bench.daq, run.clock)
         self._decimator = Decimator(self._settings.rate_S_s, len(STRIPS))
+        self._detection = detection
         self._rows_read = 0
-        self._blocks: deque[Record] = deque()
-        """Read, and not recorded yet."""
+        self._next_s = math.inf
+        """Time on the run's clock at which the next block is asked for between ticks."""
+        self._blocks: deque[tuple[Record, Volts]] = deque()
+        """Read and not recorded yet: raw, and decimated."""
 
     def start(self) -> None:
         """Begin to sample: the record's times are from here."""
         self._samples.start(self._settings.acquisition)
         self._record.begun_s = self._run.clock.now()
         self._record.filter_delay_s = self._decimator.delay_s
+        self._next_s = self._record.begun_s + self._settings.block_s + LINK_ROOM_S
+
+    @property
+    def next_s(self) -> float:
+        """Time on the run's clock at which `ask_block` is due; infinite where nothing is
+        sampled."""
+        return self._next_s
+
+    def ask_block(self) -> None:
+        """Ask for the block that may be there, to be judged as soon as it is."""
+        block_s = self._settings.block_s
+        late = max(0, math.floor((self._run.clock.now() - self._next_s) / block_s))  # blocks
+        self._next_s += (1 + late) * block_s
+        if self._block_due():
+            self._links.ask("daq", "blocks", lambda: self._read_blocks(block_s))
 
     def collect(self, interval_s: float) -> None:
         """Ask for the blocks that may be there, and record those that have come. The next call is
@@ -64,9 +93,11 @@ class StripRecorder:
         while self._rows_read < sampled and self._read_block():
             self._record_blocks()
             self._run.check_stop()
+        self._detection.finish()
 
     def stop(self) -> None:
         """End the acquisition."""
+        self._next_s = math.inf
         self._samples.stop()
 
     # --- on the link ----------------------------------------------------------------------------
@@ -86,7 +117,10 @@ class StripRecorder:
         if block is None:
             return False
         self._rows_read += len(block.counts)
-        self._blocks.append(block)
+        volts = self._decimator.add(np.stack([block.volts(name) for name in STRIPS], axis=1))
+        # Judged first: what acts on a slip must not wait for anything that can come later.
+        self._detection.judge(volts)
+        self._blocks.append((block, volts))
         return True
 
     def _read_blocks(self, interval_s: float) -> None:
@@ -99,17 +133,40 @@ class StripRecorder:
     # --- in the record --------------------------------------------------------------------------
 
     def _record_blocks(self) -> None:
-        while self._blocks:
-            block = self._blocks.popleft()
-            self._run.record_raw("strips", block)
-            self._record.rows += len(block.counts)
-            volts = np.stack([block.volts(name) for name in STRIPS], axis=1)
-            self._record_signals(self._decimator.add(volts))
+        """Record what has been read, as one block where it is in one piece."""
+        waiting = [self._blocks.popleft() for _ in range(len(self._blocks))]
+        if not waiting:
+            return
+        for piece in _in_pieces([block for block, _ in waiting]):
+            self._run.record_raw("strips", piece)
+            self._record.rows += len(piece.counts)
+        self._record_signals(np.concatenate([volts for _, volts in waiting]))
 
-    def _record_signals(self, volts: npt.NDArray[np.float64]) -> None:
+    def _record_signals(self, volts: Volts) -> None:
         if not len(volts):
             return
         rows = np.column_stack([volts[:, 0] - volts[:, 1], volts])
         self._run.record_rows("signals", self._record.signal_rows, rows, DECIMATED_Hz, units="V")
         self._record.signal_rows += len(rows)
         self._record.volts.append(volts)
+
+
+def _in_pieces(blocks: list[Record]) -> list[Record]:
+    """Return blocks with those joined that follow each other without a gap and are scaled alike."""
+    pieces: list[list[Record]] = []
+    for block in blocks:
+        last = pieces[-1][-1] if pieces else None
+        if (
+            last is not None
+            and last.scaling == block.scaling
+            and last.first_index + len(last.counts) == block.first_index
+        ):
+            pieces[-1].append(block)
+        else:
+            pieces.append([block])
+    return [
+        Record(
+            np.concatenate([one.counts for one in piece]), piece[0].scaling, piece[0].first_index
+        )
+        for piece in pieces
+    ]

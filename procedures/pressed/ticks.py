@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
+from procedures.pressed.recorder import LEAST_WAIT_S
 from rig.control.tick_loop import tick_loop
 
 if TYPE_CHECKING:
     from procedures.pressed.links import TrialLinks
     from procedures.pressed.recorder import TickRecorder
     from rig.control.tick_loop import LoopStatistics, Tick
+    from rig.files.journal.detections import Detection
     from rig.run.context import Run
 
 
@@ -32,6 +34,9 @@ class TrialTicks:
         """Time on the run's clock at which the first tick of the next loop is due."""
         self.begun = 0
         """Ticks that have begun or were missed since the trial began."""
+        self.on_detection: Callable[[Detection], None] = lambda detection: None
+        """Called with everything that the detector finds while ticks run, at once: also between
+        two ticks."""
 
     def run(
         self, longest_s: float, on_tick: Callable[[Tick], bool], tick_s: float | None = None
@@ -41,6 +46,7 @@ class TrialTicks:
 
         def whole(tick: Tick) -> bool:
             self.begun += 1 + tick.missed
+            self._react(self._recorder.detected())
             continues = on_tick(tick)
             self._recorder.poll_if_due()
             return continues
@@ -48,10 +54,23 @@ class TrialTicks:
         self.wait()
         begin_s, tick_Hz = self._run.clock.now(), 1 / (tick_s or self._tick_s)
         with self._links.working(), self._recorder.loop(tick_Hz):
-            done = tick_loop(self._run, tick_Hz, longest_s, whole)
+            done = tick_loop(self._run, tick_Hz, longest_s, whole, self._between)
         self._next_tick_s = begin_s + done.ticks / tick_Hz
         self._loops.append(done)
 
     def wait(self) -> None:
         """Wait until the first tick of the next loop is due."""
         self._run.clock.sleep(max(0.0, self._next_tick_s - self._run.clock.now()))
+
+    def _between(self, seconds: float) -> None:
+        """Wait for the next tick, and react to what is detected meanwhile. The clock checks in it
+        what it checks in every wait."""
+        clock = self._run.clock
+        until_s = clock.now() + seconds
+        clock.sleep(0)
+        while (left_s := until_s - clock.now()) > LEAST_WAIT_S:
+            self._react(self._recorder.wait(left_s))
+
+    def _react(self, found: list[Detection]) -> None:
+        for one in found:
+            self.on_detection(one)

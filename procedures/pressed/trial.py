@@ -23,6 +23,7 @@ from typing import TYPE_CHECKING
 
 from procedures.pressed.axes import ArrivalWatch, PolledStage, PressingStage
 from procedures.pressed.contact import SETTLED_S, come_close, tare_in_free_air
+from procedures.pressed.detection import SLIP
 from procedures.pressed.earlier_runs import EarlierPress
 from procedures.pressed.hold import ForceHold
 from procedures.pressed.links import TrialLinks
@@ -207,6 +208,16 @@ class PressedTrial:
         self.run.clock.sleep(2 * SETTLED_S)
         shift_N = self.run.force.mean_N(SETTLED_S)
         self.record.zero_shift_N = (float(shift_N[0]), float(shift_N[1]), float(shift_N[2]))
+        self._tell_slips()
+
+    def _tell_slips(self) -> None:
+        """Show the slips that were detected: only now, since a terminal may make the run wait."""
+        for one in self.record.detections:
+            if one.kind == SLIP:
+                self.run.tell(
+                    f"{self.record.point}: Slip detected at {one.time_s:.3f} s "
+                    f"({self.settings.detector})"
+                )
 
     def record_load_rates(self) -> Reading:
         """Record the load rates of the strips that are calibrated; return their scales."""

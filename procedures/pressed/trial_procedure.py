@@ -53,7 +53,7 @@ class TrialProcedure(Procedure):
 
     def import_ahead(self) -> None:
         """Import what a trial needs: never while something is switched on."""
-        import_what_a_trial_needs()
+        import_what_a_trial_needs(self.settings)
 
     def check(self, bench: Bench) -> None:
         """Refuse a fixture that does not state where contact has to be felt, and a contact so stiff

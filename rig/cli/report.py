@@ -101,7 +101,7 @@ class ConsoleObserver(RunObserver):
 
     def event(self, level: str, message: str) -> None:
         """See `RunObserver`."""
-        self._say(f"{level}: {message}")
+        self._say(message if level == "info" else f"{level}: {message}")
 
     def state(self, name: str) -> None:
         """Show that the run is paused or resumed; the signal's handler shows what a stop does."""

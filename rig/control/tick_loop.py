@@ -106,9 +106,16 @@ class LoopRun(Protocol):
 
 
 def tick_loop(
-    run: LoopRun, rate_Hz: float, duration_s: float, on_tick: Callable[[Tick], bool]
+    run: LoopRun,
+    rate_Hz: float,
+    duration_s: float,
+    on_tick: Callable[[Tick], bool],
+    wait: Callable[[float], None] | None = None,
 ) -> LoopStatistics:
     """Call `on_tick` at `rate_Hz` for `duration_s`, or until it returns False.
+
+    `wait` waits for the seconds until the next tick is due, by default on the run's clock; another
+    one may work meanwhile. It has to check what the clock's waits check.
 
     There are ``duration_s * rate_Hz`` ticks (rounded), the first at once; the first and the last
     are never missed. An exception of a tick, a watcher or a stop request ends the loop. Raises
@@ -120,7 +127,7 @@ def tick_loop(
         raise ValueError(f"rate_Hz {rate_Hz:g} Hz must be above 0 and at most {HIGHEST_RATE_Hz:g}")
     if not (duration_s >= 0 and math.isfinite(duration_s)):
         raise ValueError(f"duration_s {duration_s:g} s must be a number of at least 0")
-    ticks = _Ticks(run, rate_Hz, round(duration_s * rate_Hz), on_tick)
+    ticks = _Ticks(run, rate_Hz, round(duration_s * rate_Hz), on_tick, wait or run.clock.sleep)
     ticks.take_all()
     return ticks.statistics()
 
@@ -128,8 +135,15 @@ def tick_loop(
 class _Ticks:
     """Runs the ticks of one loop, one after the other."""
 
-    def __init__(self, run: LoopRun, rate_Hz: float, planned: int, on_tick: Callable[[Tick], bool]):
-        self._run, self._clock, self._on_tick = run, run.clock, on_tick
+    def __init__(
+        self,
+        run: LoopRun,
+        rate_Hz: float,
+        planned: int,
+        on_tick: Callable[[Tick], bool],
+        wait: Callable[[float], None],
+    ):
+        self._run, self._clock, self._on_tick, self._wait = run, run.clock, on_tick, wait
         self._rate_Hz, self._planned = rate_Hz, planned
         self._start_s = self._clock.now()
         self._due = self._missed = self._late = 0
@@ -153,7 +167,7 @@ class _Ticks:
         while not self.over:
             remaining_s = self.next_due_s - self._clock.now()
             if remaining_s > 0:
-                self._clock.sleep(remaining_s)
+                self._wait(remaining_s)
             else:
                 self._run.check_stop()
             self.take()

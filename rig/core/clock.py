@@ -150,6 +150,15 @@ class Clock(ABC):
                 return
             self._pass(min(remaining, WAIT_SLICE_S))
 
+    def sleep_unless(self, woken: threading.Event, seconds: float) -> None:
+        """Wait as `sleep` does, but end the wait when another thread sets `woken`."""
+        deadline = self.now() + seconds
+        while True:
+            self.sleep(0)
+            remaining = deadline - self.now()
+            if remaining <= 0 or woken.wait(min(remaining, WAIT_SLICE_S)):
+                return
+
     def charge(self, seconds: float) -> None:
         """Let bench time pass for the `seconds` of wall time that a link's time-out took, unless it
         has passed already. Callbacks run as in any wait."""
@@ -233,6 +242,11 @@ class SlavedClock(Clock):
             step_us = min(remaining_us, round(slice_s * 1e6))
             self._advance(step_us)
             remaining_us -= step_us
+
+    def sleep_unless(self, woken: threading.Event, seconds: float) -> None:
+        """Wait as `sleep` does: no other thread works while this time passes."""
+        if not woken.is_set():
+            self.sleep(seconds)
 
     def follow_stream(self, name: str, reader: StreamConsumer) -> Unregister:
         """Make `sleep` wait for the reader of stream `name`.

@@ -1,6 +1,7 @@
-"""Slips in a run under way, as `rig detect` finds them in its file afterwards.
+"""Slips in a run under way that records none, as `rig detect` finds them in its file afterwards.
 
-A run looks for no slips and records none. The page's own process has the detector of files judge
+A run with a detector records what it finds, and the page shows that (`rig.page.view`). For a run
+without one, and for recordings of before, the page's own process has the detector of files judge
 the rows of v_1 and v_2 in the journal, each attempt at a trial by itself, in a thread that keeps
 neither the state of the bench nor STOP waiting. The events of the detector depend on the rows
 alone, so those of a kept trial are the ones that `rig detect` finds in the run file.
@@ -17,6 +18,7 @@ from numpy.typing import NDArray
 
 from rig.detector import DEFAULT_DETECTOR
 from rig.files.errors import JournalError
+from rig.files.journal.detections import NO_DETECTOR
 from rig.files.journal.follow import JournalTail
 from rig.files.journal.format import Block, JournalRecord, PointBegin, PointDiscard, PointKeep
 from rig.files.journal.strips import STRIPS, stream_of_strips
@@ -79,6 +81,8 @@ class SlipSearch:
             self._streams = record.streams
             names = [stream.name for stream in record.streams]
             self._strips = names.index(name) if name in names else -1
+            if record.settings.get("detector", NO_DETECTOR) != NO_DETECTOR:
+                self._strips = -1  # the run records what its own detector finds
         elif isinstance(record, StreamState):
             self._states[record.stream] = record
         elif isinstance(record, PointBegin):

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.files.journal.detections import SHOWN_CODES, UNSHOWN_CODES
 from rig.files.journal.format import Block, JournalRecord, PointBegin, PointDiscard, PointKeep
 from rig.files.journal.values import End, JournalEvent, RunHeader, Stream, StreamState
 from rig.page.ring import Ring
@@ -101,7 +102,8 @@ class RunView:
         self.discards = 0
         self.events: deque[dict[str, Any]] = deque(maxlen=MOST_EVENTS)
         self.slips: deque[dict[str, Any]] = deque(maxlen=MOST_EVENTS)
-        """Slips that the page's own detector has found (`rig.page.slips`), as events."""
+        """Slips that the run has recorded or, of a run without a detector, that the page's own
+        detector has found (`rig.page.slips`), as events."""
         self.event_count = 0
         self.rings: dict[str, Ring] = {}
         self.curve: list[tuple[float, float]] = []
@@ -179,7 +181,10 @@ class RunView:
             self.holding = ""
         if event.code == "off-failed":
             self.off_failed = True
-        self.note(event.level, event.code, event.message, event.time)
+        if event.code in SHOWN_CODES:
+            self.note_slip(event.time, SHOWN_CODES[event.code], event.message)
+        elif event.code not in UNSHOWN_CODES:
+            self.note(event.level, event.code, event.message, event.time)
 
     def note(self, level: str, code: str, text: str, time_s: float | None = None) -> None:
         """Add an event, at the latest time of the journal unless another is given."""

@@ -49,6 +49,9 @@ class Run:
         self.disturbances = Disturbances(bench.settings.holds)
         self._force: ForceMonitor | None = None
         self.warnings: list[str] = []
+        self.tell: Callable[[str], None] = lambda message: None
+        """Shows a message to the operator, for the observers of the run. It may have to wait for a
+        terminal: never call it while a force is held."""
         self.failures: list[RigError] = []
         """Failures that were reported to `fail`."""
         self.made_safe: list[str] = []
@@ -267,13 +270,14 @@ class Run:
             self._states[stream] = state
         self._recorder.put_block(index, first_index, self.elapsed_s(), rows)
 
-    def event(self, level: str, code: str, message: str) -> None:
-        """Record that something happened; warnings are repeated at the end of the run."""
+    def event(self, level: str, code: str, message: str, at_s: float | None = None) -> None:
+        """Record that something happened; warnings are repeated at the end of the run. `at_s` is
+        the time on the run's clock at which it did, by default now."""
         if level == "warning" and message not in self.warnings:
             self.warnings.append(message)
         self._recorder.put_event(
             {
-                "time": self.elapsed_s(),
+                "time": self.elapsed_s() if at_s is None else at_s - self._start_s,
                 "level": level,
                 "code": code,
                 "message": message,

@@ -140,6 +140,7 @@ class _Execution:
             InterlockStore(bench.plan, lasting=job.lock is not None),
         )
         self.run.references = PressReferences(job.results, bench.plan, job.sample, job.accept)
+        self.run.tell = lambda message: self.observers.event("info", message)
         self.phases = Phases()
         self.loop = PointLoop(
             job,

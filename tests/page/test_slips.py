@@ -11,10 +11,11 @@ from rig.detector import DEFAULT_DETECTOR
 from rig.detector.registered import chosen_detector
 from rig.files.journal.follow import JournalTail
 from rig.files.journal.format import JournalRecord, PointBegin
+from rig.files.journal.values import JournalEvent
 from rig.files.runfile.reader import RunFile
 from rig.page.frames import Cursor, next_frame
 from rig.page.slips import SHOWN, SlipFollower, SlipSearch
-from rig.page.view import MOST_EVENTS
+from rig.page.view import MOST_EVENTS, RunView
 from rig.page.watch import BenchWatch
 from rig.processing.detection import detect_trials
 
@@ -59,6 +60,22 @@ def test_the_slips_of_a_run_under_way_are_those_of_its_file(journal: Path, missi
     assert [slip.time_s for slip in found] == pytest.approx(
         [0.7 - (rows - 1) / trials.RATE_HZ + slip.in_record_s for slip in found]
     )
+
+
+def test_slips_that_the_run_has_recorded_are_shown_and_not_looked_for_again(journal: Path) -> None:
+    written(journal, settings={"detector": "paper-hp"})
+    search = SlipSearch()
+    assert [slip for record in records(journal) for slip in search.take(record)] == []
+    view = RunView()
+    for code in ("slip-detected", "early-warning", "slip-rejected", "servo"):
+        message = f"trial-001: {code}"
+        view.take(JournalEvent(time=2.5, level="info", code=code, message=message))
+    shown = [(event["code"], event["t"], event["text"]) for event in view.slips]
+    assert shown == [
+        ("incipient slip", 2.5, "trial-001: slip-detected"),
+        ("early warning", 2.5, "trial-001: early-warning"),
+    ]
+    assert [event["code"] for event in view.events] == ["servo"]
 
 
 def test_a_retaken_trial_is_judged_from_its_own_begin(journal: Path) -> None:

@@ -10,9 +10,12 @@ import pytest
 from nexusformat.nexus.validate import lint_nxdl, validate_application, validate_file
 from slip_model import compare
 
+from rig.detector.settings import named_detectors
 from rig.files.definitions import definition_path
+from rig.files.journal.detections import from_text
 from rig.files.runfile.reader import RunFile
 from rig.files.verify import verify
+from rig.processing.detection import detect_trials
 
 SHORT = ("--distance", "0.4mm", "--speed", "0.5mm/s", "--rest", "100ms")
 """Slow enough to need no rehearsal on any stage."""
@@ -61,6 +64,15 @@ def test_a_trial_shows_what_the_model_does_and_measures_the_friction(rig, skin8)
         assert run.header.notes == "wiped with ethanol"
         assert run.settings["object"] == "glass plate"
         ticks = series["ticks"].values("elapsed")
+        (found,) = detect_trials(run, named_detectors()[reading["detector"]])
+        events = list(run.entry["events/code"].asstr())
+    live = from_text(reading["detections"])
+    assert [(one.kind, one.sample, one.time_s, one.confidence, one.reason) for one in live] == [
+        (one.kind, one.sample, one.time_s, one.confidence, one.reason) for one in found.events
+    ]
+    assert events.count("slip-detected") == [one.kind for one in live].count("incipient slip") > 0
+    slip_s = next(one.time_s for one in live if one.kind == "incipient slip")
+    assert f"trial-001: Slip detected at {slip_s:.3f} s (paper-hp)" in ended.stderr
     assert len(ticks) == len(series["position"].counts["z"])
     assert (np.diff(ticks) > 0).all()
     assert reading["force_error_rms_percent"] < 2

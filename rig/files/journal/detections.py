@@ -1,0 +1,81 @@
+"""What a detector found in a run under way, as events of its journal and as text of a reading.
+
+A run whose settings name a detector records everything that it finds: in the journal at once, one
+event each, and in the reading of each trial, in the column ``detections``.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from rig.detector.events import SlipEvent
+
+EVENT_CODES = {
+    "predictive": "early-warning",
+    "incipient slip": "slip-detected",
+    "roll": "roll-detected",
+    "rejected": "slip-rejected",
+}
+"""Codes of journal events by the kind of what was found (`rig.detector.events`)."""
+SHOWN_CODES = {
+    EVENT_CODES["predictive"]: "early warning",
+    EVENT_CODES["incipient slip"]: "incipient slip",
+}
+"""Those that are shown on an axis of time, and what they are called there."""
+UNSHOWN_CODES = (EVENT_CODES["roll"], EVENT_CODES["rejected"])
+"""Those that would cover it; the run file has them."""
+NO_DETECTOR = "none"
+"""Setting `detector` of a run that looks for no slips."""
+SILENT_CODE = "detection-ended"
+"""Code of the event after which a run detects nothing more."""
+
+
+@dataclass(frozen=True)
+class Detection:
+    """One event of a detector in a trial."""
+
+    kind: str
+    sample: int
+    """Row of v_1 and v_2 at which it was decided, from 0."""
+    time_s: float
+    """Time of that row in s since the first one."""
+    decided_s: float
+    """Time on the run's clock, since the record began, at which the program knew it."""
+    confidence: float
+    reason: str = ""
+
+    def in_words(self, point: str, detector: str) -> str:
+        """Return what an event of the journal says of it."""
+        why = f", {self.reason}" if self.reason else ""
+        return (
+            f"{point}: {self.kind} at {self.time_s:.3f} s of its record (sample {self.sample}), "
+            f"confidence {self.confidence:.2f}{why} ({detector})"
+        )
+
+
+def detection_of(event: SlipEvent, decided_s: float) -> Detection:
+    """Return an event of a detector that was known at `decided_s`."""
+    return Detection(
+        event.kind, event.sample, event.time_s, decided_s, event.confidence, event.reason
+    )
+
+
+def to_text(detections: Sequence[Detection]) -> str:
+    """Return detections as the text of a reading's column."""
+    return json.dumps([asdict(one) for one in detections])
+
+
+def from_text(text: str) -> list[Detection]:
+    """Return the detections in a reading's column; none for "", as in files of before.
+
+    Raises ValueError for a text that is not one of `to_text`.
+    """
+    found: list[dict[str, Any]] = json.loads(text) if text else []
+    try:
+        return [Detection(**one) for one in found]
+    except TypeError as error:
+        raise ValueError(f"not a list of detections: {error}") from error
