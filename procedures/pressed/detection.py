@@ -11,8 +11,10 @@ import threading
 from collections import deque
 from typing import TYPE_CHECKING
 
-from rig.detector.detector import IncipientSlipDetector
-from rig.detector.settings import named_detectors
+import numpy as np
+
+from rig.analysis.trial.decimation import RATE_Hz
+from rig.detector.registered import chosen_detector
 from rig.files.journal.detections import (
     EVENT_CODES,
     NO_DETECTOR,
@@ -22,11 +24,11 @@ from rig.files.journal.detections import (
 )
 
 if TYPE_CHECKING:
-    import numpy as np
     import numpy.typing as npt
 
     from procedures.pressed.reading import TrialRecord
     from rig.core.clock import Clock
+    from rig.detector.contract import Detector
     from rig.detector.events import SlipEvent
     from rig.run.context import Run
 
@@ -34,11 +36,17 @@ SLIP = "incipient slip"
 """Kind of the events that are alarms."""
 
 
-def live_detector(name: str, rate_Hz: float) -> IncipientSlipDetector | None:
+def live_detector(name: str, rate_Hz: float) -> Detector | None:
     """Return the detector of this name, ready for rows at this rate; None for ``none``."""
     if name == NO_DETECTOR:
         return None
-    return IncipientSlipDetector(named_detectors()[name], rate_Hz)
+    return chosen_detector(name).make(rate_Hz)
+
+
+def compile_detector(name: str) -> None:
+    """Have the detector judge a row, so that nothing of it is compiled later."""
+    if (detector := live_detector(name, RATE_Hz)) is not None:
+        detector.add(np.zeros((1, 2)))
 
 
 class LiveDetection:

@@ -115,17 +115,17 @@ class PressedSettings(BaseSettings):
     object: str = ""
     """Object that the skin is pressed on."""
     detector: str = DEFAULT_DETECTOR
-    """Detector that looks for slips during the trial (rig detect --help names them), or none."""
+    """Detector that looks for slips during the trial (`rig detectors` lists them), or none."""
 
     @field_validator("detector")
     @classmethod
     def _detector_is_known(cls, name: str) -> str:
         if name not in (DEFAULT_DETECTOR, NO_DETECTOR):
             # Here and not at the top: numpy would slow `rig --help`.
-            from rig.detector.settings import named_detectors
+            from rig.detector.registered import detector_names
 
-            if name not in named_detectors():
-                known = ", ".join((*named_detectors(), NO_DETECTOR))
+            if name not in detector_names():
+                known = ", ".join((*detector_names(), NO_DETECTOR))
                 raise ValueError(f"{name!r} is not a detector; choose one of {known}")
         return name
 
@@ -302,18 +302,11 @@ def _touch_gains_of(readings: Sequence[Reading]) -> dict[str, float]:
     return found
 
 
-def import_what_a_trial_needs(settings: PressedSettings) -> None:
-    """Import what a trial needs, and compile its detector, which takes a minute on the first use on
-    a computer. It must not happen while something is switched on."""
-    import numpy as np
+def import_what_a_trial_needs() -> None:
+    """Import what a trial needs. It takes seconds, so it must not happen while something is
+    switched on."""
     import scipy.ndimage
     import scipy.special  # noqa: F401
-
-    from procedures.pressed.detection import live_detector
-    from rig.analysis.trial.decimation import RATE_Hz
-
-    if (detector := live_detector(settings.detector, RATE_Hz)) is not None:
-        detector.add(np.zeros((1, 2)))
 
 
 def arm_pressed(

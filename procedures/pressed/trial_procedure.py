@@ -52,8 +52,12 @@ class TrialProcedure(Procedure):
         """State that trials pass on to later ones; None before the first arming."""
 
     def import_ahead(self) -> None:
-        """Import what a trial needs: never while something is switched on."""
-        import_what_a_trial_needs(self.settings)
+        """Import what a trial needs and compile its detector, which takes a minute on the first use
+        on a computer: never while something is switched on."""
+        from procedures.pressed.detection import compile_detector
+
+        import_what_a_trial_needs()
+        compile_detector(self.settings.detector)
 
     def check(self, bench: Bench) -> None:
         """Refuse a fixture that does not state where contact has to be felt, and a contact so stiff

@@ -10,7 +10,7 @@ import pytest
 from nexusformat.nexus.validate import lint_nxdl, validate_application, validate_file
 from slip_model import compare
 
-from rig.detector.settings import named_detectors
+from rig.detector.registered import chosen_detector
 from rig.files.definitions import definition_path
 from rig.files.journal.detections import from_text
 from rig.files.runfile.reader import RunFile
@@ -64,7 +64,7 @@ def test_a_trial_shows_what_the_model_does_and_measures_the_friction(rig, skin8)
         assert run.header.notes == "wiped with ethanol"
         assert run.settings["object"] == "glass plate"
         ticks = series["ticks"].values("elapsed")
-        (found,) = detect_trials(run, named_detectors()[reading["detector"]])
+        (found,) = detect_trials(run, chosen_detector(reading["detector"]))
         events = list(run.entry["events/code"].asstr())
     live = from_text(reading["detections"])
     assert [(one.kind, one.sample, one.time_s, one.confidence, one.reason) for one in live] == [
