@@ -23,7 +23,7 @@ a CMMT, and to be tried at the first bench; the code depends on each only where 
   again (`CmmtLink.watch`);
 * PNU 12698 and 12699 give the units of telegram 111 (`trust_units` where they do not);
 * PNU 11584 and 11585 are in position units and PNU 12168 is percent of the rated torque: each is
-  read back, but its unit is taken on trust (`prepare`);
+  read back, but its unit is taken on trust (`set_limits`);
 * PNU 11070 is the present torque and PNU 11704 the rated one, in one unit, and the mailbox's first
   five registers can be read in one request (`torque_percent`): the numbers are the vendor's, what
   the values are is taken from their names. A drive that refuses either has no torque to watch;
@@ -39,32 +39,49 @@ from __future__ import annotations
 
 import contextlib
 import math
-import struct
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 from drivers.festo_cmmt.frames import (
-    FULL_SCALE,
     IMAGE_REGISTERS,
     Inputs,
     Outputs,
     PosStw1,
-    PosStw2,
     PosZsw1,
     PosZsw2,
     Stw1,
-    Stw2,
     Zsw1,
 )
-from drivers.festo_cmmt.link import INPUT_IMAGE, OUTPUT_IMAGE, CmmtLink, ParameterRefusedError
-from drivers.festo_cmmt.settings import COMMUNICATION_FAULT, FAULTS, FestoCmmtSettings
+from drivers.festo_cmmt.images import (
+    HOME,
+    POWER_OFF,
+    STOP,
+    TASK,
+    at_rest,
+    gives_way,
+    task_is_taken,
+)
+from drivers.festo_cmmt.link import INPUT_IMAGE, OUTPUT_IMAGE, CmmtLink
+from drivers.festo_cmmt.preparation import (
+    TORQUE,
+    ask_serial_number,
+    check_telegram,
+    check_units,
+    read_identity,
+    read_rated_torque,
+    real,
+    set_limits,
+)
+from drivers.festo_cmmt.reader import CmmtReader
+from drivers.festo_cmmt.settings import COMMUNICATION_FAULT, FestoCmmtSettings, fault_in_words
 from drivers.shared.stage import (
     MotionRefusedError,
     MotionWatch,
     StageInterlock,
     Ticket,
     TravelBound,
+    opened,
     prepared,
     stop_and_close,
 )
@@ -78,16 +95,6 @@ ROLES = ("stage_z", "stage_x")
 Settings = FestoCmmtSettings
 """The settings of a bench file, under the name by which the bench asks any driver for them."""
 
-# Parameters (PNU), from the vendor's pnu_map.csv.
-TELEGRAM_SELECTION = 3490
-SERIAL_NUMBER, SERIAL_LENGTH = 2021, 5
-POSITION_UNIT = 12698  # CiA 402 object 60A8h
-SPEED_UNIT = 12699  # CiA 402 object 60A9h
-CLAMPING_TORQUE = 12168  # REAL, percent of the rated torque
-TORQUE, RATED_TORQUE = 11070, 11704  # torqueActDrive, torqueRated: REAL
-LOW_LIMIT, HIGH_LIMIT = 11584, 11585  # LINT, position units
-
-TELEGRAM = 111
 POLL_S = 0.002
 JUST_SEEN_S = 0.01
 """Age in s up to which an answer of the drive is used again, one tick at 100 Hz: a caller that
@@ -110,18 +117,6 @@ SETTLING_S = 1.0
 MAX_OVERTRAVEL_mm = 0.1
 """Largest distance beyond its target at which an axis may be seen that has started from rest: many
 times the overshoot of a drive, and less than the distance to any obstacle."""
-
-_POWER_OFF = (
-    Stw1.NO_COAST_STOP
-    | Stw1.NO_QUICK_STOP
-    | Stw1.ENABLE_OPERATION
-    | Stw1.CONTROL_BY_PLC
-    | Stw1.NO_INTERMEDIATE_STOP
-)
-_STOP = _POWER_OFF | Stw1.ON  # the reject bit is a zero
-_TASK = _STOP | Stw1.DO_NOT_REJECT_TASK | Stw1.ACTIVATE_TASK
-_HOME = _STOP | Stw1.DO_NOT_REJECT_TASK | Stw1.START_HOMING
-_LIMITS = PosStw2.SOFTWARE_LIMITS | PosStw2.HARDWARE_LIMITS
 
 
 class FestoAxis:
@@ -199,7 +194,7 @@ class FestoAxis:
         self._halt()  # homing begins with a rising bit: it must have been low
         ticket = ticket.after_own_stop()
         was_homed = Zsw1.HOMED in self._seen.zsw1
-        self._send(replace(_at_rest(self._settings), stw1=_HOME), ticket, "home")
+        self._send(replace(at_rest(self._settings), stw1=HOME), ticket, "home")
         self._await(
             "home",
             ticket,
@@ -251,8 +246,8 @@ class FestoAxis:
         target = round(position_mm / own.position_unit_mm)
         motion = self._watch(target, speed_mm_s, fresh)
         wish = replace(
-            _at_rest(own),
-            stw1=_TASK,
+            at_rest(own),
+            stw1=TASK,
             pos_stw1=PosStw1.MDI | PosStw1.ABSOLUTE | PosStw1.CONTINUOUS_UPDATE,
             target=target,
             speed=round(speed_mm_s / own.speed_unit_mm_s),
@@ -265,7 +260,9 @@ class FestoAxis:
             self._motion = None
             raise
         if fresh:
-            self._await("move", ticket, _taken, ACKNOWLEDGE_TIMEOUT_S, "did not take the task")
+            self._await(
+                "move", ticket, task_is_taken, ACKNOWLEDGE_TIMEOUT_S, "did not take the task"
+            )
             self._acknowledged = True
         return ticket
 
@@ -341,7 +338,7 @@ class FestoAxis:
         """See `ReadsTorque`: percent of the rated torque, by three requests to the mailbox."""
         if self._rated_torque is None:
             return None
-        torque = _real(self._link.watched_parameter(TORQUE))
+        torque = real(self._link.watched_parameter(TORQUE))
         if not math.isfinite(torque):
             raise self._error(f"read parameter {TORQUE}", f"its torque is {torque}", _LOOK)
         return 100 * torque / self._rated_torque
@@ -373,7 +370,7 @@ class FestoAxis:
     def _command_stop(self) -> None:
         give_up = time.monotonic() + self._settings.timeout_s
         self._send_stop(charge=False)
-        while not _gives_way(self._read(charge=False)):
+        while not gives_way(self._read(charge=False)):
             if time.monotonic() > give_up:
                 raise self._error("make safe", "did not take the stop", _LOOK)
 
@@ -385,15 +382,15 @@ class FestoAxis:
 
     def prepare(self) -> None:
         """Identify; set time-out, limits and torque and read them back; stop what moves."""
-        self._identify()
+        identity = read_identity(self._link)
+        self._identity = replace(identity, serial_number=ask_serial_number(self._link))
         self._link.watch(self._settings.communication_timeout_ms)
-        self._check_telegram()
-        self._check_unit(POSITION_UNIT, self._settings.position_unit_mm, 0x00)
-        self._check_unit(SPEED_UNIT, self._settings.speed_unit_mm_s, 0x03)
+        check_telegram(self._link)
+        check_units(self._link, self._settings)
         if Zsw1.OPERATION_ENABLED in self._read().zsw1:
             self._halt()
-        self._set_limits()
-        self._rated_torque = self._read_rated_torque()
+        set_limits(self._link, self._settings)
+        self._rated_torque = read_rated_torque(self._link)
 
     def stop_and_wait(self) -> None:
         """Stop and wait for rest; a drive without power is only watched."""
@@ -401,76 +398,6 @@ class FestoAxis:
             self._halt()
         else:
             self._await_rest()
-
-    def _identify(self) -> None:
-        objects = self._link.identification()
-        found = f"{objects[0]} {objects[5]}"
-        if not any("CMMT" in objects[number] for number in (1, 4, 5)):
-            raise self._error(
-                "identify",
-                f"{self._link.where} is a {found}",
-                "a Festo CMMT drive is expected; correct the host in the bench file",
-            )
-        try:
-            raw = self._link.parameter(SERIAL_NUMBER, SERIAL_LENGTH)
-            serial = raw.split(b"\0")[0].decode("ascii", "replace")
-        except ParameterRefusedError:
-            serial = "unknown"
-        self._identity = Identity(objects[0], objects[5], serial, objects[2])
-
-    def _check_telegram(self) -> None:
-        selected = int.from_bytes(self._link.parameter(TELEGRAM_SELECTION), "little")
-        if selected != TELEGRAM:
-            raise self._error(
-                f"read parameter {TELEGRAM_SELECTION}",
-                f"the drive speaks telegram {selected}",
-                f"select telegram {TELEGRAM} in the drive's parameters and restart it",
-            )
-
-    def _check_unit(self, parameter: int, wanted_mm: float, per: int) -> None:
-        """Check the drive's unit as CiA 402 codes it: power of ten, metre (01h), and the
-        divisor."""
-        try:
-            code = int.from_bytes(self._link.parameter(parameter), "little")
-        except ParameterRefusedError as refused:
-            if self._settings.trust_units:
-                return
-            raise self._error(
-                refused.command,
-                "the drive does not report its units",
-                "check them in the vendor's software, then set trust_units = true",
-            ) from refused
-        power = int.from_bytes(bytes([code >> 24]), "little", signed=True)
-        unit, divisor = code >> 16 & 0xFF, code >> 8 & 0xFF
-        millimetres = 1000.0 * 10.0**power
-        agrees = abs(millimetres / wanted_mm - 1) < 1e-9
-        if (unit, divisor) != (0x01, per) or not agrees:
-            raise self._error(
-                f"read parameter {parameter}",
-                f"the drive's unit is {code:#010x} ({millimetres:g} mm), not {wanted_mm:g} mm",
-                "correct position_unit_mm and speed_unit_mm_s in the bench file",
-            )
-
-    def _set_limits(self) -> None:
-        own = self._settings
-        for parameter, limit_mm in ((LOW_LIMIT, own.low_limit_mm), (HIGH_LIMIT, own.high_limit_mm)):
-            self._set(parameter, struct.pack("<q", round(limit_mm / own.position_unit_mm)))
-        if own.torque_limit_percent is not None:
-            self._set(CLAMPING_TORQUE, struct.pack("<f", own.torque_limit_percent))
-
-    def _read_rated_torque(self) -> float | None:
-        """Return the rated torque; None where the drive reports no torque."""
-        try:
-            rated = _real(self._link.parameter(RATED_TORQUE))
-            self._link.parameter(TORQUE)
-        except ParameterRefusedError:
-            return None
-        return rated if math.isfinite(rated) and rated > 0 else None
-
-    def _set(self, parameter: int, raw: bytes) -> None:
-        """Write a parameter only where it differs: the drive's memory wears."""
-        if self._link.parameter(parameter) != raw:
-            self._link.set_parameter(parameter, raw)
 
     # --- taking charge ------------------------------------------------------------------------
 
@@ -481,7 +408,7 @@ class FestoAxis:
         if Zsw1.OPERATION_ENABLED in seen.zsw1:
             self._in_charge = True
             return
-        off = replace(_at_rest(self._settings), stw1=_POWER_OFF)
+        off = replace(at_rest(self._settings), stw1=POWER_OFF)
         self._send(off, ticket, "switch on")
         if Zsw1.FAULT in seen.zsw1:
             self._acknowledge(off, ticket)
@@ -493,7 +420,7 @@ class FestoAxis:
             ACKNOWLEDGE_TIMEOUT_S,
             "does not let itself be controlled",
         )
-        self._send(_at_rest(self._settings), ticket, "switch on")
+        self._send(at_rest(self._settings), ticket, "switch on")
         self._await(
             "switch on",
             ticket,
@@ -520,7 +447,7 @@ class FestoAxis:
         if Zsw1.HOMED not in self._poll().zsw1:
             raise self._error("move", "the axis has not been homed", "home it first")
         if Zsw1.TASK_ACKNOWLEDGED in self._seen.zsw1:  # the task bit has to be low to rise
-            self._send(_at_rest(self._settings), ticket, "move")
+            self._send(at_rest(self._settings), ticket, "move")
             self._await(
                 "move",
                 ticket,
@@ -558,7 +485,7 @@ class FestoAxis:
         """Return the image that stops the axis. It neither takes power from an axis that has it,
         which may hang by it, nor gives power to one that has none."""
         powered = Zsw1.OPERATION_ENABLED in self._seen.zsw1
-        return replace(_at_rest(self._settings), stw1=_STOP if powered else _POWER_OFF)
+        return replace(at_rest(self._settings), stw1=STOP if powered else POWER_OFF)
 
     # --- one exchange -------------------------------------------------------------------------
 
@@ -636,7 +563,7 @@ class FestoAxis:
         if Zsw1.HOMED not in seen.zsw1:
             self._motion = None
             raise self._error("move", "the axis has lost its reference", "home it again")
-        if _taken(seen) and PosZsw2.FIXED_STOP_REACHED in seen.pos_zsw2:
+        if task_is_taken(seen) and PosZsw2.FIXED_STOP_REACHED in seen.pos_zsw2:
             self._end_at_fixed_stop(seen, motion)
         if wrong is not None:
             self._end_wrong_motion(wrong)
@@ -644,7 +571,7 @@ class FestoAxis:
     def _require_task(self, seen: Inputs) -> None:
         """Require that the task under way is still in force: a new target must not override a stop
         that another client commanded."""
-        if not _taken(seen):
+        if not task_is_taken(seen):
             self._motion = None
             raise self._error("move", _STOPPED_BY_OTHERS, _LOOK)
 
@@ -685,9 +612,7 @@ class FestoAxis:
 
     def _fault_in_words(self, seen: Inputs) -> tuple[str, str]:
         """Return number with meaning, and remedy, of the fault that the drive shows."""
-        known = FAULTS.get(seen.fault)
-        meaning = known.meaning if known else "see the drive's manual"
-        remedy = known.remedy if known else "look the number up in the vendor's software"
+        meaning, remedy = fault_in_words(seen.fault)
         if seen.fault == COMMUNICATION_FAULT:
             timeout_s = self._settings.communication_timeout_ms * 1e-3
             meaning += f"; {self._link.requests.whose_silence(timeout_s)}"
@@ -709,36 +634,11 @@ def connect(settings: FestoCmmtSettings, clock: Clock) -> FestoAxis:
     return prepared(FestoAxis(settings, clock))
 
 
+def open_reader(settings: FestoCmmtSettings, clock: Clock) -> CmmtReader:
+    """See `OffersReader`."""
+    return opened(CmmtReader(settings, clock))
+
+
 def make_safe(settings: FestoCmmtSettings) -> None:
     """Stop the axis over a connection of its own and wait for rest; may be called repeatedly."""
     stop_and_close(FestoAxis(settings, WallClock()))
-
-
-def _at_rest(settings: FestoCmmtSettings) -> Outputs:
-    """Return the image of an axis under power that has nothing to do: its task is rejected."""
-    full = settings.full_acceleration_mm_s2
-    fixed_stop = Stw2.NONE if settings.torque_limit_percent is None else Stw2.TRAVEL_TO_FIXED_STOP
-    return Outputs(
-        stw1=_STOP,
-        pos_stw2=_LIMITS,
-        stw2=fixed_stop,
-        override=FULL_SCALE,
-        acceleration=round(settings.acceleration_mm_s2 / full * FULL_SCALE),
-        deceleration=round(settings.deceleration_mm_s2 / full * FULL_SCALE),
-    )
-
-
-def _real(raw: bytes) -> float:
-    """Return the value of a REAL parameter; NaN where it is none."""
-    return float(struct.unpack("<f", raw)[0]) if len(raw) == 4 else math.nan
-
-
-def _taken(seen: Inputs) -> bool:
-    """Return whether the drive has acknowledged the task."""
-    return Zsw1.TASK_ACKNOWLEDGED in seen.zsw1 and PosZsw1.MDI in seen.pos_zsw1
-
-
-def _gives_way(seen: Inputs) -> bool:
-    """Return whether no task and no homing is in force any more, or the axis has no power."""
-    idle = Zsw1.TASK_ACKNOWLEDGED not in seen.zsw1 and PosZsw1.HOMING not in seen.pos_zsw1
-    return idle or Zsw1.OPERATION_ENABLED not in seen.zsw1

@@ -55,6 +55,14 @@ FAULTS: Mapping[int, Fault] = {
 """Numbers from the vendor's icp_map.csv, in our words."""
 
 
+def fault_in_words(number: int) -> tuple[str, str]:
+    """Return meaning and remedy of a fault number."""
+    known = FAULTS.get(number)
+    if known is None:
+        return "see the drive's manual", "look the number up in the vendor's software"
+    return known.meaning, known.remedy
+
+
 class FestoCmmtSettings(Settings):
     """Address, units and limits of the drive."""
 

@@ -22,7 +22,7 @@ Sources: HP-5142E (sister product, same registers), om_modbus_master (vendor), M
 AZD-KD in use), pages of HM-60262E. Not confirmed on an AZ, and to be tried at the first bench:
 
 * starting is refused with exception 04 while STOP stands (`_command_stop`);
-* an unknown register is refused with exception 02 (`_identify`);
+* an unknown register is refused with exception 02 (`identify`);
 * speed is in steps/s, rates in steps/s2 (`_motion`);
 * time-out, limits and overtravel take effect at once, without the command "configuration";
 * MOVE shows within `BEGIN_S` after a start (`moving`); outputs are assigned as at the factory;
@@ -42,8 +42,6 @@ from __future__ import annotations
 import contextlib
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from enum import IntFlag
 
 from drivers.oriental_az.link import (
     AzLine,
@@ -54,7 +52,31 @@ from drivers.oriental_az.link import (
     signed,
     writing,
 )
-from drivers.oriental_az.settings import ALARMS, COMMUNICATION_ALARM, OrientalAzSettings
+from drivers.oriental_az.preparation import IDENTITY, identify, set_communication, set_limits
+from drivers.oriental_az.reader import AzReader
+from drivers.oriental_az.registers import (
+    ABSOLUTE,
+    ALARM_RESET,
+    COMMAND_POSITION,
+    CURRENT,
+    DIRECT_DATA,
+    DIRECT_IO,
+    INPUT_COMMAND,
+    INPUT_REGISTERS,
+    INTERNAL_OUTPUTS,
+    OPERATION_TYPE,
+    POSITION_REGISTERS,
+    STATE_REGISTERS,
+    TORQUE,
+    TORQUE_REGISTERS,
+    TRIGGER_ALL,
+    AzInput,
+    AzInternalOutput,
+    AzOutput,
+    AzPosition,
+    AzState,
+)
+from drivers.oriental_az.settings import COMMUNICATION_ALARM, OrientalAzSettings, alarm_in_words
 from drivers.shared.stage import (
     MotionRefusedError,
     MotionWatch,
@@ -62,6 +84,7 @@ from drivers.shared.stage import (
     StageState,
     Ticket,
     TravelBound,
+    opened,
     prepared,
     stop_and_close,
 )
@@ -81,34 +104,8 @@ line."""
 Settings = OrientalAzSettings
 """The settings of a bench file, under the name by which the bench asks any driver for them."""
 
-# Upper registers of 32-bit values.
-DIRECT_DATA, OPERATION_TYPE = 0x58, 0x5A
-INPUT_COMMAND, OUTPUT_STATUS = 0x7C, 0x7E
-COMMAND_POSITION = 0xC6
-CURRENT = 0x64
-TORQUE = 0xD6
-DIRECT_IO = 0xD4
-"""Upper register the outputs, lower the inputs, bit 0 is DIN0."""
-TEMPERATURES = 0xF8
-INTERNAL_OUTPUTS = 0x178
-ALARM_RESET = 0x180
-OVERTRAVEL, HIGH_LIMIT, LOW_LIMIT = 0x386, 0x388, 0x38A
-LINE_TIMEOUT_ms, SLAVE_ERROR_RESPONSE = 0x138A, 0x1392
-ABSOLUTE, TRIGGER_ALL, TO_EXECUTION = 1, 1, 0
-DECELERATION_STOP, EXCEPTION_REPLY = 1, 1
-STATE_REGISTERS = (6, 4)
-"""Input command, outputs and alarm; in turn without the alarm, which the outputs show as well."""
-POSITION_REGISTERS = (8, 10)
-"""Command position up to feedback position; in turn with the feedback speed."""
-INPUT_REGISTERS = (12, 14)
-"""Readings that end with the direct I/O, in turn: longer than any other. What they hold before it,
-among it the position, is not used."""
-TORQUE_REGISTERS = (16, 18)
-"""Readings that end with the torque, in turn: longer than any other."""
 NOT_THERE = (1, 2, 3)
 """Exceptions of a drive that does not have the register. One that cannot answer now sends a 4."""
-OUTSIDE_C = (-40.0, 150.0)
-"""No drive or motor reports a temperature beyond these."""
 
 ARRIVAL_POLL_S = 0.02
 POLL_S = 0.005
@@ -130,46 +127,6 @@ MAX_OVERTRAVEL_mm = 0.1
 """Largest distance beyond its target at which an axis may be seen that has started from rest."""
 
 
-class AzInput(IntFlag):
-    """Driver input command, lower register."""
-
-    NONE = 0
-    HOME = 0x10
-    STOP = 0x20
-
-
-class AzOutput(IntFlag):
-    """Driver output status, lower register, as assigned at the factory."""
-
-    READY = 1 << 5
-    ALARM = 1 << 7
-    MOVE = 1 << 13
-
-
-class AzInternalOutput(IntFlag):
-    """Internal outputs, upper register."""
-
-    HOME_END = 1 << 0
-    ABSPEN = 1 << 1
-
-
-@dataclass(frozen=True)
-class AzState:
-    """Inputs, outputs and alarm of a drive at one instant."""
-
-    inputs: int
-    outputs: int
-    alarm: int
-
-
-@dataclass(frozen=True)
-class AzPosition:
-    """Commanded and measured position of an axis, in steps."""
-
-    command: int
-    feedback: int
-
-
 class AzAxis:
     """One drive and its axis. `connect` has identified it and set its limits.
 
@@ -183,7 +140,7 @@ class AzAxis:
         self._device = settings.role
         self._link = AzLink(self._device, line, settings.unit_id, settings.timeout_s, clock)
         self._line = line
-        self._identity = Identity("Oriental Motor", "AZ", "unknown", "unknown")
+        self._identity = IDENTITY
         self._interlock = StageInterlock(self._device)
         self._in_charge = False
         """True if this connection has taken the drive over: from then on its alarms are ours."""
@@ -466,40 +423,16 @@ class AzAxis:
 
     def prepare(self) -> None:
         """Identify; set time-out and limits and read them back; stop what moves."""
-        own = self._settings
-        self._identify()
-        self._link.set_value(LINE_TIMEOUT_ms, own.communication_timeout_ms)
-        self._line.watch(own.unit_id, self._device, own.communication_timeout_ms * 1e-3)
-        self._link.set_value(SLAVE_ERROR_RESPONSE, EXCEPTION_REPLY)
+        identify(self._link)
+        set_communication(self._link, self._settings)
         self._halt()
-        self._link.set_value(LOW_LIMIT, round(own.low_limit_mm * own.steps_per_mm))
-        self._link.set_value(HIGH_LIMIT, round(own.high_limit_mm * own.steps_per_mm))
-        if self._link.read_value(OVERTRAVEL) < 0:  # switched off
-            self._link.set_value(OVERTRAVEL, DECELERATION_STOP)
+        set_limits(self._link, self._settings)
 
     def stop_and_wait(self) -> None:
         """Stop and wait for rest, whatever state the drive is in; the stop stands until a run lifts
         it."""
         self._command_stop()
         self._await_rest()
-
-    def _identify(self) -> None:
-        """Check by its registers that the drive is an AZ, which reports no name."""
-        try:
-            words = self._link.read(TEMPERATURES, 4)
-        except AzRefusalError as refused:
-            raise self._not_an_az(f"has no register {TEMPERATURES:04X}h") from refused
-        for pair in (words[:2], words[2:]):
-            celsius = signed(pair[0] << 16 | pair[1]) / 10
-            if not OUTSIDE_C[0] < celsius < OUTSIDE_C[1]:
-                raise self._not_an_az(f"reports a temperature of {celsius:g} C")
-
-    def _not_an_az(self, why: str) -> InstrumentError:
-        return self._error(
-            "identify",
-            f"{self._link.where} {why}",
-            "an Oriental Motor AZ drive is expected; correct port and unit_id in the bench file",
-        )
 
     # --- taking charge ------------------------------------------------------------------------
 
@@ -632,9 +565,8 @@ class AzAxis:
         words = self._link.read(INPUT_COMMAND, count)
         if count == 4 and words[3] & AzOutput.ALARM:
             words = self._link.read(INPUT_COMMAND, 6)
-        alarm = words[5] if len(words) == 6 else 0
         self._state_at_s = self._clock.now()
-        return AzState(words[1], words[3], alarm)
+        return AzState.from_words(words)
 
     def _poll(self) -> AzState:
         """Return the drive's state; an alarm raises."""
@@ -663,8 +595,7 @@ class AzAxis:
         """Return when the drive was asked for its position, and its answer."""
         asked_s = self._clock.now()
         words = self._link.read(COMMAND_POSITION, POSITION_REGISTERS[self._next_turn()])
-        command, feedback = (signed(words[at] << 16 | words[at + 1]) for at in (0, 6))
-        return asked_s, AzPosition(command, feedback)
+        return asked_s, AzPosition.from_words(words)
 
     def _await(
         self,
@@ -761,9 +692,7 @@ class AzAxis:
 
     def _alarm_in_words(self, code: int) -> tuple[str, str]:
         """Return number with meaning, and remedy, of an alarm."""
-        known = ALARMS.get(code)
-        meaning = known.meaning if known else "see the drive's manual"
-        remedy = known.remedy if known else "look the number up in the vendor's software"
+        meaning, remedy = alarm_in_words(code)
         if code == COMMUNICATION_ALARM:
             timeout_s = self._settings.communication_timeout_ms * 1e-3
             meaning += f"; {self._line.requests.whose_silence(timeout_s)}"
@@ -818,6 +747,11 @@ def connect(settings: OrientalAzSettings, clock: Clock) -> AzAxis:
     """Connect to the drive, leaving its axis at rest and its own limits set."""
     line = AzLine.shared(settings.port, settings.baudrate, settings.parity, clock, settings.role)
     return prepared(AzAxis(settings, clock, line))
+
+
+def open_reader(settings: OrientalAzSettings, clock: Clock) -> AzReader:
+    """See `OffersReader`."""
+    return opened(AzReader(settings, clock))
 
 
 def make_safe(settings: OrientalAzSettings) -> None:

@@ -69,6 +69,14 @@ ALARMS: Mapping[int, Alarm] = {
 """Alarms by number, described in our own words."""
 
 
+def alarm_in_words(number: int) -> tuple[str, str]:
+    """Return meaning and remedy of an alarm."""
+    known = ALARMS.get(number)
+    if known is None:
+        return "see the drive's manual", "look the number up in the vendor's software"
+    return known.meaning, known.remedy
+
+
 class OrientalAzSettings(Settings):
     """Address, units and limits of the drive."""
 

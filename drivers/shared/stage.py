@@ -412,3 +412,28 @@ def stop_and_close(stage: ConnectingStage) -> None:
     """Stop a stage over its connection, wait for rest and close it: a module's `make_safe`."""
     with closing(stage):
         stage.stop_and_wait()
+
+
+class OpeningReader(Protocol):
+    """A reader of a stage whose `open` identifies it."""
+
+    def open(self) -> None:
+        """Identify the stage, by reading only."""
+        ...
+
+    def close(self) -> None:
+        """Close the connection."""
+        ...
+
+
+R = TypeVar("R", bound=OpeningReader)
+
+
+def opened(reader: R) -> R:
+    """Open a reader that has just been made and return it; one that fails is closed."""
+    try:
+        reader.open()
+    except BaseException:
+        reader.close()
+        raise
+    return reader

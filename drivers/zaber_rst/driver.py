@@ -26,8 +26,7 @@ from __future__ import annotations
 
 import contextlib
 import math
-import re
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 
 from drivers.shared.stage import (
     MotionRefusedError,
@@ -35,21 +34,14 @@ from drivers.shared.stage import (
     StageInterlock,
     Ticket,
     TravelBound,
+    opened,
     prepared,
     stop_and_close,
 )
+from drivers.zaber_rst.dialogue import DEVICE, LOOK, ZaberDialogue, ZaberRejectionError
 from drivers.zaber_rst.frames import Reply
-from drivers.zaber_rst.link import ZaberLink
-from drivers.zaber_rst.settings import (
-    FLAGS,
-    NOT_REFERENCED,
-    NOTES,
-    OLDEST_FIRMWARE,
-    REASONS,
-    UNKNOWN_FLAG,
-    UNKNOWN_REASON,
-    ZaberRstSettings,
-)
+from drivers.zaber_rst.reader import ZaberReader
+from drivers.zaber_rst.settings import NOT_REFERENCED, NOTES, ZaberRstSettings
 from rig.core.clock import Clock, WallClock
 from rig.core.errors import InstrumentError
 from rig.instruments.roles import Identity, Reach
@@ -60,10 +52,6 @@ ROLES = ("rotary",)
 Settings = ZaberRstSettings
 """The settings of a bench file, under the name by which the bench asks any driver for them."""
 
-DEVICE = "rotary"
-THE_DEVICE = 0
-"""The axis number that means the whole device."""
-FULL_TURN_deg = 360.0
 POLL_S = 0.02
 KEEP_ALIVE_S = 0.05
 """Age in s of the last answer at which a keep-alive is sent. It is not shorter, because an exchange
@@ -74,9 +62,6 @@ SETTLED_S = 0.2
 """Time in s that a stage that reports no motion may be off its target while its loop settles."""
 MAX_OVERTRAVEL_deg = 0.1
 """Largest angle beyond its target at which a stage may be seen that has started from rest."""
-
-_NUMBER = re.compile(r"-?\d+(\.\d+)?")
-_LOOK = "check the stage and what is mounted on it"
 
 
 class ZaberAxis:
@@ -89,17 +74,9 @@ class ZaberAxis:
     def __init__(self, settings: ZaberRstSettings, clock: Clock):
         self._settings = settings
         self._clock = clock
-        self._link = ZaberLink(
-            DEVICE,
-            settings.port,
-            settings.baudrate,
-            settings.device,
-            settings.timeout_s,
-            clock,
-        )
+        self._dialogue = ZaberDialogue(settings, clock)
+        self._link = self._dialogue.link
         self._identity: Identity | None = None
-        self._position = "pos"
-        """The setting that holds the angle: the encoder's, where there is one."""
         self._interlock = StageInterlock(DEVICE, "stage")
         self._referenced = False
         self._disturbed = ""
@@ -168,15 +145,15 @@ class ZaberAxis:
         while self._poll():
             self._interlock.permit(ticket, "home")
             if self._clock.now() > give_up:
-                raise self._error(
+                raise self._dialogue.error(
                     "home",
                     f"is still searching after {self._settings.homing_timeout_s:g} s",
-                    _LOOK,
+                    LOOK,
                 )
             self._clock.sleep(POLL_S)
         self._interlock.permit(ticket, "home")  # a stop ends homing as finding the reference does
         if left := self._doubts():
-            raise self._flagged("home", left)
+            raise self._dialogue.flagged("home", left)
         self._referenced = True
         self._travel.forget()
 
@@ -205,7 +182,7 @@ class ZaberAxis:
         if fresh:
             self._poll()
             if doubt := self._doubts():
-                raise self._flagged("turn", doubt)
+                raise self._dialogue.flagged("turn", doubt)
         own = self._settings
         words = (
             f"move abs {own.microsteps(angle_deg)} {own.speed_data(speed_deg_s)} "
@@ -221,8 +198,8 @@ class ZaberAxis:
             raise
         if self._note(reply.flag):
             with contextlib.suppress(InstrumentError):  # the flag is what has to be reported
-                self._command("stop")
-            raise self._flagged("turn", reply.flag)
+                self._dialogue.command("stop")
+            raise self._dialogue.flagged("turn", reply.flag)
         return ticket
 
     def moving(self) -> bool:
@@ -242,7 +219,7 @@ class ZaberAxis:
         if now > motion.arrive_by_s or now - self._idle_from_s > SETTLED_S:
             stands = "is still turning, at" if busy else "stands at"
             self._motion = None
-            raise self._error(
+            raise self._dialogue.error(
                 "turn",
                 f"{stands} {self._seen_deg:.4f} deg and has not arrived at {motion.target:.4f} deg",
                 "check what blocks or slows the stage, then stop it",
@@ -292,7 +269,7 @@ class ZaberAxis:
         self._interlock.make_safe(self._command_stop)
 
     def _command_stop(self) -> None:
-        self._command("stop", charge=False)
+        self._dialogue.command("stop", charge=False)
 
     def close(self) -> None:
         """Close the port; a turn under way continues to its target."""
@@ -303,74 +280,18 @@ class ZaberAxis:
 
     def prepare(self) -> None:
         """Identify; check the units; stop what turns; set the limits and read them back."""
-        self._identify()
-        self._check_units()
+        self._identity = self._dialogue.identify()
+        self._dialogue.check_units()
         if self._read():
             self._halt()
         self._set_limits()
-        flags = self._flags()
+        flags = self._dialogue.flags()
         self._referenced = not NOT_REFERENCED & set(flags)
         self._disturbed = next((flag for flag in flags if self._disturbs(flag)), "")
 
     def stop_and_wait(self) -> None:
         """Stop and wait for rest, whatever state the stage is in."""
         self._halt()
-
-    def _identify(self) -> None:
-        number = self._device_setting("deviceid")
-        serial, firmware = self._device_setting("system.serial"), self._device_setting("version")
-        turn = self._turn()
-        parts = re.fullmatch(r"(\d+)\.(\d+)", firmware)
-        version = (int(parts[1]), int(parts[2])) if parts else (0, 0)
-        if turn == 0 or version < OLDEST_FIRMWARE:
-            oldest = ".".join(map(str, OLDEST_FIRMWARE))
-            raise self._error(
-                "identify",
-                f"{self._link.where} has device id {number}, serial number {serial}, firmware "
-                f"{firmware}" + (" and is not a rotary stage" if turn == 0 else ""),
-                f"a rotary stage with firmware {oldest} or later is expected; correct port and "
-                "device in the bench file, or update the stage",
-            )
-        axes = self._number("system.axiscount", THE_DEVICE)
-        if axes < self._settings.axis:
-            raise self._error(
-                "identify",
-                f"{self._link.where} has {axes:g} axes, not {self._settings.axis}",
-                "correct axis in the bench file",
-            )
-        self._identity = Identity("Zaber", f"X-RST (device id {number})", serial, firmware)
-
-    def _turn(self) -> float | None:
-        """Return microsteps in one turn; 0 for a linear axis, None where the stage does not report
-        it."""
-        reply = self._link.ask(self._settings.axis, "get limit.cycle.dist")
-        if not reply.accepted:
-            return None
-        return self._as_number("get limit.cycle.dist", reply.data)
-
-    def _check_units(self) -> None:
-        """Check that a microstep is as the bench file states, and find the setting from which the
-        angle is read."""
-        own = self._settings
-        resolution = self._number("resolution")
-        if resolution != own.resolution:
-            raise self._error(
-                "get resolution",
-                f"the stage has {resolution:g} microsteps in a full step, the bench file says "
-                f"{own.resolution}: a microstep would be "
-                f"{own.microstep_deg * own.resolution / max(resolution, 1):.9g} deg",
-                "set the stage's resolution, or correct resolution and microstep_deg",
-            )
-        turn = self._turn()
-        if turn is not None and abs(turn - FULL_TURN_deg / own.microstep_deg) > 0.5:
-            raise self._error(
-                "get limit.cycle.dist",
-                f"the stage has {turn:g} microsteps in a turn: a microstep is "
-                f"{FULL_TURN_deg / turn:.9g} deg, not {own.microstep_deg:.9g} deg",
-                "correct microstep_deg in the bench file",
-            )
-        encoder = self._link.ask(own.axis, "get encoder.pos")
-        self._position = "encoder.pos" if encoder.accepted else "pos"
 
     def _set_limits(self) -> None:
         """Write a limit only where it differs, the stage's memory wears; each is read back."""
@@ -381,12 +302,12 @@ class ZaberAxis:
             ("maxspeed", own.speed_data(own.max_speed_deg_s)),
             ("accel", own.acceleration_data(own.max_acceleration_deg_s2)),
         ):
-            if self._number(name) == wanted:
+            if self._dialogue.number(name) == wanted:
                 continue
-            self._command(f"set {name} {wanted}")
-            kept = self._number(name)
+            self._dialogue.command(f"set {name} {wanted}")
+            kept = self._dialogue.number(name)
             if kept != wanted:
-                raise self._error(
+                raise self._dialogue.error(
                     f"set {name}",
                     f"set to {wanted} but reads back {kept:g}",
                     "the stage does not keep this limit; choose another in the bench file",
@@ -421,12 +342,14 @@ class ZaberAxis:
         """Stop and wait for rest; flags are not reported meanwhile."""
         with self._interlock.stopping(rearm):
             self._motion = None
-            self._command("stop")
+            self._dialogue.command("stop")
             longest_s = self._braking_s + SETTLING_S
             give_up = self._clock.now() + longest_s
             while self._read():
                 if self._clock.now() > give_up:
-                    raise self._error("stop", f"is still turning after {longest_s:g} s", _LOOK)
+                    raise self._dialogue.error(
+                        "stop", f"is still turning after {longest_s:g} s", LOOK
+                    )
                 self._clock.sleep(POLL_S)
 
     def _poll(self) -> bool:
@@ -435,14 +358,14 @@ class ZaberAxis:
         known = self._disturbed
         busy = self._read()
         if self._disturbed and not known:
-            raise self._flagged("status", self._disturbed)
+            raise self._dialogue.flagged("status", self._disturbed)
         motion = self._motion  # another thread may stop the stage
         wrong = self._travel.judge(self._seen_deg, self._asked_at_s, self._seen_at_s, motion)
         if wrong is not None:
             with contextlib.suppress(InstrumentError):  # `wrong` is what has to be reported
-                self._command("stop")
+                self._dialogue.command("stop")
             self._motion = None
-            raise self._error(
+            raise self._dialogue.error(
                 "turn",
                 wrong,
                 "look at the encoder and at the stage's settings before it turns again",
@@ -465,27 +388,17 @@ class ZaberAxis:
     def _look(self) -> Reply:
         """Ask for the angle, and note it; the stage's reply."""
         self._asked_at_s = self._clock.now()
-        reply = self._command(f"get {self._position}")
-        microsteps = self._as_number(f"get {self._position}", reply.data)
-        self._seen_deg = microsteps * self._settings.microstep_deg
+        self._seen_deg, reply = self._dialogue.angle()
         self._seen_at_s = self._clock.now()
         return reply
 
     # --- flags --------------------------------------------------------------------------------
 
-    def _flags(self) -> list[str]:
-        """Return all warning flags that stand, the gravest first."""
-        reply = self._command("warnings")
-        count, *flags = reply.data.split()
-        if not count.isdigit() or int(count) != len(flags):
-            raise self._error("warnings", f"answers {reply.data!r}", _LOOK)
-        return flags
-
     def _doubts(self) -> str:
         """Return the reason why the stage may not turn, as a flag; empty if it may."""
         if self._disturbed:
             return self._disturbed
-        return next((flag for flag in self._flags() if flag not in NOTES), "")
+        return next((flag for flag in self._dialogue.flags() if flag not in NOTES), "")
 
     def _disturbs(self, flag: str) -> bool:
         """Return whether a flag stops the stage; "not homed" does not before the stage has been
@@ -502,47 +415,13 @@ class ZaberAxis:
 
     def _require_undisturbed(self, command: str) -> None:
         if self._disturbed:
-            raise self._flagged(command, self._disturbed)
-
-    def _flagged(self, command: str, flag: str) -> InstrumentError:
-        known = FLAGS.get(flag, UNKNOWN_FLAG)
-        return self._error(command, f"the stage reports {flag}: {known.meaning}", known.remedy)
+            raise self._dialogue.flagged(command, self._disturbed)
 
     # --- one exchange -------------------------------------------------------------------------
 
     def _move(self, words: str, ticket: Ticket, command: str) -> Reply:
         """Send what could turn the stage, as the interlock permits."""
-        return self._command(words, permit=lambda: self._interlock.permit(ticket, command))
-
-    def _command(
-        self, words: str, charge: bool = True, permit: Callable[[], None] = lambda: None
-    ) -> Reply:
-        """Send a command to the axis; a rejection raises."""
-        return self._accepted(words, self._link.ask(self._settings.axis, words, charge, permit))
-
-    def _accepted(self, words: str, reply: Reply) -> Reply:
-        if reply.accepted:
-            return reply
-        known = REASONS.get(reply.data, UNKNOWN_REASON)
-        raise ZaberRejectionError(
-            DEVICE, words, f"rejected with {reply.data}: {known.meaning}", known.remedy
-        )
-
-    def _device_setting(self, name: str) -> str:
-        """Return a setting of the whole device."""
-        words = f"get {name}"
-        return self._accepted(words, self._link.ask(THE_DEVICE, words)).data
-
-    def _number(self, name: str, axis: int | None = None) -> float:
-        """Return a setting of the axis, or of the device."""
-        words = f"get {name}"
-        reply = self._link.ask(self._settings.axis if axis is None else axis, words)
-        return self._as_number(words, self._accepted(words, reply).data)
-
-    def _as_number(self, words: str, data: str) -> float:
-        if _NUMBER.fullmatch(data) is None:
-            raise self._error(words, f"answers {data!r}, which is not a number", _LOOK)
-        return float(data)
+        return self._dialogue.command(words, permit=lambda: self._interlock.permit(ticket, command))
 
     # --- judging ------------------------------------------------------------------------------
 
@@ -557,17 +436,15 @@ class ZaberAxis:
         ):
             reach[what].require(DEVICE, what, value)
 
-    def _error(self, command: str, cause: str, hint: str) -> InstrumentError:
-        return InstrumentError(DEVICE, command, cause, hint)
-
-
-class ZaberRejectionError(InstrumentError):
-    """The stage rejected a command."""
-
 
 def connect(settings: ZaberRstSettings, clock: Clock) -> ZaberAxis:
     """Connect to the stage, leaving it at rest and its own limits set."""
     return prepared(ZaberAxis(settings, clock))
+
+
+def open_reader(settings: ZaberRstSettings, clock: Clock) -> ZaberReader:
+    """See `OffersReader`."""
+    return opened(ZaberReader(settings, clock))
 
 
 def make_safe(settings: ZaberRstSettings) -> None:

@@ -47,6 +47,8 @@ class Meaning:
 
 
 NOT_REFERENCED = frozenset({"WR", "WH"})
+DISABLED = frozenset({"FH", "FV", "FO", "FD"})
+"""Flags of a driver that gives the motor no current."""
 NOTES = frozenset({"--", "NI", "ND", "NR", "NT", "NU", "NJ"})
 """Flags of which nothing has to follow; NI stands after every change of a motion under way."""
 

@@ -25,7 +25,8 @@ def make_safe(
 
     An instrument whose driver is broken, or whose table in the bench file is wrong, does not
     prevent making the others safe. A run on the bench is not waited for: it fails when its
-    instruments stop without its command. Ctrl-C does not interrupt it.
+    instruments stop without its command. A rig monitor on the bench is ended. Ctrl-C does not
+    interrupt it.
     """
     from rig.run.stopping import StopFlag
 
@@ -47,6 +48,8 @@ def make_safe(
                 f"the bench file {bench} names no instruments: nothing was made safe",
                 "add their tables, or name the file of your bench with --bench",
             )
+        with _only_warning():
+            _end_readers(described)
         with _only_warning():
             _report_what_is_known(described)
         failures, safe = make_bench_safe(text, str(bench))
@@ -75,6 +78,14 @@ def _only_warning() -> Iterator[None]:
         yield
     except RigError as error:
         say(f"warning: {error.one_line()}")
+
+
+def _end_readers(described: Restable) -> None:
+    """End a `rig monitor` of this bench: it may have a serial port for itself."""
+    from rig.run.bench_readers import end_readers
+
+    if (pid := end_readers(described)) is not None:
+        say(f"ended rig monitor (process {pid}), which was reading this bench")
 
 
 def _report_what_is_known(described: Restable) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import signal
+import threading
 import time
 from contextlib import ExitStack
 from pathlib import Path
@@ -10,13 +12,14 @@ from typing import Annotated
 import typer
 
 from rig.cli.outcome import reported, say
+from rig.core.errors import ExitCode
 from rig.run.bench_selector import existing_bench_file
 
 
 def monitor(
     results: Annotated[Path, typer.Option(help="Folder of results to watch.")] = Path("results"),
     bench: Annotated[
-        Path | None, typer.Option(help="Bench file, whose sensors are read if no run uses it.")
+        Path | None, typer.Option(help="Bench file, whose instruments are read if no run uses it.")
     ] = None,
     seconds: Annotated[
         float | None, typer.Option(help="End after so long [until Ctrl-C].", metavar="s", min=0)
@@ -25,8 +28,8 @@ def monitor(
 ) -> None:
     """Show forces, strips, positions and state in the terminal; nothing moves.
 
-    A run is followed by its journal. Without one, force sensor and DAQ of the bench file are read
-    and nothing is switched; a run cannot begin on that bench until the monitor has ended.
+    A run is followed by its journal. Without one, the sensors and stages of the bench file are
+    read; nothing is set or switched. A run cannot begin on that bench until the monitor has ended.
     """
     with reported(debug):
         from rich.console import Console
@@ -37,23 +40,36 @@ def monitor(
         chosen = existing_bench_file(bench)
         until_s = None if seconds is None else time.monotonic() + seconds
 
+        terminated = threading.Event()
+        signal.signal(signal.SIGTERM, lambda *_: terminated.set())
+
         def go_on() -> bool:
-            return until_s is None or time.monotonic() < until_s
+            over = until_s is not None and time.monotonic() >= until_s
+            return not over and not terminated.is_set()
 
         watch = BenchWatch(results, chosen)
         watch.poll()
         console = Console()
         if chosen is None or watch.holder is not None or watch.bench_holder is not None:
             show_run(watch, console, go_on)
+            _say_if(terminated)
             return
         from rig.bench.plan import read_bench
-        from rig.page.sensors import show_sensors
+        from rig.page.live_bench import show_bench
         from rig.run.bench_mark import read_marks
         from rig.run.lock import BenchLock
 
         plan = read_bench(chosen)
         with ExitStack() as at_the_end:
-            lock = at_the_end.enter_context(BenchLock(plan))
+            lock = at_the_end.enter_context(BenchLock(plan, only_reads=True))
             for mark in read_marks(lock.names):
                 say(f"warning: {mark.in_words()}")
-            show_sensors(plan, console, go_on)
+            show_bench(plan, console, go_on)
+        _say_if(terminated)
+
+
+def _say_if(terminated: threading.Event) -> None:
+    """Say that the monitor was ended by SIGTERM, which `rig make-safe` sends, and exit."""
+    if terminated.is_set():
+        say("ended by SIGTERM, such as rig make-safe sends; nothing was left running")
+        raise typer.Exit(int(ExitCode.SIGTERM))

@@ -363,6 +363,65 @@ class RotaryStage(Instrument, Protocol):
 
 
 @dataclass(frozen=True)
+class StageStatus:
+    """What a stage reports of itself at one instant."""
+
+    position: float
+    """Measured position in mm; of a rotary stage its angle in deg."""
+    moving: bool
+    """True if the stage moves, whoever has set it going."""
+    servo: str
+    """State of the motor's power in a word or two: "on", "off", or what the drive calls it."""
+    homed: bool
+    """False if the position has no reference: it then says nothing about where the stage is."""
+    fault: str
+    """Number and meaning of the fault or alarm that stands; empty if there is none."""
+
+
+class StageReader(Protocol):
+    """A connection to a stage that only reads. `rig monitor` shows a bench without a run by it."""
+
+    @property
+    def identity(self) -> Identity:
+        """Identity of the stage; what can only be asked with a write is "unknown"."""
+        ...
+
+    @property
+    def timeout_s(self) -> float:
+        """The stage's own communication time-out in s, as it is set now; 0 where it has none.
+
+        A reading may restart it. Whoever reads leaves an axis in motion alone for longer than
+        that, now and then, so that the time-out can stop an axis whose program has died."""
+        ...
+
+    def read(self) -> StageStatus:
+        """Return what the stage reports now. Raises InstrumentError for an exchange that fails."""
+        ...
+
+    def close(self) -> None:
+        """Close the link; the stage stays in its state."""
+        ...
+
+
+@runtime_checkable
+class OffersReader(Protocol):
+    """The interface of a driver's module whose stage can be read without being changed.
+
+    Optional: without it `rig monitor` shows no position of the stage.
+    """
+
+    def open_reader(self, settings: Any, clock: Clock) -> StageReader:
+        """Connect, identify the stage and return a reader of it.
+
+        Nothing is sent that changes the stage: no limit, mode, control word, acknowledgement or
+        time-out, neither here nor later. A stage in motion continues, one with a fault keeps it.
+        Never called while a run has the bench. Raises InstrumentError if the stage does not
+        answer or is another one.
+        """
+        ...
+
+
+@dataclass(frozen=True)
 class ForceFrames:
     """Consecutive frames of a force sensor."""
 

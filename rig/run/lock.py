@@ -46,16 +46,17 @@ LOOK_EVERY_S = 0.1
 class BenchLock:
     """The locks on all instruments of a bench; a context manager that releases them at its end.
 
-    Raises ConfigurationError if another program holds one of them, or if a lock file cannot be
-    made.
+    `only_reads` says that the program sets nothing on the bench: `rig make-safe` ends it. Raises
+    ConfigurationError if another program holds one of the locks, or if a lock file cannot be made.
     """
 
-    def __init__(self, plan: BenchPlan):
+    def __init__(self, plan: BenchPlan, only_reads: bool = False):
         self._entry = {
             "bench": plan.settings.name,
             "pid": os.getpid(),
             "user": user_name(os.geteuid()),
             "since": time.strftime("%Y-%m-%d %H:%M:%S"),
+            "only_reads": only_reads,
         }
         self.names = address_names(plan)
         """Names of the instruments' addresses, as the shared folder has them."""
@@ -130,6 +131,19 @@ def in_use(plan: BenchPlan | Restable) -> str | None:
                 os.close(file)
     user = _living(read_marks(names))
     return None if user is None else user[0]
+
+
+def is_only_read(name: str) -> bool:
+    """Return whether the lock of an address is held by a program that only reads."""
+    with SharedFolder() as folder:
+        try:
+            file = folder.open_file(name + SUFFIX, create=False)
+        except OSError:
+            return False
+        try:
+            return bool(_entry_of(file).get("only_reads")) and not _locked(file)
+        finally:
+            os.close(file)
 
 
 def address_names(plan: BenchPlan | Restable) -> tuple[str, ...]:

@@ -13,10 +13,12 @@ from typing import Any
 from pydantic import ValidationError
 
 from rig.core.errors import InstrumentError, InstrumentTimeoutError
+from rig.instruments.roles import OffersReader
 from rig.testing.case import STRANGER, TIMEOUT_S, Case, Service
 from rig.testing.raising import raising
 from rig.testing.roles import ROLES
-from rig.testing.script import Role, at_rest, same, soon
+from rig.testing.script import Role, at_rest, near, same, soon
+from rig.testing.stage import READ_BACK
 
 Check = Callable[[Case], None]
 KINDS = ("silence", "garbage", "close", "truncate", "stale")
@@ -369,6 +371,81 @@ def check_another_instrument_is_refused_with_both_names_and_let_go(case: Case) -
         for words in (case.stranger_told, "expected"):
             assert words in told, f"{words!r} is missing in {told!r}"
         _let_go(service)
+
+
+# --- reading a stage without changing it -----------------------------------------------------
+
+
+def check_a_reader_shows_what_the_stage_does_and_changes_nothing(case: Case) -> None:
+    """Open the reader while the stage moves, without a run beside it; a driver without one has
+    nothing to show."""
+    module = case.module()
+    if not _offers_reader(case):
+        return
+    same(
+        "the list of arguments of open_reader()",
+        list(inspect.signature(module.open_reader).parameters),
+        ["settings", "clock"],
+    )
+    what = "angle" if "angle" in role_of(case).quantities else "position"
+    with undisturbed(case) as service:
+        instrument = connect(case, service)
+        role_of(case).excite(instrument, service)
+        close(service, instrument)
+        settings = module.Settings.model_validate(service.settings)
+        speed = service.truth("speed")
+        reader = module.open_reader(settings, service.clock)
+        if reader.identity.serial_number != "unknown":  # some take a write to be asked for it
+            same("identity.simulated of a reader", reader.identity.simulated, not case.anonymous)
+        before, status = service.truth(what), reader.read()
+        _lies_between(f"the {what} of a moving stage", status.position, before, service.truth(what))
+        same("moving of a moving stage", status.moving, True)
+        same("homed", status.homed, service.truth("homed"))
+        same("the fault of a sound stage", status.fault, "")
+        assert status.servo, "servo is empty: it says in a word what the motor's power does"
+        near("the speed, read,", service.truth("speed"), speed, 0.01 * abs(speed), "per second")
+        reader.close()
+        reader.close()
+        _let_go(service)
+        near("the speed, let go,", service.truth("speed"), speed, 0.01 * abs(speed), "per second")
+    with undisturbed(case) as service:
+        settings = module.Settings.model_validate(service.settings)
+        reader = module.open_reader(settings, service.clock)  # of a stage that no run has had
+        before, status = service.truth(what), reader.read()
+        same("moving of a stage at rest", status.moving, False)
+        same("homed of a stage at rest", status.homed, service.truth("homed"))
+        same(f"the {what} after reading", service.truth(what), before)
+        at_rest(service, "after reading")
+        reader.close()
+
+
+def check_a_reader_refuses_what_is_silent_or_another_instrument(case: Case) -> None:
+    if not _offers_reader(case):
+        return
+    module = case.module()
+    with case.serve({"kind": "silence", "count": 0}) as service:
+        settings = module.Settings.model_validate(service.settings)
+        with raising(InstrumentTimeoutError, "open_reader() of a silent instrument") as silent:
+            module.open_reader(settings, service.clock)
+        _names_the_place(silent.error.hint, service)
+        _let_go(service)
+    with case.serve(identity=STRANGER) as service:
+        service.settings["timeout_s"] = UNDISTURBED_S
+        settings = module.Settings.model_validate(service.settings)
+        with raising(InstrumentError, "open_reader() of another instrument") as stranger:
+            module.open_reader(settings, service.clock)
+        assert case.stranger_told in stranger.error.one_line(), stranger.error.one_line()
+        _let_go(service)
+
+
+def _offers_reader(case: Case) -> bool:
+    """Return whether the driver is a stage's and offers a reader."""
+    return isinstance(case.module(), OffersReader) and "speed" in role_of(case).quantities
+
+
+def _lies_between(what: str, value: float, one: float, other: float) -> None:
+    low, high = min(one, other) - READ_BACK, max(one, other) + READ_BACK
+    assert low <= value <= high, f"{what} is {value:g}; it has to be {low:g} to {high:g}"
 
 
 # --- making safe and letting go --------------------------------------------------------------

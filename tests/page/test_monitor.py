@@ -1,16 +1,14 @@
-"""The bench in a terminal: a run by its journal; without one its sensors, and nothing moves."""
+"""The running bench in a terminal, by its journal."""
 
 from __future__ import annotations
 
 from io import StringIO
 
-import pytest
 import recorded_run as run
 from rich.console import Console
 
 from rig.files.journal.values import RunHeader
 from rig.files.runfile.compile import compile_run
-from rig.page.sensors import come
 from rig.page.terminal import bars, run_panel
 from rig.page.watch import BenchWatch
 from rig.page.word import BenchWord
@@ -19,12 +17,6 @@ from rig.page.word import BenchWord
 def test_values_become_bars_between_their_smallest_and_largest():
     assert bars([0.0, None, 1.0, 0.5]) == "  █▄"
     assert bars([]) == ""
-
-
-def test_a_sensor_that_always_has_something_new_is_left_for_the_next_drawing():
-    assert set(come(lambda: 1)) == {1}
-    left = [2, 1]
-    assert list(come(lambda: left.pop() if left else None)) == [1, 2]
 
 
 def test_the_latest_run_is_named_where_only_its_file_is_left(rig):
@@ -62,23 +54,3 @@ def test_a_run_is_shown_by_its_journal(rig):
     assert "SIMULATED" in ended.stdout
     assert "sweep: point 5 of 5" in ended.stdout
     assert "complete, exit 0" in ended.stdout
-
-
-@pytest.mark.thorough
-def test_without_a_run_the_sensors_are_read_and_nothing_moves_or_is_switched(rig):
-    with rig.served("--fixture", "plate") as path:
-        watched = rig.start("monitor", "--bench", str(path), "--seconds", "6")
-        rig.await_world("streaming", True)
-        refused = rig.run("slip-trial", "--bench", str(path))
-        assert (refused.code, "is in use by" in refused.stderr) == (2, True)
-        ended = watched.finish()
-    assert ended.code == 0, ended.stderr
-    for shown in ("SIMULATED", "force z", "strip_1"):
-        assert shown in ended.stdout
-    by_the_monitor = []
-    for entry in rig.log():
-        if entry["what"] == "streaming" and entry["value"] is False:
-            break
-        by_the_monitor.append(entry)
-    devices = {entry["device"] for entry in by_the_monitor if entry["what"] != "ready"}
-    assert devices <= {"force_sensor", "daq"}, by_the_monitor

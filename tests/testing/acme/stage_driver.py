@@ -7,12 +7,12 @@ from typing import Literal
 from pydantic import Field
 
 from drivers.shared.line_link import LineLink
-from drivers.shared.stage import StageInterlock, prepared
+from drivers.shared.stage import StageInterlock, opened, prepared
 from rig.core.clock import WallClock
 from rig.core.errors import InstrumentError
 from rig.core.settings import Settings as BaseSettings
 from rig.core.settings import Wiring
-from rig.instruments.roles import Identity, Reach
+from rig.instruments.roles import Identity, Reach, StageStatus
 
 ROLES = ("stage_z",)
 DEVICE = "stage_z"
@@ -47,6 +47,13 @@ class Z50:
         self.identity = None
 
     def prepare(self):
+        self.identity = self.identify()
+        self.stop_and_wait()
+        limit = f"{self._settings.torque_limit_percent:.1f}"
+        self._link.ask(f"TORQUE {limit}", "OK")
+        self._link.ask("TORQUE?", re.escape(limit))
+
+    def identify(self):
         found = self._link.ask("ID?", r"(\S+) (\S+) (\S+) (\S+)")
         vendor, model, number, firmware = found.groups()
         if (vendor, model) != ("ACME", "Z50"):
@@ -55,11 +62,7 @@ class Z50:
                 f"{self._settings.port} is a {vendor} {model}",
                 "an ACME Z50 is expected; correct [stage_z] in the bench file",
             )
-        self.identity = Identity(vendor, model, number, firmware)
-        self.stop_and_wait()
-        limit = f"{self._settings.torque_limit_percent:.1f}"
-        self._link.ask(f"TORQUE {limit}", "OK")
-        self._link.ask("TORQUE?", re.escape(limit))
+        return Identity(vendor, model, number, firmware)
 
     def reach(self):
         own, owner = self._settings, f"{DEVICE} {self.identity.model}"
@@ -156,8 +159,32 @@ class Z50:
         return found[1], found[2] == "1", float(found[3])
 
 
+class Reader:
+    """Sends ``ID?`` and ``ST?``, which change nothing."""
+
+    timeout_s = 0.0  # it has no communication time-out
+
+    def __init__(self, settings, clock):
+        self._stage = Z50(settings, clock)
+
+    def open(self):
+        self.identity = self._stage.identify()
+
+    def read(self):
+        state, homed, position = self._stage._state(stopping=True)
+        fault = "failure" if state == "FAIL" else ""
+        return StageStatus(position, state == "MOVE", "on", homed, fault)
+
+    def close(self):
+        self._stage.close()
+
+
 def connect(settings, clock):
     return prepared(Z50(settings, clock))
+
+
+def open_reader(settings, clock):
+    return opened(Reader(settings, clock))
 
 
 def make_safe(settings):
