@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rig.core.errors import ConfigurationError
-from rig.core.toml_files import read_toml
+from rig.core.toml_files import MAX_JSON_BYTES, read_text, read_toml
 
 if TYPE_CHECKING:
     from rig.core.settings import Settings
@@ -43,12 +44,24 @@ def detector_with_settings(name: str, file: Path | None) -> ChosenDetector:
     changes = read_toml(file, "file of settings")
     if "logic" in changes:
         raise ConfigurationError(f"{file}: logic: unknown key", "--detector names the logic")
+    if isinstance(network := changes.get("network"), str):
+        # The file that `rig train` writes, beside the file that names it.
+        changes["network"] = _network(file.parent / network)
     settings = chosen.settings
     try:
         changed = type(settings).model_validate(_changed(settings, changes))
     except ValidationError as error:
         raise ConfigurationError.from_validation(error, str(file)) from error
     return replace(chosen, settings=changed)
+
+
+def _network(file: Path) -> Any:
+    try:
+        return json.loads(read_text(file, "network file", MAX_JSON_BYTES))
+    except ValueError as error:
+        raise ConfigurationError(
+            f"{file}: no network: {error}", "give a file that `rig train` has written"
+        ) from error
 
 
 def _changed(settings: Settings, changes: Mapping[str, Any]) -> dict[str, Any]:

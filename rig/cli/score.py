@@ -55,9 +55,9 @@ Tuning = Annotated[
 Kinds = Annotated[
     str | None,
     typer.Option(
-        help="Kinds of trials, separated by commas: slide, roll, hold, tap; with --wire slide, "
-        "ramp, hold, roll a, roll b, reversal, tremor, re-grip, falling force, tap, lift-off, "
-        "rest. Default: all.",
+        help="Kinds of trials, separated by commas: slide, roll, hold, tap (default), again, "
+        "reversal, tremor, falling force, re-grip, lift-off; with --wire slide, ramp, hold, roll "
+        "a, roll b, reversal, tremor, re-grip, falling force, tap, lift-off, rest (default: all).",
         metavar="LIST",
     ),
 ]
@@ -182,9 +182,14 @@ def score(
         from rig.physics.population import PopulationSettings, StripFrontEndSettings
 
         ranges = _with_options(
-            _read(PopulationSettings, population), skin, elements, ridge, youngs_modulus, speed
+            read_settings(PopulationSettings(), population),
+            skin,
+            elements,
+            ridge,
+            youngs_modulus,
+            speed,
         )
-        front = _read(StripFrontEndSettings, front_end)
+        front = read_settings(StripFrontEndSettings(), front_end)
         if show_population or show_front_end:
             typer.echo((ranges if show_population else front).model_dump_json(indent=2))
             return
@@ -277,15 +282,12 @@ def _population(
     kinds: str | None,
     drawn: SeedRange,
 ) -> Population:
-    from typing import get_args
-
     from rig.core.cache import user_cache
-    from rig.evaluation.labelled_trials import Kind
+    from rig.evaluation.labelled_trials import KINDS, USUAL_KINDS
     from rig.evaluation.scored_trials import Population
     from rig.physics.skin.condensed import build_skin
 
-    known: tuple[Kind, ...] = get_args(Kind)
-    chosen = _chosen(kinds, known)
+    chosen = USUAL_KINDS if kinds is None else _chosen(kinds, KINDS)
     cache = user_cache()
     skin = build_skin(ranges.skin, cache)
     return Population(skin, ranges, front, swapped_gains, chosen, drawn, cache)
@@ -318,7 +320,7 @@ def _wire(
     from rig.evaluation.wire.judging import judge_wire
 
     chosen = _wire_kinds(kinds)
-    progress = _WireProgress(jobs)
+    progress = WireProgress("score", jobs)
     try:
         return judge_wire(
             chosen, drawn.seeds(), contenders, user_cache(), sweep=roc, jobs=jobs, done=progress
@@ -331,13 +333,13 @@ def _wire(
         raise
 
 
-class _WireProgress:
+class WireProgress:
     """Reports progress on stderr every ten seconds, with the time left at the pace so far."""
 
-    def __init__(self, jobs: int):
-        self.number = 0
+    def __init__(self, command: str, jobs: int):
+        self.number, self._command = 0, command
         self._begun_s = self._said_s = time.monotonic()
-        say(f"score: making trials on the simulated bench, {jobs} at a time")
+        say(f"{command}: making trials on the simulated bench, {jobs} at a time")
 
     def __call__(self, number: int, total: int, made: int) -> None:
         self.number, now_s = number, time.monotonic()
@@ -348,7 +350,7 @@ class _WireProgress:
         if made and number < total:
             left_s = (now_s - self._begun_s) / made * (total - number)
             left = f", about {math.ceil(left_s / 60)} min left"
-        say(f"score: {number} of {total} trials, {made} of them made now{left}")
+        say(f"{self._command}: {number} of {total} trials, {made} of them made now{left}")
 
 
 def _with_options(
@@ -371,7 +373,7 @@ def _with_options(
             raise ConfigurationError(f"{option} {text}: {error}", f"write it in {unit}") from error
 
     changed: dict[str, Any] = {}
-    skin = ranges.skin if skin_file is None else _read(SkinSettings, skin_file)
+    skin = ranges.skin if skin_file is None else read_settings(SkinSettings(), skin_file)
     body = skin.model_dump()
     if elements is not None:
         body["elements_per_ridge"] = elements
@@ -415,10 +417,10 @@ def _detectors(names: Sequence[str], overrides: Path | None) -> list[Contender]:
 
 
 def _baselines(wanted: bool, file: Path | None) -> list[BaselineSettings]:
-    from rig.evaluation.scoring.baselines import Baselines, tuned_baselines
+    from rig.evaluation.scoring.baselines import tuned_baselines
 
     if file is not None:
-        return list(_read(Baselines, file).baselines)
+        return list(read_settings(tuned_baselines(), file).baselines)
     return list(tuned_baselines().baselines) if wanted else []
 
 
@@ -450,12 +452,16 @@ def _check_new(out: Path) -> None:
         )
 
 
-def _read(kind: type[Model], file: Path | None) -> Model:
+def read_settings(unless_given: Model, file: Path | None) -> Model:
+    """Returns the settings of a JSON file, or `unless_given` without one. Raises
+    ConfigurationError for a file that does not fit."""
     from pydantic import ValidationError
 
     if file is None:
-        return kind()
+        return unless_given
     try:
-        return kind.model_validate_json(read_text(file, "file of settings", MAX_JSON_BYTES))
+        return type(unless_given).model_validate_json(
+            read_text(file, "file of settings", MAX_JSON_BYTES)
+        )
     except ValidationError as error:
         raise ConfigurationError.from_validation(error, str(file)) from error

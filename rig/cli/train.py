@@ -1,31 +1,73 @@
-"""``rig train`` trains the network of the detector ``rig`` on simulated trials.
+"""``rig train`` trains the network of the detector ``rig`` on trials whose truth is known: of the
+skin model, of the whole simulated bench, and of run files.
 
-It writes a file in the format of the network that the program contains. The file states the seeds
-of the trials, and scoring refuses these seeds.
+It writes a file in the format of the network that the program contains. The file states on what it
+was trained, and scoring refuses the seeds. A fifth of the trials is held out and judged at the end.
 """
 
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from rig.cli.model_errors import model_errors
 from rig.cli.outcome import reported, say
 from rig.core.atomic import write_text
 from rig.core.errors import ConfigurationError
 
 if TYPE_CHECKING:
     from rig.detector.network import Network
+    from rig.evaluation.lessons import Lesson
     from rig.evaluation.scored_trials import Floats
+    from rig.evaluation.scoring.seeds import SeedRange
+    from rig.evaluation.training import TrainingRows
+    from rig.physics.population import PopulationSettings, StripFrontEndSettings
+
+MODEL_SEEDS = "0:100"
+"""Seeds of the model's trials where nothing is named."""
+HEARINGS = 3
+"""Front ends through which each simulated trial is heard."""
 
 
 def train(
     out: Annotated[Path, typer.Option(help="Network file to write (JSON).", dir_okay=False)],
     seeds: Annotated[
-        str, typer.Option(help="Seeds of the random trials, END excluded.", metavar="FIRST:END")
-    ] = "0:1500",
+        str | None,
+        typer.Option(
+            help="Seeds of trials of the skin model, END excluded. Each seed gives one trial of "
+            f"each kind. Default: {MODEL_SEEDS}, or none with --wire or --files.",
+            metavar="FIRST:END",
+        ),
+    ] = None,
+    wire: Annotated[
+        str | None,
+        typer.Option(
+            help="Seeds of trials on the whole simulated bench. What is not stored yet is made (5 "
+            "s of a processor or more each).",
+            metavar="FIRST:END",
+        ),
+    ] = None,
+    files: Annotated[
+        Path | None,
+        typer.Option(
+            help="CSV list of run files, labelled as for `rig score --files`. Roll trials need no "
+            "label: they have no slip.",
+            metavar="CSV",
+        ),
+    ] = None,
+    population: Annotated[
+        Path | None,
+        typer.Option(help="JSON file with the ranges of the model's trials."),
+    ] = None,
+    front_end: Annotated[
+        Path | None,
+        typer.Option(help="JSON file with the ranges of the front end of the model's trials."),
+    ] = None,
     units: Annotated[int, typer.Option(help="Units of the hidden layer.", min=1, max=256)] = 16,
     epochs: Annotated[
         int, typer.Option(help="Number of passes over all rows.", min=1, max=1000)
@@ -36,109 +78,226 @@ def train(
     jobs: Annotated[int, typer.Option(help="Number of parallel processes.", min=1, max=64)] = 1,
     debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks of errors.")] = False,
 ) -> None:
-    """Train the network of the detector `rig` on simulated trials whose truth is known."""
-    with reported(debug):
-        from rig.evaluation.scoring.seeds import FIRST_REPORTING_SEED, seed_range
+    """Train the network of the detector `rig` on trials whose truth is known."""
+    with reported(debug), model_errors("omit its seed"):
+        from rig.cli.score import read_settings
+        from rig.evaluation.lessons import LESSON_FRONT_END, LESSON_POPULATION
 
-        drawn = seed_range(seeds)
-        if not drawn.tunes:
-            raise ConfigurationError(
-                f"--seeds {seeds}: seeds from {FIRST_REPORTING_SEED} on are reserved for "
-                "reporting; no detector is trained on them",
-                f"choose seeds below {FIRST_REPORTING_SEED}",
-            )
         if out.exists():
             raise ConfigurationError(f"{out}: exists already", "choose another file")
         if not out.parent.is_dir():
             raise ConfigurationError(
                 f"{out.parent}: no such folder", "create it, or choose another folder"
             )
-        network = _trained(drawn.first, drawn.end, units, epochs, seed, jobs)
+        if seeds is None and wire is None and files is None:
+            seeds = MODEL_SEEDS
+        if seeds is None and (population or front_end):
+            option = "--population" if population else "--front-end"
+            raise ConfigurationError(
+                f"{option} changes trials of the skin model, and none are asked for",
+                f"add --seeds FIRST:END, or leave out {option}",
+            )
+        sources = Sources(
+            seeds=_tuning_seeds("--seeds", seeds),
+            wire=_tuning_seeds("--wire", wire),
+            files=files,
+            population=read_settings(LESSON_POPULATION, population),
+            front_end=read_settings(LESSON_FRONT_END, front_end),
+            jobs=jobs,
+        )
+        numbers = f"--units {units} --epochs {epochs} --seed {seed}"
+        command = " ".join(["rig train", *sources.words(population, front_end), numbers])
+        network, held_out = _trained(sources, units, epochs, seed, command)
         text = json.dumps(network.model_dump(mode="json"), indent=1) + "\n"
         write_text(out, text)
-        typer.echo(
-            f"saved {out}: network of {units} units, trained on simulated trials, seeds {drawn}"
+        _judge(network, held_out)
+        typer.echo(f"saved {out}: network of {units} units, trained on {network.trained_on}")
+
+
+@dataclass(frozen=True)
+class Sources:
+    """What is learnt from."""
+
+    seeds: SeedRange | None
+    """Trials of the skin model."""
+    wire: SeedRange | None
+    """Trials on the simulated bench."""
+    files: Path | None
+    """List of run files."""
+    population: PopulationSettings
+    front_end: StripFrontEndSettings
+    jobs: int
+    counted: dict[str, int] = field(default_factory=dict)
+    """Number of trials by source, as far as they have been read."""
+
+    def words(self, population: Path | None, front_end: Path | None) -> list[str]:
+        """Returns the options of the command that names these sources."""
+        given = {
+            "--seeds": self.seeds, "--wire": self.wire, "--files": self.files,
+            "--population": population, "--front-end": front_end,
+        }  # fmt: skip
+        return [f"{option} {value}" for option, value in given.items() if value is not None]
+
+    def said(self) -> str:
+        """Returns how many trials of each source there were, in words."""
+        return ", ".join(f"{count} {source}" for source, count in self.counted.items())
+
+    def lessons(self) -> Iterator[Lesson]:
+        """Yields all lessons, source by source. Raises ConfigurationError for a file that cannot
+        be used."""
+        for source, lessons in (
+            ("trials of the skin model", self._of_the_model()),
+            ("trials on the simulated bench", self._of_the_bench()),
+            ("trials of run files", self._of_files()),
+        ):
+            for one in lessons:
+                self.counted[source] = self.counted.get(source, 0) + one.first
+                yield one
+            if source in self.counted:
+                say(f"train: {self.counted[source]} {source}")
+
+    def _of_the_model(self) -> Iterator[Lesson]:
+        from rig.core.cache import user_cache
+        from rig.evaluation.labelled_trials import LabelledTrial
+        from rig.evaluation.lessons import LESSON_KINDS, model_lessons
+        from rig.evaluation.scored_trials import Population, Traits, each_trial
+        from rig.physics.skin.condensed import build_skin
+
+        if self.seeds is None:
+            return
+        cache = user_cache()
+        population = Population(
+            skin=build_skin(self.population.skin, cache),
+            settings=self.population,
+            front_end=self.front_end,
+            swapped_gains=False,
+            kinds=LESSON_KINDS,
+            seeds=self.seeds,
+            cache=cache,
         )
+        total = len(population.trials())
+
+        def heard(trial: LabelledTrial, _: Floats, __: Traits) -> list[Lesson]:
+            return list(model_lessons(trial, self.front_end, HEARINGS))
+
+        def done(number: int) -> None:
+            if number * 10 // total != (number - 1) * 10 // total:
+                say(f"train: {number} of {total} trials of the skin model")
+
+        for lessons in each_trial(population, heard, self.jobs, done):
+            yield from lessons
+
+    def _of_the_bench(self) -> Iterator[Lesson]:
+        from rig.cli.score import WireProgress
+        from rig.core.cache import user_cache
+        from rig.evaluation.lessons import LESSON_WIRE_KINDS, bench_lessons
+        from rig.evaluation.wire.making import make_trials
+
+        if self.wire is None:
+            return
+        progress = WireProgress("train", self.jobs)
+        kinds, seeds = LESSON_WIRE_KINDS, self.wire.seeds()
+        # In the order of their names, so that the same command gives the same network.
+        made = sorted(
+            make_trials(kinds, seeds, user_cache(), self.jobs, progress),
+            key=lambda one: (one.trial.seed, kinds.index(one.trial.kind)),
+        )
+        for one in made:
+            if one.record is None:
+                say(f"train: {one.trial.name} could not be made: {one.failed}")
+            yield from bench_lessons(one, HEARINGS)
+
+    def _of_files(self) -> Iterator[Lesson]:
+        from rig.evaluation.labelled_files import listed_trials
+        from rig.evaluation.lessons import file_lesson, sides_of
+
+        if self.files is None:
+            return
+        listed = [one for one, _ in listed_trials(self.files)]
+        sides = sides_of([(one.sample, one.day) for one in listed])
+        for one, held_out in zip(listed, sides, strict=True):
+            yield file_lesson(one, held_out)
 
 
-def _trained(first: int, end: int, units: int, epochs: int, seed: int, jobs: int) -> Network:
+def _tuning_seeds(option: str, text: str | None) -> SeedRange | None:
+    from rig.evaluation.scoring.seeds import FIRST_REPORTING_SEED, seed_range
+
+    if text is None:
+        return None
+    drawn = seed_range(text, option)
+    if not drawn.tunes:
+        raise ConfigurationError(
+            f"{option} {text}: seeds from {FIRST_REPORTING_SEED} on are reserved for reporting; "
+            "no detector is trained on them",
+            f"choose seeds below {FIRST_REPORTING_SEED}",
+        )
+    return drawn
+
+
+def _trained(
+    sources: Sources, units: int, epochs: int, seed: int, command: str
+) -> tuple[Network, list[Lesson]]:
+    """Returns the network, and the lessons that were held out."""
     import numpy as np
 
     import rig
-    from rig.core.cache import user_cache
-    from rig.detector.detector import DETECTOR_VERSION, IncipientSlipDetector, NETWORK_RATE_Hz
+    from rig.detector.detector import DETECTOR_VERSION
     from rig.detector.kernel import INPUTS
-    from rig.detector.network import OUTPUTS, Network
-    from rig.detector.settings import named_detectors
-    from rig.evaluation.labelled_trials import LabelledTrial
-    from rig.evaluation.scored_trials import Population, Traits, each_trial
-    from rig.evaluation.scoring.seeds import SeedRange
-    from rig.evaluation.training import TrainingRows, TrainingTrial, learn, rows_of
-    from rig.physics.population import PopulationSettings, StripFrontEndSettings
-    from rig.physics.skin.condensed import build_skin
+    from rig.detector.network import Network
+    from rig.evaluation.lessons import Teacher
+    from rig.evaluation.training import TrainingRows, learn
 
-    cache, ranges = user_cache(), PopulationSettings()
-    population = Population(
-        skin=build_skin(ranges.skin, cache),
-        settings=ranges,
-        front_end=StripFrontEndSettings(),
-        swapped_gains=False,
-        kinds=("slide", "roll", "hold", "tap"),
-        seeds=SeedRange(first=first, end=end),
-        cache=cache,
-    )
-    silent = Network(
-        name="silent", inputs=INPUTS, hidden=((0.0,) * (len(INPUTS) + 1),),
-        output=((0.0, -50.0),) * len(OUTPUTS), first_seed=0, last_seed=0, trained_by="nothing",
-    )  # fmt: skip
-    parameters = named_detectors()["rig"].model_copy(update={"network": silent})
-    # Designs and caches the filters here, so that the forked workers do not each do it.
-    IncipientSlipDetector(parameters, NETWORK_RATE_Hz)
-
-    def taught(trial: LabelledTrial, volts: Floats, _: Traits) -> TrainingRows:
-        shown = IncipientSlipDetector(parameters, trial.rate_Hz).network_inputs(volts)
-        return rows_of(
-            TrainingTrial(
-                inputs=shown.inputs,
-                time_s=shown.rows / trial.rate_Hz,
-                rolls=trial.kind == "roll",
-                motion_s=trial.motion_s,
-                ridge_slip_s=trial.ridge_slip_s,
-                lift_off_s=trial.lift_off_s,
-            )
+    teacher = Teacher()
+    learnt: list[TrainingRows] = []
+    held_out: list[Lesson] = []
+    for lesson in sources.lessons():
+        if lesson.held_out:
+            held_out.append(lesson)
+            continue
+        try:
+            learnt.append(teacher.rows_of(lesson))
+        except ValueError as error:
+            raise ConfigurationError(f"{lesson.name}: {error}") from error
+    if not learnt or not held_out:
+        raise ConfigurationError(
+            f"{sources.said() or 'no trials'}: too few to learn from some and be judged on others",
+            "take at least five seeds, or files of two samples",
         )
-
-    total = len(population.trials())
-
-    def done(number: int) -> None:
-        if number * 10 // total != (number - 1) * 10 // total:
-            say(f"train: {number} of {total} trials")
-
-    lessons = list(each_trial(population, taught, jobs, done))
     rows = TrainingRows(
         *(
-            np.concatenate([getattr(one, name) for one in lessons])
+            np.concatenate([getattr(one, name) for one in learnt])
             for name in ("inputs", "right", "weight")
         )
     )
+    learnt.clear()
     say(f"train: {len(rows.inputs)} rows")
 
     def show(epoch: int, loss: float) -> None:
-        say(f"train: epoch {epoch + 1} of {epochs}, loss {loss:.5f}")
+        if (epoch + 1) * 10 // epochs != epoch * 10 // epochs:
+            say(f"train: epoch {epoch + 1} of {epochs}, loss {loss:.5f}")
 
     hidden, output = learn(rows, units=units, epochs=epochs, seed=seed, on_epoch=show)
-    return Network(
+    seeds = [one for one in (sources.seeds, sources.wire) if one is not None]
+    network = Network(
         name=f"rig-{DETECTOR_VERSION}",
         inputs=INPUTS,
         hidden=_rounded(hidden),
         output=_rounded(output),
-        first_seed=first,
-        last_seed=end - 1,
-        trained_by=(
-            f"rig train --seeds {first}:{end} --units {units} --epochs {epochs} --seed {seed}, "
-            f"tactile-rig {rig.__version__}, detector {DETECTOR_VERSION}; simulated trials only"
-        ),
+        first_seed=min((one.first for one in seeds), default=0),
+        last_seed=max((one.end for one in seeds), default=0) - 1,
+        trained_by=f"{command}, tactile-rig {rig.__version__}, detector {DETECTOR_VERSION}",
+        trained_on=sources.said(),
     )
+    return network, held_out
+
+
+def _judge(network: Network, held_out: list[Lesson]) -> None:
+    """Prints how the network does on what it has not seen."""
+    from rig.evaluation.lessons import judged
+
+    typer.echo("held out (a fifth of the seeds, samples and days):")
+    for name, hits, of, low, high in judged(network, held_out):
+        typer.echo(f"  {name}: {hits}/{of} ({low:.0%} to {high:.0%})")
 
 
 def _rounded(weights: Floats) -> tuple[tuple[float, ...], ...]:

@@ -42,7 +42,9 @@ class Network(Settings):
     """Last seed of the simulated trials on which it was trained. Scoring on these trials is
     refused."""
     trained_by: str
-    """Command, program version and data of the training."""
+    """Command and program version of the training."""
+    trained_on: str = "trials of the skin model"
+    """Number and source of the trials on which it was trained."""
 
     @model_validator(mode="after")
     def _fits(self) -> Self:

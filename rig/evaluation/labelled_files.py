@@ -5,7 +5,8 @@ A list is CSV with a header. The columns ``file`` (relative to the list) and ``p
 file has only one) name a trial. ``label``, ``motion_s``, ``node_slip_s``, ``ridge_slip_s``,
 ``gross_slip_s`` and ``lift_off_s`` are its truth, in s of the record, empty for never. Any further
 column is a trait of that name. If the list lacks a column of the truth, the value that a simulated
-bench stored in the run file is used, up to the end of the record.
+bench stored in the run file is used, up to the end of the record. A roll trial of a real bench is a
+roll without a slip unless the list says otherwise, and a motion begins where its run file says.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from __future__ import annotations
 import csv
 import io
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -50,14 +51,48 @@ class ListedTrials:
 
 
 @dataclass(frozen=True)
+class ListedTrial:
+    """A trial of a list: what a detector sees, and the truth that it does not see."""
+
+    name: str
+    """File and point."""
+    where: str
+    """List and line, for messages."""
+    volts: Floats
+    """Signals v_1 and v_2 in V, (n, 2)."""
+    rate_Hz: float
+    """Their sampling rate."""
+    truth: Truth
+    """What happened."""
+    slips_s: tuple[tuple[float, float], ...]
+    """Begin and end of every slip of the whole ridge, as far as they are known."""
+    traits: dict[str, float | str]
+    """Further columns of the list."""
+    rolls: bool
+    """True for a roll trial."""
+    sample: str
+    """Sample that the run file names; empty if it names none."""
+    day: str
+    """Day of the run; empty if it is not known."""
+    simulated: bool
+    """True if it comes from a simulated bench."""
+
+
+@dataclass(frozen=True)
 class _Recorded:
-    """Volts and truth of a trial, as its file holds them."""
+    """What the file of a trial holds."""
 
     point: str
     volts: Floats
     rate_Hz: float
     truth: dict[str, Any]
-    """Label and times that a simulated bench stored, by the names of a list's columns."""
+    """Label and times that a simulated bench stored, by the names of a list's columns, or the
+    little that the procedure says."""
+    slips_s: tuple[tuple[float, float], ...]
+    rolls: bool
+    sample: str
+    day: str
+    simulated: bool
 
 
 def judge_files(
@@ -72,30 +107,51 @@ def judge_files(
     `sweep` runs the detectors at all thresholds of a ROC. `done` is called after each trial with
     its number and the number of all.
     """
-    rows = _rows(listing)
     judged, simulated = [], False
-    for number, row in enumerate(rows, 1):
-        where = f"{listing}, line {number + 1}"
-        path = listing.parent / row["file"]
-        recorded, from_simulated = _recorded(path, row.get("point", ""), where)
-        simulated |= from_simulated
-        truth = _truth(row, recorded, where)
+    for number, (one, total) in enumerate(listed_trials(listing), 1):
+        simulated |= one.simulated
         try:
             judged.append(
                 judge_one(
-                    f"{path.name} {recorded.point}",
-                    truth,
-                    recorded.volts,
-                    recorded.rate_Hz,
-                    _traits(row, where),
-                    contenders,
+                    one.name, one.truth, one.volts, one.rate_Hz, one.traits, contenders,
                     sweep=sweep,
                 )
-            )
+            )  # fmt: skip
         except ValueError as error:
-            raise ConfigurationError(f"{where}: {path.name}: {error}") from error
-        done(number, len(rows))
+            raise ConfigurationError(f"{one.where}: {one.name}: {error}") from error
+        done(number, total)
     return ListedTrials(judged, simulated)
+
+
+def listed_trials(listing: Path) -> Iterator[tuple[ListedTrial, int]]:
+    """Yields every trial of a list, with the number of all. ConfigurationError names the line that
+    cannot be used."""
+    rows = _rows(listing)
+    for number, row in enumerate(rows, 1):
+        where = f"{listing}, line {number + 1}"
+        path = listing.parent / row["file"]
+        recorded = _recorded(path, row.get("point", ""), where)
+        truth = _truth(row, recorded, where)
+        slips_s = recorded.slips_s
+        # Where the list states the truth itself, the bench's account may contradict it.
+        if not slips_s or set(TIMES) & set(row) or "label" in row:
+            slips_s = ((truth.ridge_slip_s, truth.record_s),) if truth.slipped else ()
+        yield (
+            ListedTrial(
+                name=f"{path.name} {recorded.point}",
+                where=where,
+                volts=recorded.volts,
+                rate_Hz=recorded.rate_Hz,
+                truth=truth,
+                slips_s=slips_s,
+                traits=_traits(row, where),
+                rolls=recorded.rolls,
+                sample=recorded.sample,
+                day=recorded.day,
+                simulated=recorded.simulated,
+            ),
+            len(rows),
+        )
 
 
 def _rows(listing: Path) -> list[dict[str, str]]:
@@ -117,8 +173,8 @@ def _rows(listing: Path) -> list[dict[str, str]]:
     return rows
 
 
-def _recorded(path: Path, point: str, where: str) -> tuple[_Recorded, bool]:
-    """Returns volts and truth of a point of a file, and whether its bench was simulated."""
+def _recorded(path: Path, point: str, where: str) -> _Recorded:
+    """Returns what a file holds of a point."""
     with RunFile.open(path) as run:
         points = run.point_ids()
         if not point and len(points) == 1:
@@ -139,15 +195,29 @@ def _recorded(path: Path, point: str, where: str) -> tuple[_Recorded, bool]:
         volts = np.column_stack([wave.values("v_1"), wave.values("v_2")])
         time_s = run.entry[f"{wave.path}/time"][:2]
         rate_Hz = wave.rate_Hz or round(1 / float(time_s[1] - time_s[0]), 6)
-        truth = _known(run, point, reading, len(volts) / rate_Hz)
-        return _Recorded(point, volts, rate_Hz, truth), run.outcome.simulated is True
+        record_s = len(volts) / rate_Hz
+        header = run.header
+        return _Recorded(
+            point=point,
+            volts=volts,
+            rate_Hz=rate_Hz,
+            truth=_known(run, point, reading, record_s),
+            slips_s=simulated_truth.slips_of(reading, record_s),
+            rolls=header.procedure == simulated_truth.ROLL,
+            sample=header.sample.name or "",
+            day="" if header.start_time is None else str(header.start_time)[:10],
+            simulated=run.outcome.simulated is True,
+        )
 
 
 def _known(run: RunFile, point: str, reading: dict[str, Any], record_s: float) -> dict[str, Any]:
-    """Returns label, times and quiet intervals that a simulated bench stored; empty for others."""
+    """Returns label, times and quiet intervals that a simulated bench stored; of any other, when
+    the motion began and that a roll trial is a roll."""
     times = simulated_truth.times_of(reading, record_s)
     if not times:
-        return {}
+        rolls = run.header.procedure == simulated_truth.ROLL
+        begin_s = simulated_truth.begin_of(reading)
+        return {"motion_s": begin_s, "label": "roll"} if rolls else {"motion_s": begin_s}
     ends_s = simulated_truth.motion_end_of(run, point, reading)
     quiet_s = simulated_truth.quiet_of(times, run.settings, reading, ends_s, record_s)
     label = simulated_truth.label_of(times, run.header.procedure, ends_s)
@@ -155,11 +225,12 @@ def _known(run: RunFile, point: str, reading: dict[str, Any], record_s: float) -
 
 
 def _truth(row: dict[str, str], recorded: _Recorded, where: str) -> Truth:
-    label = row["label"] if "label" in row else recorded.truth.get("label", "")
+    label = row.get("label") or recorded.truth.get("label", "")
     if label not in LABELS:
         raise ConfigurationError(
             f"{where}: label {label!r} is not one of {', '.join(LABELS)}",
-            "only files from the simulated bench contain a label; add a column 'label' to the list",
+            "only files from the simulated bench and roll trials have one of their own; state it "
+            "in the list's column 'label'",
         )
     times = {}
     for name in TIMES:

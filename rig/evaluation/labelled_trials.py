@@ -2,8 +2,8 @@
 
 Every trial is drawn from its kind and seed alone: friction, rubber, force, motion and the jitter of
 the stage come from stated ranges (all assumed). A trial holds noise-free volts at the rate of the
-data acquisition and begins with quiet. Noise, mains and unequal gains are added separately, so that
-one contact can be recorded through several front ends.
+data acquisition and begins with quiet. What amplifiers and converter add is added separately, so
+that one contact can be recorded through several front ends (`rig.evaluation.front_ends`).
 """
 
 from __future__ import annotations
@@ -22,21 +22,31 @@ from rig.core.cache import Cache, NoCache
 from rig.core.settings import fingerprint
 from rig.physics.contact.settings import ContactSettings, Cylinder, FrictionSettings, Object, Plate
 from rig.physics.contact.stepper import ConvergenceError
-from rig.physics.population import PopulationSettings, Range, StripFrontEndSettings
-from rig.physics.skin.condensed import CondensedSkin
+from rig.physics.contact.truth import WholeSlips, slips_whole
+from rig.physics.population import PopulationSettings, Range, placed_mm
+from rig.physics.skin.condensed import CondensedSkin, build_skin
+from rig.physics.skin.settings import SkinSettings
 from rig.physics.trials import RollSettings, Script, SkinTrial, SlideSettings, follow
 
 Floats = NDArray[np.float64]
 
-Kind = Literal["slide", "roll", "hold", "tap"]
+Kind = Literal[
+    "slide", "roll", "hold", "tap", "again", "reversal", "tremor", "falling force", "re-grip",
+    "lift-off",
+]  # fmt: skip
 """Kinds of motion."""
+KINDS: tuple[Kind, ...] = get_args(Kind)
+USUAL_KINDS: tuple[Kind, ...] = ("slide", "roll", "hold", "tap")
+"""Kinds that are scored where none are named (decision 0048)."""
 Label = Literal["slip", "roll", "lift-off", "hold", "tap", "slip in a roll"]
 """Labels of trials, by their truth."""
 LABELS: tuple[Label, ...] = get_args(Label)
 
-_FORMAT = 2
-_RAMP_S = 0.05
+_FORMAT = 3
+_TICK_RISE_S = 0.003
 _SETTLE_S = 0.1
+LIFTS_WITHIN_S = 0.1
+"""A slip of the whole ridge less than this before its lift-off is part of it."""
 _AFTER_GROSS_S = 0.06
 _REDRAWS = 20
 
@@ -68,29 +78,10 @@ class LabelledTrial:
     """Slip of the whole contact."""
     lift_off_s: float
     """Time at which the ridge leaves the object."""
+    slips_s: Floats
+    """Begin and end of every slip of the whole ridge, the first included, (k, 2)."""
     traits: dict[str, float]
     """Numbers that were drawn, by name and unit."""
-
-
-def through_front_end(
-    trial: LabelledTrial, front_end: StripFrontEndSettings, hearing: int = 0
-) -> tuple[Floats, dict[str, float]]:
-    """Returns the volts (n, 2) that a bench would record, and what was added to them, by name and
-    unit.
-
-    `hearing` numbers the front ends. Each number draws new values from the trial's kind and seed.
-    """
-    chance = np.random.default_rng([get_args(Kind).index(trial.kind), trial.seed, 1, hearing])
-    noise = front_end.noise_mV.draw(chance)
-    mains = front_end.mains_mV.draw(chance)
-    mismatch = front_end.gain_mismatch.draw(chance)
-    size = len(trial.volts)
-    phase = 2 * np.pi * front_end.mains_Hz * np.arange(size) / trial.rate_Hz
-    phases = chance.uniform(0, 2 * np.pi) + np.array([0.0, chance.uniform(-0.3, 0.3)])
-    volts = trial.volts * np.array([1 + mismatch / 2, 1 - mismatch / 2])
-    volts = volts + 1e-3 * mains * np.sin(phase[:, None] + phases)
-    volts = volts + 1e-3 * noise * chance.standard_normal((size, 2))
-    return volts, {"noise_mV": noise, "mains_mV": mains, "gain_mismatch": mismatch}
 
 
 def labelled_trial(
@@ -111,18 +102,21 @@ def labelled_trial(
     stored = cache.get(key)
     trial = None if stored is None else _unpack(stored, kind, seed)
     if trial is None:
-        trial = _perform(skin, kind, seed, population)
+        trial = _perform(skin, kind, seed, population, cache)
         cache.put(key, _pack(trial))
     return trial
 
 
 def _perform(
-    skin: CondensedSkin, kind: Kind, seed: int, population: PopulationSettings
+    skin: CondensedSkin, kind: Kind, seed: int, population: PopulationSettings, cache: Cache
 ) -> LabelledTrial:
     for redraw in range(_REDRAWS):
-        chance = np.random.default_rng([get_args(Kind).index(kind), seed, 0, redraw])
+        chance = np.random.default_rng([KINDS.index(kind), seed, 0, redraw])
         try:
-            return _KINDS[kind](_TrialDraw(skin, kind, seed, population, chance))
+            drawing = _TrialDraw(skin, kind, seed, population, chance)
+            if population.drawn_skin:
+                drawing.draw_skin(cache)
+            return _KINDS[kind](drawing)
         except ConvergenceError as error:
             last = error
     raise last
@@ -158,12 +152,32 @@ class _TrialDraw:
         self.jitter_mm = 1e-3 * self.draw("jitter_um") * jitters
         self.jitter_Hz = self.draw("jitter_Hz")
         self.traits["jitter_um"] *= jitters
+        # Draws of their own, so that what was drawn above does not depend on them.
+        self.further = np.random.default_rng([KINDS.index(kind), seed, 2])
+        self.tick_Hz = self.draw_further("tick_Hz")
+        self.tick_share = self.draw_further("tick_share")
+        self.ramp_s = self.draw_further("ramp_s")
 
     def draw(self, name: str) -> float:
         """Returns a number of the population and records it among the traits."""
         within: Range = getattr(self.population, name)
         self.traits[name] = within.draw(self.chance)
         return self.traits[name]
+
+    def draw_further(self, name: str) -> float:
+        """Returns a number that was added to the population later, and records it."""
+        within: Range = getattr(self.population, name)
+        self.traits[name] = within.draw(self.further)
+        return self.traits[name]
+
+    def draw_skin(self, cache: Cache) -> None:
+        """Draws modulus and place of the strips of the skin."""
+        youngs_MPa = self.draw_further("youngs_modulus_MPa")
+        offset_mm = placed_mm(self.draw_further("strip_offset_mm"))
+        self.traits["strip_offset_mm"] = offset_mm
+        body = self.population.skin.model_dump() | {"youngs_modulus_MPa": youngs_MPa}
+        body["strips"]["offset_mm"] = offset_mm
+        self.skin = build_skin(SkinSettings.model_validate(body), cache)
 
     def draw_sign(self, name: str) -> float:
         """Returns +1 or -1 and records it among the traits."""
@@ -188,6 +202,26 @@ class _TrialDraw:
         force: Floats = self.force_N * (1 - np.cos(np.pi * share)) / 2
         return force
 
+    def ticks(self, time_s: Floats) -> Floats:
+        """Returns the relative error of the normal force: at each tick of the servo it takes
+        another value, within 3 ms and not beyond the next tick."""
+        if self.tick_share == 0:
+            return np.zeros_like(time_s)
+        period_s = 1 / self.tick_Hz
+        count = int(time_s[-1] / period_s) + 2
+        errors, error = np.zeros(count), 0.0
+        for tick, step in enumerate(self.further.standard_normal(count)):
+            # It forgets half of its error in a few ticks, as a servo that controls does.
+            error = 0.8 * error + self.tick_share * step
+            errors[tick] = error
+        begins = period_s * np.arange(count)
+        rises = begins + min(_TICK_RISE_S, 0.9 * period_s)
+        corners = np.column_stack([begins, rises]).ravel()
+        levels = np.column_stack([np.concatenate([[0.0], errors[:-1]]), errors]).ravel()
+        pressed = np.clip(time_s / self.loading_s, 0, 1) ** 2
+        wander: Floats = pressed * np.interp(time_s, corners, levels)
+        return wander
+
     def follow(
         self,
         force_N: Floats,
@@ -202,20 +236,33 @@ class _TrialDraw:
         times = self.contact.step_us * 1e-6 * np.arange(1.0, 1 + force_N.size)
         shaken = x_mm + self.jitter_mm * np.sin(2 * np.pi * self.jitter_Hz * times)
         angle = np.zeros_like(force_N) if angle_rad is None else angle_rad
+        force_N = force_N * (1 + self.ticks(times))
         settings = (SlideSettings if isinstance(body, Plate) else RollSettings)(
             contact=self.contact, body=body, ridge=self.population.ridge
         )
         script = Script(force_N, shaken, angle, motion_s=self.motion_s, start_x_mm=start_x_mm)
         return follow(self.skin, settings, script)
 
-    def finish(self, trial: SkinTrial, label: Label, end_s: float = math.inf) -> LabelledTrial:
-        """Returns the labelled trial up to `end_s` after first touch."""
+    def finish(
+        self, trial: SkinTrial, label: Label | None = None, end_s: float = math.inf
+    ) -> LabelledTrial:
+        """Returns the trial up to `end_s` after first touch, labelled by its truth unless a label
+        is given. What happens after its end is not in its truth."""
         at, truth = self.population.ridge - 1, trial.truth
         rate = SlideSettings().sample.rate_Hz
         kept = trial.sample_time_s <= end_s
         rows = np.searchsorted(trial.time_s, trial.sample_time_s[kept] - 1e-9)
         quiet = round(self.population.quiet_s * rate)
         forces = np.column_stack([trial.block.normal_force_N, trial.block.tangential_force_N])
+        record_s = (quiet + int(kept.sum())) / rate
+
+        def seen_s(after_touch_s: float) -> float:
+            at_s = quiet / rate + float(after_touch_s)
+            return at_s if at_s <= record_s else math.nan
+
+        whole_s, lift_s = seen_s(truth.whole_slip_s[at]), seen_s(truth.lift_off_s[at])
+        if label is None:
+            label = _label_of(self.kind, whole_s, lift_s)
         return LabelledTrial(
             kind=self.kind,
             seed=self.seed,
@@ -224,12 +271,43 @@ class _TrialDraw:
             volts=_rounded(np.vstack([np.zeros((quiet, 2)), trial.sampled[kept]])),
             force_N=_rounded(np.vstack([np.zeros((quiet, 2)), forces[rows]])),
             motion_s=quiet / rate + self.motion_s,
-            node_slip_s=quiet / rate + float(truth.first_slip_s[at]),
-            ridge_slip_s=quiet / rate + float(truth.whole_slip_s[at]),
-            gross_slip_s=quiet / rate + truth.gross_slip_s,
-            lift_off_s=quiet / rate + float(truth.lift_off_s[at]),
+            node_slip_s=seen_s(truth.first_slip_s[at]),
+            ridge_slip_s=whole_s,
+            gross_slip_s=seen_s(truth.gross_slip_s),
+            lift_off_s=lift_s,
+            slips_s=self._slips_s(trial, quiet / rate, record_s),
             traits=self.traits,
         )
+
+    def _slips_s(self, trial: SkinTrial, quiet_s: float, record_s: float) -> Floats:
+        """Returns begin and end of every slip of the whole ridge since the motion began."""
+        step_us = round(self.contact.step_us)
+        first = int(np.searchsorted(trial.time_s, trial.motion_s - 1e-9))
+        slips = WholeSlips()
+        status = trial.block.status[first:]
+        slips.add(
+            (first + 1) * step_us, step_us,
+            slips_whole(status, self.skin.ridge, self.population.ridge - 1),
+        )  # fmt: skip
+        begins = quiet_s + 1e-6 * np.array(slips.begins_us, dtype=np.float64)
+        ends = np.full(begins.size, record_s)
+        ends[: len(slips.ends_us)] = quiet_s + 1e-6 * np.array(slips.ends_us, dtype=np.float64)
+        inside = begins <= record_s
+        pairs: Floats = np.column_stack([begins, np.minimum(ends, record_s)])[inside]
+        return pairs
+
+
+def _label_of(kind: Kind, whole_s: float, lift_s: float) -> Label:
+    """Returns the label of a trial from its truth. A ridge that is let go slips before it leaves
+    the object: a slip less than 0.1 s before it is part of the lift-off."""
+    lifted, slipped = math.isfinite(lift_s), math.isfinite(whole_s)
+    if kind == "roll":
+        return "lift-off" if lifted else "slip in a roll" if slipped else "roll"
+    if slipped and not (lifted and whole_s >= lift_s - LIFTS_WITHIN_S):
+        return "slip"
+    if lifted:
+        return "lift-off"
+    return "tap" if kind == "tap" else "hold"
 
 
 def _rounded(values: Floats) -> Floats:
@@ -242,13 +320,15 @@ def _to_gross_slip(drawing: _TrialDraw) -> tuple[SkinTrial, float, float]:
     first touch."""
     speed = drawing.draw("speed_mm_s")
     velocity = speed * drawing.draw_sign("direction")
-    softness = 1.7 / drawing.population.skin.youngs_modulus_MPa
+    softness = 1.7 / drawing.skin.settings.youngs_modulus_MPa
     reach_mm = 0.03 + 0.09 * softness * drawing.force_N * drawing.traits["static_coefficient"]
     for _ in range(3):
-        time = drawing.times(reach_mm / speed + _RAMP_S + _AFTER_GROSS_S)
+        time = drawing.times(reach_mm / speed + drawing.ramp_s + _AFTER_GROSS_S)
         since = time - drawing.motion_s
-        inside = np.clip(since, 0.0, _RAMP_S)
-        x = velocity * (inside**2 / (2 * _RAMP_S) + np.clip(since - _RAMP_S, 0.0, None))
+        inside = np.clip(since, 0.0, drawing.ramp_s)
+        x = velocity * (
+            inside**2 / (2 * drawing.ramp_s) + np.clip(since - drawing.ramp_s, 0.0, None)
+        )
         trial = drawing.follow(drawing.pressed(time), x)
         if math.isfinite(trial.truth.gross_slip_s):
             return trial, velocity, trial.truth.gross_slip_s
@@ -261,24 +341,117 @@ def _slide(drawing: _TrialDraw) -> LabelledTrial:
     return drawing.finish(trial, "slip", gross + _AFTER_GROSS_S)
 
 
+def _stroke(speed_mm_s: float, way_mm: float, ramp_s: float) -> tuple[Floats, Floats]:
+    """Returns times and speeds of a stroke that begins and ends at rest, and reaches its speed
+    within `ramp_s`."""
+    acceleration = speed_mm_s / ramp_s
+    peak = min(speed_mm_s, math.sqrt(acceleration * way_mm))
+    rise_s, cruise_s = peak / acceleration, way_mm / peak - peak / acceleration
+    return np.cumsum([0.0, rise_s, cruise_s, rise_s]), np.array([0.0, peak, peak, 0.0])
+
+
+def _strokes(
+    drawing: _TrialDraw, ways_mm: list[float], speed_mm_s: float, rest_s: float, after_s: float
+) -> tuple[Floats, Floats]:
+    """Returns times and positions of strokes, forward and backward, with a rest after each and a
+    longer one after the last."""
+    corners, speeds, begin_s = [np.zeros(1)], [np.zeros(1)], 1e-9
+    for way_mm in ways_mm:
+        times, pace = _stroke(speed_mm_s, abs(way_mm), drawing.ramp_s)
+        corners.append(begin_s + times)
+        speeds.append(math.copysign(1.0, way_mm) * pace)
+        begin_s += float(times[-1]) + rest_s + 1e-9
+    time = drawing.times(begin_s + after_s)
+    pace = np.interp(time - drawing.motion_s, np.concatenate(corners), np.concatenate(speeds))
+    return time, drawing.contact.step_us * 1e-6 * np.cumsum(pace)
+
+
+def _whole_way(drawing: _TrialDraw) -> tuple[float, float]:
+    """Returns the way of a slide to the slip of the whole ridge, with its sign, in mm, and the
+    speed of the slide in mm/s."""
+    slide, velocity, gross = _to_gross_slip(drawing)
+    whole = float(slide.truth.whole_slip_s[drawing.population.ridge - 1])
+    row = int(np.searchsorted(slide.time_s, whole if math.isfinite(whole) else gross))
+    return float(slide.block.position_mm[row]), abs(velocity)
+
+
+def _again(drawing: _TrialDraw) -> LabelledTrial:
+    """Simulates slides with stops between them: the ridge sticks, and slips anew."""
+    slide, velocity, gross = _to_gross_slip(drawing)
+    row = int(np.searchsorted(slide.time_s, gross))
+    way_mm = 1.15 * float(slide.block.position_mm[row])
+    back = drawing.further.random() < 0.5
+    ways = [way_mm, -2 * way_mm, 2 * way_mm] if back else [way_mm, 0.5 * way_mm, 0.5 * way_mm]
+    rest_s = drawing.further.uniform(0.05, 0.3)
+    time, x = _strokes(drawing, ways, abs(velocity), rest_s, _SETTLE_S)
+    return drawing.finish(drawing.follow(drawing.pressed(time), x))
+
+
+def _reversal(drawing: _TrialDraw) -> LabelledTrial:
+    """Simulates shear to and fro below the slip of the ridge."""
+    way_mm, speed = _whole_way(drawing)
+    sheared_mm = drawing.draw_further("sheared_share") * way_mm
+    turns = int(drawing.draw_further("reversals"))
+    ways = [sheared_mm] + [2 * sheared_mm * (-1) ** (turn + 1) for turn in range(turns)]
+    time, x = _strokes(drawing, ways, speed, 0.0, 2 * _SETTLE_S)
+    return drawing.finish(drawing.follow(drawing.pressed(time), x))
+
+
+def _tremor(drawing: _TrialDraw) -> LabelledTrial:
+    """Simulates a hold under shear in which the object trembles."""
+    way_mm, speed = _whole_way(drawing)
+    sheared_mm = drawing.draw_further("sheared_share") * way_mm
+    rate_Hz, share = drawing.draw_further("tremor_Hz"), drawing.draw_further("tremor_share")
+    time, x = _strokes(drawing, [sheared_mm], speed, 0.1, 1.0)
+    since = np.clip(time - time[-1] + 1.0, 0.0, None)
+    shaken = share * way_mm * np.sin(2 * np.pi * rate_Hz * since) * np.clip(since / 0.1, 0, 1)
+    return drawing.finish(drawing.follow(drawing.pressed(time), x + shaken))
+
+
+def _loaded(drawing: _TrialDraw, share: float, after_s: float) -> tuple[Floats, Floats, Floats]:
+    """Returns times, positions, and the time since 0.2 s after a shear has come to rest."""
+    way_mm, speed = _whole_way(drawing)
+    time, x = _strokes(drawing, [share * way_mm], speed, 0.2, after_s)
+    return time, x, np.clip(time - time[-1] + after_s, 0.0, None)
+
+
+def _falling_force(drawing: _TrialDraw) -> LabelledTrial:
+    """Simulates a grip that loosens under a load until the load slips or is hardly held."""
+    share, fall_s = drawing.draw_further("loaded_share"), drawing.draw_further("fall_s")
+    time, x, since = _loaded(drawing, share, fall_s + _SETTLE_S)
+    falls = 1 - (1 - 0.5 * share) * np.clip(since / fall_s, 0.0, 1.0)
+    return drawing.finish(drawing.follow(drawing.pressed(time) * falls, x))
+
+
+def _re_grip(drawing: _TrialDraw) -> LabelledTrial:
+    """Simulates a firmer grip under a load."""
+    share, rise_s = drawing.draw_further("loaded_share"), drawing.draw_further("grip_s")
+    rise = drawing.draw_further("grip_share")
+    time, x, since = _loaded(drawing, share, rise_s + 0.4)
+    return drawing.finish(
+        drawing.follow(drawing.pressed(time) * (1 + rise * np.clip(since / rise_s, 0.0, 1.0)), x)
+    )
+
+
+def _lift_off(drawing: _TrialDraw) -> LabelledTrial:
+    """Simulates an object that is let go, with hardly any load."""
+    fall_s = drawing.draw_further("fall_s")
+    time, x, since = _loaded(drawing, drawing.further.uniform(0.01, 0.15), fall_s + _SETTLE_S)
+    falls = 1 - 0.98 * np.clip(since / fall_s, 0.0, 1.0)
+    return drawing.finish(drawing.follow(drawing.pressed(time) * falls, x))
+
+
 def _hold(drawing: _TrialDraw) -> LabelledTrial:
     """Simulates a slide that stops short. If the ridge slips as a whole nevertheless, it is
     labelled a slip."""
     whole, velocity, gross = _to_gross_slip(drawing)
     row = int(np.searchsorted(whole.time_s, gross))
     way_mm = drawing.draw("held_share") * abs(float(whole.block.position_mm[row]))
-    speed = abs(velocity)
-    acceleration = speed / _RAMP_S
-    peak = min(speed, math.sqrt(acceleration * way_mm))
-    rise_s, cruise_s = peak / acceleration, way_mm / peak - peak / acceleration
-    time = drawing.times(2 * rise_s + cruise_s + drawing.population.held_s)
-    since = time - drawing.motion_s
-    corners = np.cumsum([0.0, rise_s, cruise_s, rise_s])
-    pace = np.interp(since, corners, [0.0, peak, peak, 0.0])
-    x = math.copysign(drawing.contact.step_us * 1e-6, velocity) * np.cumsum(pace)
-    trial = drawing.follow(drawing.pressed(time), x)
-    slipped = math.isfinite(trial.truth.whole_slip_s[drawing.population.ridge - 1])
-    return drawing.finish(trial, "slip" if slipped else "hold")
+    times, pace = _stroke(abs(velocity), way_mm, drawing.ramp_s)
+    time = drawing.times(float(times[-1]) + drawing.population.held_s)
+    speed = np.interp(time - drawing.motion_s, times, pace)
+    x = math.copysign(drawing.contact.step_us * 1e-6, velocity) * np.cumsum(speed)
+    return drawing.finish(drawing.follow(drawing.pressed(time), x))
 
 
 def _roll(drawing: _TrialDraw) -> LabelledTrial:
@@ -291,13 +464,7 @@ def _roll(drawing: _TrialDraw) -> LabelledTrial:
     turned = angle * (1 - np.cos(np.pi * share)) / 2
     x = start + body.radius_mm * turned
     trial = drawing.follow(drawing.pressed(time), x, turned, body=body, start_x_mm=start)
-    at = drawing.population.ridge - 1
-    label: Label = "roll"
-    if math.isfinite(trial.truth.lift_off_s[at]):
-        label = "lift-off"
-    elif math.isfinite(trial.truth.whole_slip_s[at]):
-        label = "slip in a roll"
-    return drawing.finish(trial, label)
+    return drawing.finish(trial)
 
 
 def _tap(drawing: _TrialDraw) -> LabelledTrial:
@@ -308,8 +475,7 @@ def _tap(drawing: _TrialDraw) -> LabelledTrial:
     time = drawing.times(duration + 2 * _SETTLE_S)
     pulse = np.sin(np.pi * np.clip((time - drawing.motion_s) / duration, 0.0, 1.0))
     trial = drawing.follow(drawing.pressed(time) + rise_N * pulse, sideways_mm * pulse)
-    slipped = math.isfinite(trial.truth.whole_slip_s[drawing.population.ridge - 1])
-    return drawing.finish(trial, "slip" if slipped else "tap")
+    return drawing.finish(trial)
 
 
 _KINDS: dict[Kind, Callable[[_TrialDraw], LabelledTrial]] = {
@@ -317,6 +483,12 @@ _KINDS: dict[Kind, Callable[[_TrialDraw], LabelledTrial]] = {
     "roll": _roll,
     "hold": _hold,
     "tap": _tap,
+    "again": _again,
+    "reversal": _reversal,
+    "tremor": _tremor,
+    "falling force": _falling_force,
+    "re-grip": _re_grip,
+    "lift-off": _lift_off,
 }
 
 _TIMES = ("rate_Hz", "motion_s", "node_slip_s", "ridge_slip_s", "gross_slip_s", "lift_off_s")
@@ -330,6 +502,7 @@ def _pack(trial: LabelledTrial) -> bytes:
         force_N=trial.force_N.astype(np.float32),
         times=np.array([getattr(trial, name) for name in _TIMES]),
         label=np.array(trial.label),
+        slips_s=trial.slips_s,
         names=np.array(list(trial.traits)),
         traits=np.array(list(trial.traits.values())),
     )
@@ -345,6 +518,7 @@ def _unpack(content: bytes, kind: Kind, seed: int) -> LabelledTrial | None:
                 label=next(label for label in LABELS if label == str(stored["label"])),
                 volts=stored["volts"].astype(np.float64),
                 force_N=stored["force_N"].astype(np.float64),
+                slips_s=stored["slips_s"],
                 traits=dict(zip(stored["names"].tolist(), stored["traits"].tolist(), strict=True)),
                 **dict(zip(_TIMES, stored["times"].tolist(), strict=True)),
             )

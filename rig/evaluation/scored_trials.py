@@ -19,7 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.core.cache import Cache
-from rig.evaluation.labelled_trials import Kind, LabelledTrial, labelled_trial, through_front_end
+from rig.evaluation.front_ends import through_front_end
+from rig.evaluation.labelled_trials import Kind, LabelledTrial, labelled_trial
 from rig.evaluation.scoring.baselines import BaselineSettings, baseline_score
 from rig.evaluation.scoring.contenders import FACTORS, Contender
 from rig.evaluation.scoring.outcomes import FOUND_WITHIN_S, Truth, judge
@@ -79,7 +80,7 @@ def judge_trials(
 
     def work(trial: LabelledTrial, volts: Floats, traits: Traits) -> ScoredTrial:
         return judge_one(
-            f"{trial.kind} {trial.seed}", _truth(trial), volts, trial.rate_Hz, traits,
+            f"{trial.kind} {trial.seed}", truth_of(trial), volts, trial.rate_Hz, traits,
             contenders, sweep=sweep,
         )  # fmt: skip
 
@@ -131,7 +132,7 @@ def tune_baselines(
     def work(trial: LabelledTrial, volts: Floats, traits: Traits) -> tuple[str, list[float]]:
         if trial.label not in ("roll", "slip"):
             return trial.label, []
-        truth = _truth(trial)
+        truth = truth_of(trial)
         counted = slice(0, len(volts))
         if truth.slipped:
             first, last = truth.window_s()
@@ -170,7 +171,7 @@ def recorded_volts(population: Population, trial: LabelledTrial) -> tuple[Floats
     return volts, traits
 
 
-def _truth(trial: LabelledTrial) -> Truth:
+def truth_of(trial: LabelledTrial) -> Truth:
     """Returns the truth of a trial. Its record ends at its last sample; the motion of a slide
     continues until then."""
     record_s = len(trial.volts) / trial.rate_Hz

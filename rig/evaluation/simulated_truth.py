@@ -57,8 +57,30 @@ def times_of(reading: dict[str, Any], record_s: float) -> dict[str, float | None
     }
 
 
+def slips_of(reading: dict[str, Any], record_s: float) -> tuple[tuple[float, float], ...]:
+    """Return begin and end of every slip of the ridge that is read as a whole, in s from the start
+    of its record, which is `record_s` long; one that lasts beyond it ends with it. Empty where the
+    World says nothing of it."""
+    known = json.loads(reading.get("simulated_truth") or "{}")
+    begun_us = known.get("record_begun_us", 0)
+    begins_us, ends_us = known.get("ridge_slip_begins_us", []), known.get("ridge_slip_ends_us", [])
+    slips = []
+    for number, begin_us in enumerate(begins_us):
+        begin_s = 1e-6 * (begin_us - begun_us)
+        end_s = 1e-6 * (ends_us[number] - begun_us) if number < len(ends_us) else math.inf
+        if begin_s <= record_s:
+            slips.append((begin_s, min(end_s, record_s)))
+    return tuple(slips)
+
+
 _BEGINS = ("motion_from_s", "slide_from_s", "roll_from_s")
 """Columns that state when a procedure began its motion, of which a reading has one."""
+
+
+def begin_of(reading: dict[str, Any]) -> float | None:
+    """Return when the procedure began its motion, in s of the record; None if it does not say."""
+    begins = (reading[name] for name in _BEGINS if reading.get(name) is not None)
+    return next(map(float, begins), None)
 
 
 def label_of(times: dict[str, float | None], procedure: str, motion_end_s: float | None) -> str:
@@ -101,10 +123,10 @@ def quiet_of(
 ) -> tuple[tuple[float, float], ...]:
     """Return the intervals, in s of the record, in which the skin was pressed at a constant force
     and nothing moved or slipped as a whole: the rest before the motion, and the time after it."""
-    begins = next((reading[name] for name in _BEGINS if reading.get(name) is not None), None)
+    begins = begin_of(reading)
     if begins is None:
         return ()
-    quiet = [(max(0.0, begins - float(settings.get("rest_s", 0.0)) + 0.02), float(begins))]
+    quiet = [(max(0.0, begins - float(settings.get("rest_s", 0.0)) + 0.02), begins)]
     slipped = times.get("ridge_slip_s") is not None or times.get("lift_off_s") is not None
     course_s = max(settings.get("force_times_s") or (0.0,))
     if motion_end_s is not None and not slipped:

@@ -3,7 +3,9 @@
 This is plain logistic regression through one hidden layer, by Adam (Kingma and Ba 2015) on shuffled
 batches. All randomness comes from one seed: the same rows give the same weights on the same
 machine. The targets are defined here too: the detector should report a slip from 2 ms before the
-whole ridge slips to 25 ms after it. A partial slip is not a slip.
+whole ridge slips to 25 ms after it, again at each further slip, and never else. An alarm from 10 ms
+before to 30 ms after is right (decision 0079), so that the rows between are neither taught as a
+slip nor as none. A partial slip is not a slip.
 """
 
 from __future__ import annotations
@@ -15,15 +17,20 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.evaluation.labelled_trials import LIFTS_WITHIN_S
+
 Reals = NDArray[np.float64]
 Singles = NDArray[np.float32]
 
 EARLY_S, LATE_S = 0.002, 0.025
-"""Interval around the slip of the whole ridge in which an alarm is right."""
-UNDECIDED_S = 0.008
-"""Length of the interval before it in which an alarm is neither right nor wrong."""
+"""Interval around the slip of the whole ridge in which an alarm is taught."""
+RIGHT_FROM_S, RIGHT_TO_S = 0.010, 0.030
+"""Interval around it in which an alarm is right, and outside of which it is taught to be wrong."""
+STICKS_FOR_S = 0.005
+"""Time after the end of a slip from which an alarm is wrong again."""
 BEFORE_LIFT_OFF_S = 0.01
-"""Time before a lift-off, or a slip, from which the rows of a roll are not used."""
+"""Time before a lift-off from which nothing is taught; the slip of a ridge that is let go may come
+earlier."""
 ROLLING_FOR_S = 0.03
 """Time from the start of a roll after which the network should recognise it."""
 
@@ -37,12 +44,14 @@ class TrainingTrial:
     """Inputs of the network, (m, inputs)."""
     time_s: Reals
     """Time of each row, (m,)."""
+    slips_s: Reals
+    """Begin and end of every slip of the whole ridge, (k, 2)."""
     rolls: bool
     """True if the trial is a roll."""
     motion_s: float
     """Start of the motion."""
-    ridge_slip_s: float
-    """Slip of the whole ridge."""
+    motion_end_s: float
+    """End of the roll; NaN if it lasts to the end, and for all that is no roll."""
     lift_off_s: float
     """Lift-off of the ridge."""
 
@@ -61,20 +70,28 @@ class TrainingRows:
 
 def rows_of(lesson: TrainingTrial) -> TrainingRows:
     """Returns the training rows of a trial."""
-    time, slip = lesson.time_s, lesson.ridge_slip_s
+    time = lesson.time_s
     right = np.zeros((time.size, 2), np.float32)
     weight = np.ones((time.size, 2), np.float32)
+    moving = time > lesson.motion_s
     if lesson.rolls:
-        end = np.fmin(np.fmin(lesson.lift_off_s, slip), math.inf) - BEFORE_LIFT_OFF_S
-        weight[time > end] = 0
-        moving = time > lesson.motion_s
         right[:, 1] = moving
         weight[moving & (time < lesson.motion_s + ROLLING_FOR_S), 1] = 0
-    elif math.isfinite(slip):
-        right[:, 0] = (time >= slip - EARLY_S) & (time <= slip + LATE_S)
-        undecided = (time > slip - EARLY_S - UNDECIDED_S) & (time < slip - EARLY_S)
-        weight[undecided | (time > slip + LATE_S), 0] = 0
-        weight[time > slip, 1] = 0
+        weight[time > lesson.motion_end_s, 1] = 0
+    slips_s = lesson.slips_s[lesson.slips_s[:, 0] >= lesson.motion_s]
+    # What is open first, then what is taught: two slips may follow one another closely.
+    for begin_s, end_s in slips_s:
+        ends_s = max(end_s + STICKS_FOR_S, begin_s + RIGHT_TO_S)
+        weight[(time > begin_s - RIGHT_FROM_S) & (time < ends_s), 0] = 0
+        weight[time > begin_s, 1] = 0
+    for begin_s, _ in slips_s:
+        taught = (time >= begin_s - EARLY_S) & (time <= begin_s + LATE_S)
+        right[taught, 0], weight[taught, 0] = 1, 1
+    if math.isfinite(lesson.lift_off_s):
+        let_go_s = lesson.lift_off_s - BEFORE_LIFT_OFF_S
+        late = slips_s[slips_s[:, 0] > lesson.lift_off_s - LIFTS_WITHIN_S, 0]
+        unclear = time > min([let_go_s, *(late - RIGHT_FROM_S)])
+        right[unclear], weight[unclear] = 0, 0
     return TrainingRows(lesson.inputs.astype(np.float32), right, weight)
 
 

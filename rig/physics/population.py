@@ -1,9 +1,9 @@
 """The population of benches and trials: ranges from which skin, friction, motion and front end are
 drawn (all assumed).
 
-Labelled trials (`rig.evaluation`) and simulated benches draw from the same ranges. A labelled trial
-has the skin of `PopulationSettings.skin`; a bench also draws its skin's stiffness and the place of
-its strips.
+Labelled trials (`rig.evaluation`) and simulated benches draw from the same ranges. A bench also
+draws its skin's stiffness and the place of its strips; labelled trials do where `drawn_skin` says
+so.
 """
 
 from __future__ import annotations
@@ -42,16 +42,30 @@ def _by_ratio(low: float, high: float) -> Range:
     return Range(low=low, high=high, logarithmic=True)
 
 
+STRIP_PLACE_mm = 0.05
+"""Strips are placed in multiples of it, so that few skins have to be condensed."""
+
+
+def placed_mm(offset_mm: float) -> float:
+    """Returns the nearest place at which a skin's strips may lie.
+
+    >>> placed_mm(0.337)
+    0.35
+    """
+    return round(round(offset_mm / STRIP_PLACE_mm) * STRIP_PLACE_mm, 6)
+
+
 class PopulationSettings(Settings):
     """Ranges of the random trials (all assumed). Units are in the names; ratios have none."""
 
     skin: SkinSettings = SkinSettings(elements_per_ridge=16)
     """The skin on which the trials are simulated; its mesh follows from decision 0083."""
     youngs_modulus_MPa: Range = _by_ratio(0.85, 3.4)
-    """Young's modulus of a bench's skin; that of labelled trials is the one of `skin`."""
+    """Young's modulus of a bench's skin."""
     strip_offset_mm: Range = _evenly(0.25, 0.45)
-    """Distance of a bench's strips from the axis of their ridge, to 0.05 mm; that of labelled
-    trials is the one of `skin`."""
+    """Distance of a bench's strips from the axis of their ridge, to 0.05 mm."""
+    drawn_skin: bool = False
+    """True if labelled trials draw modulus and strips, too; else they have those of `skin`."""
     ridge: int = Field(3, ge=1)
     """Ridge whose strips are read; 1 is the leftmost."""
     static_coefficient: Range = _evenly(0.3, 1.2)
@@ -92,12 +106,35 @@ class PopulationSettings(Settings):
     """Sideways motion of the object in a tap, there and back."""
     tap_s: Range = _by_ratio(0.005, 0.04)
     """Duration of a tap, half a sine."""
+    ramp_s: Range = _by_ratio(0.05, 0.05)
+    """Time in which the object reaches its speed, and comes to a stop."""
+    tick_Hz: Range = _by_ratio(50.0, 500.0)
+    """Rate of the servo of the normal force, where it has steps."""
+    tick_share: Range = _evenly(0.0, 0.0)
+    """Steps of the normal force at each tick, rms, as a share of F_n. At 4 N and 1 % they put about
+    10 mV on v_s. Labelled trials have none unless this is set."""
+    sheared_share: Range = _evenly(0.2, 0.6)
+    """Shear of a reversal or tremor, as a share of the way to the slip of the whole ridge."""
+    reversals: Range = _evenly(2.0, 5.0)
+    """Number of turns of a reversal; fractions are cut."""
+    tremor_Hz: Range = _evenly(5.0, 12.0)
+    """Frequency of a tremor."""
+    tremor_share: Range = _evenly(0.03, 0.15)
+    """Amplitude of a tremor, as a share of that way."""
+    loaded_share: Range = _evenly(0.4, 0.9)
+    """Shear at which the normal force changes, as a share of that way."""
+    fall_s: Range = _by_ratio(0.15, 2.0)
+    """Duration of the fall of the normal force."""
+    grip_share: Range = _evenly(0.1, 0.4)
+    """Rise of the normal force in a firmer grip, as a share of F_n."""
+    grip_s: Range = _by_ratio(0.005, 0.1)
+    """Duration of that rise."""
     quiet_s: float = Field(0.3, ge=0)
     """Time before a trial in which nothing touches."""
 
 
 class StripFrontEndSettings(Settings):
-    """Ranges of what amplifiers and mains add to the strips' signals (assumed)."""
+    """Ranges of what amplifiers, converter and mains do to the strips' signals (assumed)."""
 
     noise_mV: Range = _by_ratio(0.1, 2.0)
     """White noise of each channel at the sampling rate, rms."""
@@ -107,3 +144,19 @@ class StripFrontEndSettings(Settings):
     """Mains frequency."""
     gain_mismatch: Range = _evenly(-0.08, 0.08)
     """Relative excess of the first channel's gain over the second's."""
+    gain: Range = _by_ratio(1.0, 1.0)
+    """Factor on both channels' gains; noise and mains are those behind the amplifier."""
+    coupling_Hz: Range = _evenly(0.0, 0.0)
+    """Corner of an AC coupling; 0 is none."""
+    flicker_mV: Range = _evenly(0.0, 0.0)
+    """Noise with a power of 1/f, rms over the record, on each channel."""
+    drift_mV: Range = _evenly(0.0, 0.0)
+    """Pyroelectric drift on each channel: how far it goes, with a time constant of `drift_s`."""
+    drift_s: Range = _by_ratio(0.3, 5.0)
+    """Time constant of that drift."""
+    bursts_Hz: Range = _evenly(0.0, 0.0)
+    """Rate of bursts: 2 to 20 ms of white noise on both channels."""
+    burst_mV: Range = _evenly(2.0, 10.0)
+    """Size of a burst, rms."""
+    step_mV: Range = _evenly(0.0, 0.0)
+    """Step of the converter; 0 is none."""

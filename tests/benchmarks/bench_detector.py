@@ -16,7 +16,8 @@ from scipy.signal import lfilter
 
 from rig.detector.detector import IncipientSlipDetector
 from rig.detector.settings import named_detectors
-from rig.evaluation.labelled_trials import labelled_trial, through_front_end
+from rig.evaluation.front_ends import through_front_end
+from rig.evaluation.labelled_trials import labelled_trial
 from rig.physics.population import PopulationSettings, Range, StripFrontEndSettings
 from rig.physics.skin.condensed import build_skin
 

@@ -4,16 +4,13 @@ import csv
 import json
 from pathlib import Path
 
-import numpy as np
 import pytest
 import typer
 from typer.testing import CliRunner
 
 from rig.cli.score import score
-from rig.files.journal.layout import Column, Layout, Plot
-from rig.files.journal.writer import JournalWriter
-from rig.files.runfile.compile import compile_run
 from rig.physics.population import PopulationSettings
+from tests.cli.strips_file import slip_file
 
 app = typer.Typer(pretty_exceptions_enable=False)
 app.command()(score)
@@ -84,7 +81,7 @@ def population(tmp_path: Path) -> Path:
         ),
         (["--wire", "--elements", "8"], "--wire cannot be combined with --elements"),
         (["--kinds", "slide,fall"], "'fall' is not a kind of trial; choose among slide,roll"),
-        (["--detector", "ouija"], "--detector ouija: has to be one of rig, paper-literal"),
+        (["--detector", "ouija"], "--detector ouija: has to be one of paper-hp, paper-literal"),
         (["--speed", "0"], "--speed 0: must be a speed above 0 mm/s"),
         (["--speed", "3N"], "--speed 3N: 'N' does not convert to mm/s"),
         (["--youngs-modulus", "-1MPa"], "youngs_modulus_MPa = -1.0 MPa: has to be above 0 MPa"),
@@ -191,54 +188,6 @@ def test_tuned_thresholds_are_written_with_their_seeds_and_every_table_says_tuni
     assert [r["value"] for r in rolls if r["detector"] not in others] == [0.0] * 4
     written = json.loads(tuned.read_text())["baselines"]
     assert [one["tuned_on"] for one in written] == [{"first": 0, "end": 3}] * 4
-
-
-def slip_file(folder: Path) -> Path:
-    """A run file of one slip trial at 1 kHz: a hump from 1.0 s on, a burst at 1.5 s."""
-    layout = Layout(
-        definition="NXrig_slip_trial",
-        version="1",
-        columns=(Column("trial", "", "Trial"), Column("speed", "mm/s", "v", long_name="v")),
-        plots=(Plot("data", "speed", ("trial",)),),
-    )
-    time = np.arange(3000) / 1000
-    noise = 1e-4 * np.random.default_rng(5).standard_normal((3000, 2))
-    hump = 0.015 * np.exp(-(((time - 1.5) / 0.2) ** 2))
-    burst = 0.02 * np.sin(2 * np.pi * 200 * (time - 1.5)) * ((time >= 1.5) & (time < 1.51))
-    v_1, v_2 = (noise + np.outer(hump + burst, [0.5, -0.5])).T
-    truth = {
-        "ridge": 1, "slide_us": 11_100_000, "first_slip_us": [11_400_000],
-        "whole_slip_us": [11_500_000], "gross_slip_us": 11_700_000, "record_begun_us": 10_000_000,
-        "ridge_lift_off_us": [10_200_000],
-    }  # fmt: skip
-    header = {
-        "format": 1, "procedure": "slip-trial", "layout": layout.to_json(), "title": "Slip",
-        "run_uuid": "6d1f3a52-7a07-4d7b-9c4a-3a5f6c1a2b3c", "collection": None,
-        "start_time": "2026-11-21T22:00:00+01:00",
-        "program": {"name": "rig", "version": "0.1.0", "configuration": "abc123"},
-        "settings": {}, "setting_units": {}, "fingerprint": "f" * 64, "bench_toml": "",
-        "bench_file": "bench.toml", "simulated": True, "seed": 7, "points": ["trial-001"],
-        "user": {"name": "A. Person"}, "sample": {"name": "skin"}, "notes": "",
-        "instruments": [], "calibrations": [],
-        "streams": [{
-            "name": "signals", "device": "computed", "channels": ["v_d", "v_1", "v_2"],
-            "dtype": "<f8", "row_shape": [3], "units": "V", "long_name": "signals",
-        }],
-    }  # fmt: skip
-    state = {"stream": 0, "rate_Hz": 1000.0, "scale": [1.0] * 3, "offset": [0.0] * 3,
-             "units": "V", "delay_s": [0.0] * 3, "range": [10.0] * 3}  # fmt: skip
-    end = {"status": "complete", "reason": "", "attempt": 1, "duration_s": 3.0, "points_done": 1,
-           "end_time": "2026-11-21T22:00:07+01:00", "warnings": [], "exit": 0}  # fmt: skip
-    with JournalWriter.create(folder / "slip.rigj", header) as journal:
-        journal.point_begin("trial-001", {})
-        journal.stream(state)
-        journal.block(0, 0, 0.0, np.column_stack([v_1 - v_2, v_1, v_2]))
-        journal.point_keep(
-            "trial-001", {"trial": 1, "speed_mm_s": 1.0, "simulated_truth": json.dumps(truth)}
-        )
-        journal.end(end)
-        journal.sync()
-    return compile_run(folder / "slip.rigj")
 
 
 def scored(folder: Path, listing: str, out: str) -> dict:

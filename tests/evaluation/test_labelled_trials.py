@@ -6,13 +6,12 @@ import numpy as np
 import pytest
 
 from rig.core.cache import DiskCache
-from rig.evaluation.labelled_trials import Kind, LabelledTrial, labelled_trial, through_front_end
+from rig.evaluation.front_ends import through_front_end
+from rig.evaluation.labelled_trials import USUAL_KINDS, Kind, LabelledTrial, labelled_trial
 from rig.physics.population import PopulationSettings, Range, StripFrontEndSettings
 from rig.physics.skin.condensed import CondensedSkin, build_skin
 from rig.physics.skin.settings import SkinSettings
-
-KINDS: tuple[Kind, ...] = ("slide", "roll", "hold", "tap")
-
+from tests.tiers import mostly_thorough
 
 COARSE = PopulationSettings(skin=SkinSettings(elements_per_ridge=6))
 """A mesh that is made in a second; what is tested here does not depend on it."""
@@ -27,7 +26,7 @@ def skin() -> CondensedSkin:
 def trials(skin: CondensedSkin) -> dict[tuple[Kind, int], LabelledTrial]:
     return {
         (kind, seed): labelled_trial(skin, kind, seed, COARSE)
-        for kind in KINDS
+        for kind in USUAL_KINDS
         for seed in range(4)
     }
 
@@ -41,7 +40,7 @@ def equal(one: LabelledTrial, other: LabelledTrial) -> bool:
     return same and (one.volts == other.volts).all() and (one.force_N == other.force_N).all()
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", USUAL_KINDS)
 def test_a_trial_is_its_kind_and_seed(skin: CondensedSkin, trials, kind: Kind):
     assert equal(labelled_trial(skin, kind, 1, COARSE), trials[kind, 1])
     assert not equal(trials[kind, 0], trials[kind, 1])
@@ -123,3 +122,67 @@ def test_a_slide_in_the_other_direction_drives_the_strips_the_other_way(trials):
         v_d = (trial.volts[:, 0] - trial.volts[:, 1])[begin + 2 : max(end, begin + 8)]
         signs.add(np.sign(v_d.sum()) * trial.traits["direction"])
     assert signs == {1.0}
+
+
+@pytest.mark.parametrize(
+    "kind",
+    mostly_thorough(
+        ("again", "reversal", "tremor", "falling force", "re-grip", "lift-off"),
+        ("reversal", "falling force"),
+    ),
+)
+def test_each_further_kind_does_what_its_name_says(skin: CondensedSkin, kind: Kind):
+    trial = labelled_trial(skin, kind, 2, COARSE)
+    force_N, shear_N = trial.force_N.T
+    at = round(trial.motion_s * trial.rate_Hz)
+    if kind in ("reversal", "tremor", "re-grip"):
+        assert trial.label == "hold"
+        assert not len(trial.slips_s)
+    if kind == "reversal":
+        assert shear_N[at:].max() > 0.05 * force_N[at]
+        assert shear_N[at:].min() < -0.05 * force_N[at]
+    if kind == "tremor":
+        turns = np.count_nonzero(np.diff(np.sign(np.diff(shear_N[-800:]))))
+        assert turns == pytest.approx(2 * 0.8 * trial.traits["tremor_Hz"], abs=2)
+    if kind == "re-grip":
+        assert force_N[-1] == pytest.approx((1 + trial.traits["grip_share"]) * force_N[at], 1e-3)
+    if kind == "falling force":
+        assert trial.label == "slip"
+        slipped = round(trial.ridge_slip_s * trial.rate_Hz)
+        assert force_N[slipped] < 0.99 * force_N[at]
+    if kind == "lift-off":
+        assert trial.label == "lift-off"
+        assert force_N[-1] < 0.1 * force_N[at]
+    if kind == "again":
+        assert len(trial.slips_s) >= 2
+        assert (trial.slips_s[:, 1] > trial.slips_s[:, 0]).all()
+        assert (trial.slips_s[1:, 0] - trial.slips_s[:-1, 1] >= 0.005 - 1e-9).all()
+    if trial.label == "slip":
+        assert trial.slips_s[0, 0] == pytest.approx(trial.ridge_slip_s, abs=2e-4)
+
+
+def test_ticks_of_the_servo_put_steps_on_the_force_and_not_before_it_presses(skin: CondensedSkin):
+    share = Range(low=0.01, high=0.01)
+    ticking = COARSE.model_copy(update={"tick_share": share})
+    trial, plain = (labelled_trial(skin, "tap", 3, one) for one in (ticking, COARSE))
+    rests = slice(round((trial.motion_s - 0.08) * 1000), round(trial.motion_s * 1000))
+    relative = trial.force_N[rests, 0] / plain.force_N[rests, 0] - 1
+    assert 0.004 < relative.std() < 0.06
+    assert plain.volts[rests].sum(axis=1).std() < trial.volts[rests].sum(axis=1).std() / 5
+    assert (trial.volts[:300] == 0).all()
+
+
+@pytest.mark.thorough
+def test_a_drawn_skin_is_another_for_every_seed(skin: CondensedSkin):
+    drawn = COARSE.model_copy(update={"drawn_skin": True})
+    trials = [labelled_trial(skin, "tap", seed, drawn) for seed in (0, 1)]
+    moduli = {trial.traits["youngs_modulus_MPa"] for trial in trials}
+    assert len(moduli) == 2
+    assert all(0.85 <= modulus <= 3.4 for modulus in moduli)
+    assert {trial.traits["strip_offset_mm"] for trial in trials} <= {0.25, 0.3, 0.35, 0.4, 0.45}
+
+
+def test_a_record_ends_and_its_truth_with_it(skin: CondensedSkin, trials):
+    for trial in trials.values():
+        times = [trial.node_slip_s, trial.ridge_slip_s, trial.gross_slip_s, trial.lift_off_s]
+        assert not any(at > len(trial.volts) / trial.rate_Hz for at in times)

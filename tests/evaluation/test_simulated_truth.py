@@ -2,9 +2,10 @@
 
 import json
 
+import numpy as np
 import pytest
 
-from rig.evaluation.simulated_truth import label_of, quiet_of, times_of
+from rig.evaluation.simulated_truth import label_of, quiet_of, slips_of, times_of
 
 BEGUN_US = 10_000_000
 
@@ -73,3 +74,12 @@ def test_quiet_is_the_rest_before_the_motion_and_what_follows_one_without_a_slip
 
 def test_a_file_of_a_real_bench_has_no_account():
     assert times_of({"trial": 1}, 3.0) == {}
+
+
+def test_every_slip_of_the_ridge_up_to_the_end_of_the_record_is_read():
+    known = json.loads(account()["simulated_truth"])
+    known["ridge_slip_begins_us"] = [11_500_000, 12_000_000, 14_000_000]
+    known["ridge_slip_ends_us"] = [11_600_000]
+    reading = {"simulated_truth": json.dumps(known)}
+    assert np.array(slips_of(reading, 3.0)) == pytest.approx(np.array([[1.5, 1.6], [2.0, 3.0]]))
+    assert slips_of({}, 3.0) == ()

@@ -6,6 +6,7 @@ import pytest
 from rig.evaluation.training import TrainingRows, TrainingTrial, learn, rows_of
 
 NEVER = float("nan")
+NONE = np.zeros((0, 2))
 
 
 def lesson(**changes: object) -> TrainingTrial:
@@ -13,9 +14,10 @@ def lesson(**changes: object) -> TrainingTrial:
     values = {
         "inputs": np.zeros((1000, 3)),
         "time_s": np.arange(1000) / 1000,
+        "slips_s": np.array([[0.8, 1.0]]),
         "rolls": False,
         "motion_s": 0.5,
-        "ridge_slip_s": 0.8,
+        "motion_end_s": NEVER,
         "lift_off_s": NEVER,
     }
     return TrainingTrial(**(values | changes))  # type: ignore[arg-type]
@@ -27,25 +29,41 @@ def test_a_slip_is_right_around_the_whole_ridges_slip_only():
     assert (right.min(), right.max()) == (798, 825)
     counted = np.flatnonzero(rows.weight[:, 0])
     assert set(counted) == set(range(791)) | set(range(798, 826))
+
+
+def test_a_second_slip_is_as_right_as_the_first_and_what_is_between_them_is_wrong():
+    rows = rows_of(lesson(slips_s=np.array([[0.6, 0.6495], [0.8, 0.8195]])))
+    right = set(np.flatnonzero(rows.right[:, 0]))
+    assert right == set(range(598, 626)) | set(range(798, 826))
+    wrong = set(np.flatnonzero((rows.right[:, 0] == 0) & (rows.weight[:, 0] == 1)))
+    assert wrong == set(range(591)) | set(range(655, 791)) | set(range(831, 1000))
     assert not rows.right[:, 1].any()
 
 
 def test_a_hold_teaches_no_slip_at_all():
-    rows = rows_of(lesson(ridge_slip_s=NEVER))
+    rows = rows_of(lesson(slips_s=NONE))
     assert not rows.right.any()
     assert rows.weight.all()
 
 
 def test_a_roll_is_right_from_its_motion_on_and_counts_a_little_later():
-    rows = rows_of(lesson(rolls=True, ridge_slip_s=NEVER))
+    rows = rows_of(lesson(rolls=True, slips_s=NONE))
     assert list(np.flatnonzero(rows.right[:, 1])) == list(range(501, 1000))
     assert list(np.flatnonzero(rows.weight[:, 1] == 0)) == list(range(501, 530))
 
 
 def test_nothing_counts_from_shortly_before_a_ridge_lifts_off():
-    rows = rows_of(lesson(rolls=True, ridge_slip_s=0.75, lift_off_s=0.7))
+    rows = rows_of(lesson(rolls=True, slips_s=NONE, lift_off_s=0.7))
     assert rows.weight[:691].any(axis=1).all()
     assert not rows.weight[691:].any()
+    with_slip = rows_of(lesson(rolls=True, slips_s=np.array([[0.65, 0.7]]), lift_off_s=0.7))
+    assert not with_slip.weight[641:].any()
+    assert not with_slip.right[:, 0].any()
+
+
+def test_a_roll_teaches_nothing_of_rolls_after_its_end():
+    rows = rows_of(lesson(rolls=True, slips_s=NONE, motion_end_s=0.9))
+    assert list(np.flatnonzero(rows.weight[530:, 1] == 0) + 530) == list(range(901, 1000))
 
 
 def plain_problem() -> TrainingRows:

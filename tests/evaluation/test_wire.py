@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from drivers.simulated.world.plate_world import HeadWorldSettings
 from procedures.path_trial.settings import PathTrialSettings
 from procedures.roll_trial.settings import RollTrialSettings
 from procedures.slip_trial.settings import SlipTrialSettings
@@ -38,9 +39,28 @@ def test_what_is_drawn_are_settings_that_a_procedure_accepts(kind: WireKind):
 
 
 def test_the_kinds_of_a_seed_share_the_world_and_another_seed_has_another():
-    worlds = [drawn(kind, 7, LIMIT).world for kind in WIRE_KINDS]
-    assert all(world == worlds[0] for world in worlds)
-    assert drawn("slide", 8, None).world != worlds[0]
+    trials = {kind: drawn(kind, 7, LIMIT) for kind in WIRE_KINDS}
+    world = trials["slide"].world
+    for kind, trial in trials.items():
+        rolls = {"head": trial.world["head"]} if kind.startswith("roll") else {}
+        assert trial.world == {**world, **rolls}
+    assert drawn("slide", 8, None).world != world
+
+
+def test_every_seed_is_another_bench():
+    worlds = [drawn("roll a", seed, None).world for seed in range(40)]
+    assert len({world["skin"]["youngs_modulus_MPa"] for world in worlds}) == 40
+    assert {world["skin"]["strips"]["offset_mm"] for world in worlds} == {
+        0.25,
+        0.3,
+        0.35,
+        0.4,
+        0.45,
+    }
+    assert len({world["skin_mount"]["gain_mismatch"] for world in worlds}) == 40
+    assert len({world["head"]["body"]["radius_mm"] for world in worlds}) == 40
+    for world in worlds:
+        HeadWorldSettings.model_validate(world)
 
 
 @pytest.mark.parametrize("seed", range(10))

@@ -11,12 +11,10 @@ from typing import Any, TypeVar
 import numpy as np
 
 from drivers.simulated.world.plate_world import HeadWorldSettings, PlateWorldSettings
-from rig.physics.population import PopulationSettings, StripFrontEndSettings
+from rig.physics.population import PopulationSettings, StripFrontEndSettings, placed_mm
 
 POPULATION = "population"
 """Word that stands for a drawn World in the place of a file of World settings."""
-STRIP_PLACE_mm = 0.05
-"""Strips are placed in multiples of it, so that few skins have to be condensed."""
 _KEY = 7001
 """Keys the draw, so that it shares no random numbers with films and noise."""
 
@@ -46,7 +44,7 @@ def drawn_world(kind: type[W], seed: int) -> W:
         "skin": {
             **ranges.skin.model_dump(mode="json", exclude_unset=True),
             "youngs_modulus_MPa": draw("youngs_modulus_MPa"),
-            "strips": {"offset_mm": _placed(draw("strip_offset_mm"))},
+            "strips": {"offset_mm": placed_mm(draw("strip_offset_mm"))},
         },
         "skin_mount": {
             "ridge": ranges.ridge,
@@ -57,7 +55,3 @@ def drawn_world(kind: type[W], seed: int) -> W:
     if issubclass(kind, HeadWorldSettings):
         tables["head"] = {"body": {"shape": "cylinder", "radius_mm": radius_mm}}
     return kind.model_validate(tables)
-
-
-def _placed(offset_mm: float) -> float:
-    return round(round(offset_mm / STRIP_PLACE_mm) * STRIP_PLACE_mm, 6)

@@ -16,39 +16,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from rig.physics.contact.stepper import OPEN, STICK
-from rig.physics.contact.truth import SlipWatch
+from rig.physics.contact.stepper import OPEN
+from rig.physics.contact.truth import SlipWatch, WholeSlips, slips_whole
 
 Statuses = npt.NDArray[np.int8]
 Reals = npt.NDArray[np.float64]
-
-
-STUCK_us = 5000
-"""A ridge that has not slipped as a whole for this long slips anew; a shorter stop is part of the
-same slip."""
-
-
-@dataclass
-class _WholeSlips:
-    """Every slip of a ridge as a whole, in us of World time."""
-
-    begins_us: list[int] = field(default_factory=list)
-    ends_us: list[int] = field(default_factory=list)
-    """One fewer while the ridge slips."""
-
-    def add(self, first_us: int, step_us: int, slips: npt.NDArray[np.bool_]) -> None:
-        """Add whether the ridge slipped in each of the next steps, the first of which ended at
-        `first_us`."""
-        slipping = len(self.begins_us) > len(self.ends_us)
-        before = np.concatenate([[slipping], slips[:-1]])
-        for step in np.flatnonzero(slips != before).tolist():
-            at_us = first_us + step * step_us
-            if not slips[step]:
-                self.ends_us.append(at_us)
-            elif self.ends_us and at_us - self.ends_us[-1] < STUCK_us:
-                self.ends_us.pop()
-            else:
-                self.begins_us.append(at_us)
 
 
 @dataclass
@@ -59,7 +31,7 @@ class _Slide:
     watch: SlipWatch
     reported: set[int] = field(default_factory=set)
     """Ridges whose slip was logged, from 1; 0 stands for all of the skin."""
-    slips: _WholeSlips = field(default_factory=_WholeSlips)
+    slips: WholeSlips = field(default_factory=WholeSlips)
     """Slips of the watched ridge."""
 
     def us(self, seconds: float) -> int | None:
@@ -177,8 +149,7 @@ class SlipRecord:
             watch = SlipWatch(self._ridge_of_node, self._step_us * 1e-6)
             self._slide = _Slide((step + first) * self._step_us, watch)
             status, step = status[first:], step + first
-        nodes = status[:, self._ridge_of_node == self._watched]
-        slips = (nodes != OPEN).any(axis=1) & (nodes != STICK).all(axis=1)
+        slips = slips_whole(status, self._ridge_of_node, self._watched)
         self._slide.slips.add((step + 1) * self._step_us, self._step_us, slips)
         if len(self._slide.reported) > int(self._ridge_of_node.max()) + 1:
             return  # every ridge has slipped once, and all of them together

@@ -58,7 +58,7 @@ class SeedRange(Settings):
         return self.end <= FIRST_REPORTING_SEED
 
 
-def seed_range(text: str) -> SeedRange:
+def seed_range(text: str, option: str = "--seeds") -> SeedRange:
     """Returns the range written as ``FIRST:END``, END excluded. Raises ConfigurationError for any
     other text.
 
@@ -68,7 +68,7 @@ def seed_range(text: str) -> SeedRange:
     match = re.fullmatch(r"\s*(\d{1,15})\s*:\s*(\d{1,15})\s*", text)
     if match is None or int(match[2]) <= int(match[1]):
         raise ConfigurationError(
-            f"--seeds {text}: not a range of seeds",
+            f"{option} {text}: not a range of seeds",
             f"write FIRST:END with END above FIRST, for example {FIRST_REPORTING_SEED}:1000100",
         )
     return SeedRange(first=int(match[1]), end=int(match[2]))

@@ -1,7 +1,8 @@
 """What is drawn for a trial on the simulated bench: the bench's World, the procedure, its settings.
 
-A seed draws one World (friction, rubber, noise), one normal force and one tick rate of the servo,
-which all kinds of trials of the seed share; a kind draws the rest. Several kinds are stated as
+A seed draws one World (skin, strips, friction, rubber, noise, head), one normal force and one tick
+rate of the servo, which all kinds of trials of the seed share; a kind draws the rest. Every seed is
+another bench. Several kinds are stated as
 shares of the way to slip. That way is taken from the slide of the same seed (`Limit`), which is
 made first. All ranges are assumed.
 """
@@ -15,7 +16,12 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
-from rig.physics.population import PopulationSettings, Range
+from rig.physics.population import (
+    PopulationSettings,
+    Range,
+    StripFrontEndSettings,
+    placed_mm,
+)
 
 WireKind = Literal[
     "slide", "ramp", "hold", "roll a", "roll b", "reversal", "tremor", "re-grip", "falling force",
@@ -25,7 +31,12 @@ WireKind = Literal[
 WIRE_KINDS: tuple[WireKind, ...] = get_args(WireKind)
 
 POPULATION = PopulationSettings()
-"""Ranges of friction and rubber, the same as those of labelled trials and of benches."""
+"""Ranges of skin, friction, rubber and head, the same as those of labelled trials and of
+benches."""
+GAINS = StripFrontEndSettings()
+"""Ranges of the strips' gains, likewise."""
+REFERENCE_MPa = 1.7
+"""Young's modulus of the skin whose ways to slip are known; a softer skin goes further."""
 NOISE_V_sqrtHz = Range(low=0.5e-6, high=5e-6, logarithmic=True)
 """0.09 to 0.9 mV rms of a sample at the converter."""
 MAINS_mV = Range(low=0.0, high=0.5)
@@ -93,20 +104,29 @@ def drawn(kind: WireKind, seed: int, limit: Limit | None) -> WireTrial:
     )
     force_N, tick_Hz = FORCE_N.draw(common), round(TICK_Hz.draw(common))
     noise_V = NOISE_V_sqrtHz.draw(common)
-    world: dict[str, Any] = {
-        "contact": {
-            "relaxation_time_ms": _digits(POPULATION.relaxation_time_ms.draw(common)),
-            "friction": {
-                "static_coefficient": _digits(static),
-                "kinetic_coefficient": _digits(static * ratio),
-                "weakening_distance_um": _digits(POPULATION.weakening_distance_um.draw(common)),
-            },
-        },
-        "strip_input": {
-            "noise_density_V_sqrtHz": _digits(noise_V),
-            "mains_amplitude_mV": _digits(MAINS_mV.draw(common)),
-        },
+    friction = {
+        "static_coefficient": _digits(static),
+        "kinetic_coefficient": _digits(static * ratio),
+        "weakening_distance_um": _digits(POPULATION.weakening_distance_um.draw(common)),
     }
+    relaxation_ms = _digits(POPULATION.relaxation_time_ms.draw(common))
+    mains_mV = _digits(MAINS_mV.draw(common))
+    youngs_MPa = _digits(POPULATION.youngs_modulus_MPa.draw(common))
+    strips_mm = placed_mm(POPULATION.strip_offset_mm.draw(common))
+    mismatch = _digits(GAINS.gain_mismatch.draw(common))
+    radius_mm = _digits(POPULATION.radius_mm.draw(common))
+    world: dict[str, Any] = {
+        "contact": {"relaxation_time_ms": relaxation_ms, "friction": friction},
+        "strip_input": {"noise_density_V_sqrtHz": _digits(noise_V), "mains_amplitude_mV": mains_mV},
+        "skin": {
+            "elements_per_ridge": POPULATION.skin.elements_per_ridge,
+            "youngs_modulus_MPa": youngs_MPa,
+            "strips": {"offset_mm": strips_mm},
+        },
+        "skin_mount": {"ridge": POPULATION.ridge, "gain_mismatch": mismatch},
+    }
+    if kind in ("roll a", "roll b"):
+        world["head"] = {"body": {"shape": "cylinder", "radius_mm": radius_mm}}
     settings: dict[str, Any] = {
         "normal_force_N": _digits(force_N),
         "tick_Hz": tick_Hz,
@@ -123,8 +143,12 @@ def drawn(kind: WireKind, seed: int, limit: Limit | None) -> WireTrial:
         "static_coefficient": static,
         "friction_ratio": ratio,
         "noise_mV": 1e3 * noise_V * math.sqrt(30e3),
+        "youngs_modulus_MPa": youngs_MPa,
+        "strip_offset_mm": strips_mm,
+        "gain_mismatch": mismatch,
     }
-    draw = _Draw(own, force_N, static, limit, settings, traits)
+    reach_mm = force_N * static * REFERENCE_MPa / youngs_MPa
+    draw = _Draw(own, force_N, static, reach_mm, limit, settings, traits)
     procedure = _KINDS[kind](draw)
     return WireTrial(kind, seed, procedure, settings, world, traits)
 
@@ -136,6 +160,8 @@ class _Draw:
     chance: np.random.Generator
     force_N: float
     static: float
+    reach_mm: float
+    """Measure of the way to slip, in mm: force times friction over stiffness."""
     limit: Limit | None
     settings: dict[str, Any]
     traits: dict[str, float | str]
@@ -190,7 +216,7 @@ def _digits(value: float) -> float:
 def _slide(draw: _Draw) -> str:
     speed_mm_s = draw.trait("speed_mm_s", SPEED_mm_s.draw(draw.chance))
     # The way to gross slip on this skin, and the way in which the drive speeds up and down.
-    way_mm = 0.1 + 0.13 * draw.force_N * draw.static + speed_mm_s**2 / ACCELERATION_mm_s2
+    way_mm = 0.1 + 0.13 * draw.reach_mm + speed_mm_s**2 / ACCELERATION_mm_s2
     draw.settings |= {
         "speed_mm_s": speed_mm_s,
         "distance_mm": _digits(way_mm + 0.1 * speed_mm_s),
@@ -207,7 +233,7 @@ def _ramp(draw: _Draw) -> str:
         "ramp_N_s": rate_N_s,
         "ramp_to_N": to_N,
         "speed_mm_s": _digits(min(20.0, max(0.5, rate_N_s / 5))),
-        "distance_mm": _digits(0.6 + 0.2 * draw.force_N * draw.static),
+        "distance_mm": _digits(0.6 + 0.2 * draw.reach_mm),
         "direction": "+x" if draw.sign() > 0 else "-x",
     }
     return "slip-trial"

@@ -31,7 +31,7 @@ from rig.core.settings import option_name
 from rig.evaluation.wire.kinds import Limit, WireKind, WireTrial, drawn, needs_limit
 from rig.evaluation.wire.record import WireRecord, pack, read_record, unpack
 
-FORMAT = 1
+FORMAT = 2
 """Raised when what is stored changes its meaning."""
 CODE = ("drivers", "procedures", "rig.physics", "rig.control")
 """Packages whose code determines what a trial records."""

@@ -39,6 +39,8 @@ class WireRecord:
     """Begin of a tick of the servo, in s of the record."""
     traits: dict[str, float | str]
     """What the record shows beside what was drawn."""
+    slips_s: tuple[tuple[float, float], ...] = ()
+    """Begin and end of every slip of the whole ridge, the first included, in s of the record."""
 
 
 def read_record(path: Path) -> WireRecord:
@@ -76,7 +78,8 @@ def read_record(path: Path) -> WireRecord:
         if procedure == simulated_truth.ROLL:
             traits["pattern"] = roll_pattern(volts, wave.rate_Hz, truth.motion_s)
         way_mm = _way_mm(run, point, truth.ridge_slip_s)
-        return WireRecord(volts, wave.rate_Hz, truth, way_mm, tick_from_s, traits)
+        slips_s = simulated_truth.slips_of(reading, record_s)
+        return WireRecord(volts, wave.rate_Hz, truth, way_mm, tick_from_s, traits, slips_s)
 
 
 def _way_mm(run: RunFile, point: str, slip_s: float) -> float | None:
@@ -100,6 +103,7 @@ def pack(record: WireRecord) -> bytes:
         "way_mm": record.way_mm,
         "tick_from_s": record.tick_from_s,
         "traits": record.traits,
+        "slips_s": record.slips_s,
     }
     buffer = io.BytesIO()
     volts = record.volts.astype(np.float32)
@@ -119,7 +123,8 @@ def unpack(content: bytes) -> WireRecord | None:
             quiet_s=tuple((begin, end) for begin, end in said["quiet_s"]),
         )
         return WireRecord(
-            volts, said["rate_Hz"], truth, said["way_mm"], said["tick_from_s"], said["traits"]
-        )
+            volts, said["rate_Hz"], truth, said["way_mm"], said["tick_from_s"], said["traits"],
+            tuple((begin, end) for begin, end in said["slips_s"]),
+        )  # fmt: skip
     except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile):
         return None

@@ -7,7 +7,7 @@ by the same code.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,43 @@ from numpy.typing import NDArray
 from rig.physics.contact.stepper import OPEN, STICK, Statuses
 
 Floats = NDArray[np.float64]
+
+STUCK_us = 5000
+"""A ridge that has not slipped as a whole for this long slips anew; a shorter stop is part of the
+same slip."""
+
+
+@dataclass
+class WholeSlips:
+    """Every slip of a ridge as a whole, in us."""
+
+    begins_us: list[int] = field(default_factory=list)
+    ends_us: list[int] = field(default_factory=list)
+    """One fewer while the ridge slips."""
+
+    def add(self, first_us: int, step_us: int, slips: NDArray[np.bool_]) -> None:
+        """Adds whether the ridge slipped in each of the next steps, the first of which ended at
+        `first_us`."""
+        slipping = len(self.begins_us) > len(self.ends_us)
+        before = np.concatenate([[slipping], slips[:-1]])
+        for step in np.flatnonzero(slips != before).tolist():
+            at_us = first_us + step * step_us
+            if not slips[step]:
+                self.ends_us.append(at_us)
+            elif self.ends_us and at_us - self.ends_us[-1] < STUCK_us:
+                self.ends_us.pop()
+            else:
+                self.begins_us.append(at_us)
+
+
+def slips_whole(
+    status: Statuses, ridge_of_node: NDArray[np.int64], ridge: int
+) -> NDArray[np.bool_]:
+    """Returns in which of k steps, by their statuses (k, nodes), a ridge (from 0) slips as a whole:
+    every node of it that is in contact slips, and at least one is in contact, (k,)."""
+    nodes = status[:, ridge_of_node == ridge]
+    slips: NDArray[np.bool_] = (nodes != OPEN).any(axis=1) & (nodes != STICK).all(axis=1)
+    return slips
 
 
 @dataclass(frozen=True)

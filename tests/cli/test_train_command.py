@@ -1,0 +1,135 @@
+"""``rig train``: refusals before anything is computed, and learning from run files."""
+
+import json
+from pathlib import Path
+
+import pytest
+import typer
+from typer.testing import CliRunner
+
+from rig.cli.detector_settings import detector_with_settings
+from rig.cli.train import train
+from rig.core.errors import ConfigurationError
+from rig.detector.kernel import INPUTS
+from rig.detector.network import Network
+from rig.evaluation.labelled_files import listed_trials
+from rig.evaluation.lessons import LESSON_POPULATION
+from tests.cli.strips_file import slip_file
+
+app = typer.Typer(pretty_exceptions_enable=False)
+app.command()(train)
+
+
+def run(*arguments: object) -> str:
+    result = CliRunner().invoke(app, [str(each) for each in arguments], catch_exceptions=False)
+    assert result.exit_code == 0, result.output
+    return result.stdout
+
+
+def refused(*arguments: object) -> str:
+    result = CliRunner().invoke(app, [str(each) for each in arguments])
+    assert result.exit_code == 2, result.output
+    return result.stderr.splitlines()[-1]
+
+
+@pytest.fixture
+def listing(tmp_path: Path) -> Path:
+    """Five trials of two samples on two days each; the rolls have no label."""
+    lines = ["file,label,ridge_slip_s,node_slip_s"]
+    for number, (sample, day) in enumerate(
+        [("a", "2026-11-01"), ("a", "2026-11-02"), ("a", "2026-11-02"), ("b", "2026-11-03"),
+         ("b", "2026-11-04")]
+    ):  # fmt: skip
+        rolls = number in (1, 4)
+        slip_file(
+            tmp_path, f"t{number}", sample=sample, day=day, simulated=False,
+            procedure="roll-trial" if rolls else "slip-trial",
+        )  # fmt: skip
+        lines.append(f"t{number}.h5," + (",," if rolls else "slip,1.5,1.4"))
+    (tmp_path / "list.csv").write_text("\n".join(lines) + "\n")
+    return tmp_path / "list.csv"
+
+
+def test_a_network_is_trained_on_run_files_alone_and_says_so(tmp_path: Path, listing: Path):
+    out = tmp_path / "net.json"
+    said = run("--out", out, "--files", listing, "--epochs", "3", "--units", "4")
+    network = Network.model_validate_json(out.read_bytes())
+    assert network.inputs == INPUTS
+    assert len(network.hidden) == 4
+    assert network.trained_on == "5 trials of run files"
+    assert f"--files {listing} --units 4 --epochs 3" in network.trained_by
+    assert (network.first_seed, network.last_seed) == (0, -1)
+    # Sample b was held out: a slip and a roll.
+    assert "slip, in time: " in said
+    assert "/1 (" in said
+    assert "roll, false alarm: " in said
+    assert run("--out", tmp_path / "b.json", "--files", listing, "--epochs", "3", "--units", "4")
+    again = json.loads((tmp_path / "b.json").read_text())
+    assert again == json.loads(out.read_text())
+    (tmp_path / "own.toml").write_text('network = "net.json"\n')
+    chosen = detector_with_settings("rig", tmp_path / "own.toml")
+    assert chosen.settings.network == network
+    (tmp_path / "own.toml").write_text('network = "list.csv"\n')
+    with pytest.raises(ConfigurationError, match=r"list\.csv: no network"):
+        detector_with_settings("rig", tmp_path / "own.toml")
+
+
+def test_a_roll_trial_without_a_label_has_no_slip_and_its_motion_begins_where_its_file_says(
+    listing: Path,
+):
+    trials = [one for one, _ in listed_trials(listing)]
+    assert [one.truth.label for one in trials] == ["slip", "roll", "slip", "slip", "roll"]
+    assert [one.rolls for one in trials] == [False, True, False, False, True]
+    assert all(one.truth.motion_s == 1.0 for one in trials)
+    assert [len(one.slips_s) for one in trials] == [1, 0, 1, 1, 0]
+
+
+def test_trials_that_share_samples_or_days_are_never_on_both_sides(tmp_path: Path):
+    for number, (sample, day) in enumerate([("a", "2026-11-01"), ("b", "2026-11-01")]):
+        slip_file(tmp_path, f"t{number}", sample=sample, day=day)
+    (tmp_path / "list.csv").write_text("file\nt0.h5\nt1.h5\n")
+    line = refused("--out", tmp_path / "net.json", "--files", tmp_path / "list.csv")
+    assert "all 2 trials share samples or days (a, b), so that none can be held out" in line
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("--seeds", "1000000:1000010"), "are reserved for reporting; no detector is trained"),
+        (("--wire", "999999:1000001"), "--wire 999999:1000001: seeds from 1000000 on are reserved"),
+        (("--wire", "many"), "--wire many: not a range of seeds"),
+        (("--files", "missing.csv"), "missing.csv"),
+        (("--wire", "0:5", "--population", "p.json"), "--population changes trials of the skin"),
+        (("--wire", "0:5", "--front-end", "f.json"), "--front-end changes trials of the skin"),
+        (("--population", "missing.json"), "missing.json"),
+    ],
+)
+def test_what_cannot_be_learnt_from_is_refused_in_one_line(tmp_path: Path, arguments, words):
+    assert words in refused("--out", tmp_path / "net.json", *arguments)
+    assert not (tmp_path / "net.json").exists()
+
+
+def test_an_earlier_network_is_never_overwritten(tmp_path: Path):
+    (tmp_path / "net.json").write_text("mine")
+    assert "exists already" in refused("--out", tmp_path / "net.json")
+
+
+@pytest.mark.thorough
+def test_a_network_is_trained_on_the_model_with_ranges_of_a_file(tmp_path: Path, monkeypatch):
+    monkeypatch.setenv("RIG_CACHE", str(tmp_path / "cache"))
+    short = LESSON_POPULATION.model_dump() | {
+        "ridge": 2,
+        "drawn_skin": False,
+        "skin": {"ridges": 3, "elements_per_ridge": 3},
+        "normal_force_N": {"low": 1.0, "high": 1.5},
+        "speed_mm_s": {"low": 4.0, "high": 6.0},
+        "start_x_mm": {"low": -0.3, "high": 0.3},
+        "radius_mm": {"low": 5.0, "high": 10.0},
+    }
+    (tmp_path / "short.json").write_text(json.dumps(short))
+    said = run("--out", tmp_path / "net.json", "--seeds", "0:5", "--population",
+               tmp_path / "short.json", "--epochs", "2", "--units", "2")  # fmt: skip
+    network = Network.model_validate_json((tmp_path / "net.json").read_bytes())
+    assert network.trained_on == "50 trials of the skin model"
+    assert (network.first_seed, network.last_seed) == (0, 4)
+    assert "held out" in said
