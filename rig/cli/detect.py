@@ -115,7 +115,7 @@ def literal_remark(wanted: ChosenDetector, answers: Sequence[Answer]) -> str | N
     if not missed:
         return None
     return (
-        f"note: in {counted(missed, 'file')} there was an early warning and v_d stayed below "
+        f"note: in {counted(missed, 'file')} a motion under load began and v_d stayed below "
         f"{settings.fire_mV:g} mV. The paper states no threshold; 30 mV is the lowest that alarms "
         "in at most 2 % of simulated rolls, and the default simulated slide reaches 28.7 mV. So "
         "v_d itself does not separate slips from rolls here, which DISAGREES with the paper's "
@@ -160,15 +160,20 @@ def _tell(file: Path, answer: Answer, as_json: bool, debug: bool) -> None:
 
 def _in_words(found: DetectionResult) -> str:
     """Return the result as one line, ``1 trial: 1 incipient slip (first at 6.384 s of trial-001),
-    2 early warnings. Saved FILE; draw with: rig show --figures FILE``."""
+    2 motions under load begun. Saved FILE; draw with: rig show --figures FILE``."""
     parts = []
     if slips := found.events.get("incipient slip", 0):
         assert found.first_slip is not None
         trial, time_s = found.first_slip
         parts.append(f"{counted(slips, 'incipient slip')} (first at {time_s:.3f} s of {trial})")
-    for kind, one in (("predictive", "early warning"), ("roll", "roll"), ("rejected", "")):
+    for kind, one, many in (
+        ("predictive", "motion under load begun", "motions under load begun"),
+        ("roll", "roll", "rolls"),
+        ("rejected", "ignored", "ignored"),
+    ):
         if count := found.events.get(kind, 0):
-            parts.append(counted(count, one) if one else f"{count} ignored")
+            parts.append(f"{count} {one if count == 1 else many}")
+    parts += [f"cannot judge {seconds:.3f} s ({why})" for why, seconds in found.unjudged_s.items()]
     saved = "Saved before as" if found.kept else "Saved"
     return (
         f"{counted(found.trials, 'trial')}: {', '.join(parts) or 'nothing found'}. "
@@ -208,6 +213,7 @@ def _result(answer: Answer) -> dict[str, Any]:
         "simulated": answer.simulated,
         "trials": answer.trials,
         "events": answer.events,
+        "unjudged_s": answer.unjudged_s,
         "first_slip_trial": trial,
         "first_slip_s": time_s,
         "warnings": list(answer.warnings),

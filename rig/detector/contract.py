@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rig.core import settings as core_settings
-from rig.detector.events import EventKind, SlipEvent
+from rig.detector.events import UNJUDGED, EventKind, SlipEvent
 from rig.detector.fir import StreamingFir
 from rig.detector.low_pass import LowPass, LowPassSettings, design_low_pass
 
@@ -133,7 +133,7 @@ class Detector(ABC):
         """Takes further rows (n, 2) of v_1 and v_2 in V and returns the events found in them.
 
         `first_sample` is the index of the first of these rows, if it is known. Missing rows are
-        reported as a rejected event, and the detector begins anew after them.
+        reported as time that was not judged, and the detector begins anew after them.
 
         Raises ValueError for rows of another shape, rows that were given before, and values that
         are not finite.
@@ -177,5 +177,9 @@ class Detector(ABC):
         begun, self._begun = self._begun, False
         if not begun:
             return []
-        reason = f"gap of {first_sample - expected} samples: offset and noise are judged anew"
-        return [self.event("rejected", 0, 0.0, reason)]
+        missing = first_sample - expected
+        reason = f"gap of {missing} samples: offset and noise are judged anew"
+        unjudged = {UNJUDGED: 1e3 * missing / self.rate_Hz}
+        return [
+            self.event(kind, 0, 0.0, reason, unjudged) for kind in ("cannot judge", "judges again")
+        ]

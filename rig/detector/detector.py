@@ -17,13 +17,13 @@ from rig.core.cache import place_numba_cache
 place_numba_cache(Path(__file__).parent)
 from rig.detector import kernel  # noqa: E402 - after numba's cache has its place
 from rig.detector.contract import Detector, FASTEST_Hz, SLOWEST_Hz  # noqa: E402
-from rig.detector.events import EVENT_KINDS, SlipEvent  # noqa: E402
+from rig.detector.events import EVENT_KINDS, UNJUDGED, SlipEvent  # noqa: E402
 from rig.detector.low_pass import LowPass, design_low_pass  # noqa: E402
 from rig.detector.settings import DetectorSettings  # noqa: E402
 
 Reals = NDArray[np.float64]
 
-DETECTOR_VERSION = "1"
+DETECTOR_VERSION = "2"
 """Version of the detector. It is raised with every change of the events that the same parameters
 find in the same rows."""
 NETWORK_RATE_Hz = 1000.0
@@ -31,7 +31,7 @@ NETWORK_RATE_Hz = 1000.0
 MAINS_Hz = (50.0, 60.0)
 """Mains frequencies at which hum is looked for."""
 _SLICE = 4096
-_MOST_A_ROW = 6
+_MOST_A_ROW = 8
 _LOGICS = {"rig": kernel.RIG, "paper-literal": kernel.LITERAL, "paper-hp": kernel.HIGH_PASSED}
 
 
@@ -74,7 +74,8 @@ class IncipientSlipDetector(Detector):
                 f"rate {rate_Hz:g} Hz must be {NETWORK_RATE_Hz:g} Hz for the detector 'rig', whose "
                 "network was trained at it: resample, or take paper-hp or paper-literal"
             )
-        if settings.network is not None and settings.network.inputs != kernel.INPUTS:
+        known = (kernel.INPUTS, kernel.FIXED_INPUTS)
+        if settings.network is not None and settings.network.inputs not in known:
             raise ValueError(
                 f"network {settings.network.name!r} needs other inputs than this program's "
                 f"detector {DETECTOR_VERSION} offers: train it again, or take the one it brings"
@@ -84,8 +85,9 @@ class IncipientSlipDetector(Detector):
         self._low_pass = design_low_pass(settings.low_pass, rate_Hz)
         self._constants = _constants(settings, rate_Hz, self._low_pass)
         self._sections = _high_pass(settings.impulse_Hz, rate_Hz)
+        inputs = len(kernel.INPUTS if settings.network is None else settings.network.inputs)
         if settings.network is None:
-            self._hidden, self._output = np.zeros((len(kernel.INPUTS) + 1, 0)), np.zeros((2, 1))
+            self._hidden, self._output = np.zeros((inputs + 1, 0)), np.zeros((2, 1))
         else:
             self._hidden, self._output = settings.network.weights()
         self._units = np.zeros(self._hidden.shape[1])
@@ -93,7 +95,7 @@ class IncipientSlipDetector(Detector):
         self._piece = np.zeros((4, int(self._constants["quiet_rows"][0])))
         self._room = np.zeros(self._piece.shape[1])
         self._events = np.zeros((_MOST_A_ROW * _SLICE, kernel.EVENT_COLUMNS))
-        self._seen = np.zeros((1, len(kernel.INPUTS)))
+        self._seen = np.zeros((1, inputs))
         self._unseen = np.zeros(0, np.bool_)
         self.reset()
 
@@ -116,15 +118,19 @@ class IncipientSlipDetector(Detector):
         return events
 
     def end(self) -> list[SlipEvent]:
-        """Returns one event if there never was a quiet piece to measure offset and noise on."""
-        if self._state["ready"][0] or not self._state["row"][0]:
+        """Returns one event if there never was a quiet piece to measure offset and noise on, and
+        that has not been reported yet."""
+        state = self._state[0]
+        if state["ready"] or state["unjudged"] or not state["row"]:
             return []
-        return [self.event("rejected", -1, 0.0, kernel.REASONS[kernel.NOT_QUIET])]
+        unjudged = {UNJUDGED: 1e3 * int(state["row"]) / self.rate_Hz}
+        return [self.event("cannot judge", -1, 0.0, kernel.REASONS[kernel.NOT_QUIET], unjudged)]
 
     def network_inputs(self, volts: ArrayLike) -> NetworkInputs:
         """Returns the inputs of the network over a whole recording (n, 2) in V, for training."""
         rows = self.checked(volts)
-        seen, looked = np.zeros((len(rows), len(kernel.INPUTS))), np.zeros(len(rows), np.bool_)
+        seen = np.zeros((len(rows), self._seen.shape[1]))
+        looked = np.zeros(len(rows), np.bool_)
         for begin in range(0, len(rows), _SLICE):
             part = slice(begin, begin + _SLICE)
             self._advance(rows[part], seen[part], looked[part])
@@ -151,14 +157,17 @@ class IncipientSlipDetector(Detector):
         )
 
     def _event(self, row: Reals) -> SlipEvent:
-        sample = self._first + int(row[1])
+        kind, sample = int(row[0]), self._first + int(row[1])
+        features = dict(zip(kernel.EVENT_FEATURES, row[4:-1].tolist(), strict=True))
+        if kind in (kernel.CANNOT_JUDGE, kernel.JUDGES_AGAIN):
+            features[UNJUDGED] = 1e3 * float(row[-1]) / self.rate_Hz
         return SlipEvent(
-            kind=EVENT_KINDS[int(row[0])],
+            kind=EVENT_KINDS[kind],
             sample=sample,
             time_s=sample / self.rate_Hz,
             confidence=float(row[2]),
             reason=kernel.REASONS[int(row[3])],
-            features=dict(zip(kernel.EVENT_FEATURES, row[4:].tolist(), strict=True)),
+            features=features,
         )
 
 
@@ -167,6 +176,7 @@ def _constants(settings: DetectorSettings, rate_Hz: float, low_pass: LowPass) ->
     ms = rate_Hz / 1e3
     c = np.zeros(1, kernel.CONSTANTS)
     c["logic"] = _LOGICS[settings.logic]
+    c["adapts"] = settings.network is not None and settings.network.inputs == kernel.INPUTS
     c["ms"] = ms
     c["quiet_rows"] = round(settings.quiet_s * rate_Hz)
     c["least_noise"] = settings.least_noise_mV
@@ -176,7 +186,8 @@ def _constants(settings: DetectorSettings, rate_Hz: float, low_pass: LowPass) ->
     c["fire"] = settings.fire_mV, settings.fire_sigmas
     c["look"] = settings.look_mV, settings.look_sigmas
     c["look_rows"] = round(kernel.LOOK_ms * ms)
-    c["idle_rows"] = max(1, round(kernel.IDLE_ms * ms))
+    idle_ms = kernel.ADAPTIVE_IDLE_ms if c["adapts"][0] else kernel.IDLE_ms
+    c["idle_rows"] = max(1, round(idle_ms * ms))
     c["fire_probability"] = settings.fire_probability
     c["roll_probability"] = settings.roll_probability
     c["silent_rows"] = round(settings.silence_s * rate_Hz)
@@ -190,6 +201,10 @@ def _constants(settings: DetectorSettings, rate_Hz: float, low_pass: LowPass) ->
     c["power_share"] = 1 / (np.array(kernel.POWERS_ms) * ms)
     c["sum_keeps"] = 1 - 1 / (np.array(kernel.SUMS_ms) * ms)
     c["slow_keeps"] = 1 - 1 / (kernel.SLOW_PEAK_ms * ms)
+    c["background_share"] = 1 / (np.array(kernel.BACKGROUND_ms) * ms)
+    c["drift_share"] = 1 / (np.array(kernel.DRIFT_ms) * ms)
+    c["warm_up_rows"] = min(round(kernel.WARM_UP_ms * ms), int(c["quiet_rows"][0]) // 4)
+    c["rolling_rows"] = round(kernel.ROLLING_ms * ms)
     c["share"] = -np.expm1(-1 / (np.array(kernel.AVERAGES_ms) * ms))
     return c
 

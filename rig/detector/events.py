@@ -2,12 +2,28 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Literal, get_args
 
-EventKind = Literal["predictive", "incipient slip", "roll", "rejected"]
+EventKind = Literal[
+    "predictive", "incipient slip", "roll", "rejected", "cannot judge", "judges again"
+]
 """Kinds of events, as they are written to processed files."""
+UNJUDGED = "unjudged_ms"
+"""Name of the number with which events of the last two kinds state for how long nothing had been
+judged when they were decided."""
 EVENT_KINDS: tuple[EventKind, ...] = get_args(EventKind)
+SHOWN_AS: dict[EventKind, str] = {
+    "predictive": "motion under load begun",
+    "incipient slip": "incipient slip",
+    "roll": "roll",
+    "rejected": "ignored",
+    "cannot judge": "cannot judge",
+    "judges again": "judges again",
+}
+"""What the kinds are called where people read them. The paper calls the first one predictive; it
+comes in every hold and roll as well, so that it predicts no slip."""
 
 
 @dataclass(frozen=True)
@@ -15,9 +31,11 @@ class SlipEvent:
     """A decision of a detector, and the numbers that it rests on."""
 
     kind: EventKind
-    """``predictive``: the low-passed v_d passed its threshold (an early warning); ``incipient
-    slip``: a slip was detected; ``roll``: the current motion is a roll; ``rejected``: something
-    resembled a slip but was not reported as one, see `reason`."""
+    """``predictive``: the low-passed v_d passed its threshold, because a motion under load has
+    begun (it is no warning of a slip); ``incipient slip``: a slip was detected; ``roll``: the
+    current motion is a roll; ``rejected``: something resembled a slip but was not reported as one,
+    see `reason`; ``cannot judge``: nothing is judged from now on, for a `reason`, until ``judges
+    again``."""
     sample: int
     """Row at which it was decided, counted from the first row given."""
     time_s: float
@@ -25,6 +43,31 @@ class SlipEvent:
     confidence: float
     """Confidence from 0 to 1. For the published logics it is x / (x + threshold)."""
     reason: str = ""
-    """Reason of a rejection; empty for other events."""
+    """Reason of a rejection, or why nothing can or could be judged; empty for other events."""
     features: dict[str, float] = field(default_factory=dict)
-    """Numbers that decided, by name and unit (`rig.detector.kernel.EVENT_FEATURES`)."""
+    """Numbers that decided, by name and unit (`rig.detector.kernel.EVENT_FEATURES`); of the last
+    two kinds also `UNJUDGED`."""
+
+
+def unjudged_s(events: Iterable[SlipEvent], record_s: float) -> tuple[tuple[float, float], ...]:
+    """Returns the intervals of a recording, in s, in which a detector did not judge.
+
+    `events` are all events of the recording in their order, and `record_s` is its length.
+
+    >>> saturated = SlipEvent("cannot judge", 500, 0.5, 0.0, "saturated", {"unjudged_ms": 0.0})
+    >>> again = SlipEvent("judges again", 600, 0.6, 0.0, "saturated", {"unjudged_ms": 100.0})
+    >>> unjudged_s([saturated, again], 2.0), unjudged_s([saturated], 2.0)
+    (((0.5, 0.6),), ((0.5, 2.0),))
+    """
+    intervals: list[tuple[float, float]] = []
+    begin: float | None = None
+    for event in events:
+        if event.kind == "cannot judge":
+            noticed = event.time_s - 1e-3 * event.features.get(UNJUDGED, 0.0)
+            begin = max(0.0, noticed if begin is None else min(begin, noticed))
+        elif event.kind == "judges again" and begin is not None:
+            intervals.append((begin, event.time_s))
+            begin = None
+    if begin is not None:
+        intervals.append((begin, record_s))
+    return tuple(intervals)

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-PREDICTIVE, SLIP, ROLL, REJECTED = range(4)
+PREDICTIVE, SLIP, ROLL, REJECTED, CANNOT_JUDGE, JUDGES_AGAIN = range(6)
 """Kinds of events, in the order of `rig.detector.events.EVENT_KINDS`."""
 (
     NO_REASON,
@@ -28,10 +28,11 @@ PREDICTIVE, SLIP, ROLL, REJECTED = range(4)
     SECOND_DEAD,
     ONE_INVERTED,
     HUM,
-) = range(11)
+    TOO_NOISY,
+) = range(12)
 REASONS = (
     "",
-    "not armed: no early warning preceded it",
+    "not armed: no motion under load preceded it",
     "roll",
     "common to both channels",
     "unlike a slip",
@@ -41,8 +42,9 @@ REASONS = (
     "v_2 is dead: constant while v_1 moves",
     "the first touch drives v_1 and v_2 oppositely: one is inverted, or it was not recorded",
     "mains hum: thresholds rise with it",
+    "too noisy: a slip would not stand out from the noise",
 )
-"""Reasons of rejected events, in the order of the constants above."""
+"""Reasons of events that reject or cannot judge, in the order of the constants above."""
 RIG, LITERAL, HIGH_PASSED = range(3)
 """Logics, in the order of the names in `rig.detector.detector`."""
 
@@ -63,6 +65,43 @@ PIECES = 4
 LOOK_ms, IDLE_ms = 12.0, 8.0
 """The network is evaluated at every row for `LOOK_ms` after an impulse, and otherwise once every
 `IDLE_ms`."""
+ADAPTIVE_IDLE_ms = 4.0
+"""The same for a network of `INPUTS`."""
+BACKGROUND_ms = (400.0, 64.0, 400.0)
+"""Time constants of further powers of the impulse: of v_d, and two of v_s."""
+
+NO_TOUCH, TOUCHING, TOUCHED = range(3)
+"""Stages of the first touch-down: not yet, under way, over."""
+STANDARD_TOUCH = 1720.0
+"""Sum of v_s over a touch-down to 4 N on the reference skin, in mV ms. It is 400 to 444 mV ms for
+each N (seeds 0 to 7 of the population, 2.4 to 7.0 N), whatever the speed of pressing: the charge
+of the film follows the force."""
+LEAST_UNIT, LARGEST_UNIT = 1 / 64, 4.0
+"""Bounds of the unit of the touch, as shares of the standard one."""
+LEAST_TOUCH, TOUCH_SIGMAS = 25.0, 50.0
+"""Smallest sum of a touch-down: in mV ms, and in standard deviations of v_s times ms, which is
+three times what noise sums to in 0.3 s."""
+TOUCH_CALM_ms, LONGEST_TOUCH_ms = 60.0, 3000.0
+"""A touch-down is over once v_s has been below `TOUCH_CALM` of its peak for the first of these,
+or after the second."""
+TOUCH_CALM = 0.15
+MOST_NOISE = 5.0
+"""Noise above `impulse_Hz`, rms in mV after a standard touch, above which a network of `INPUTS`
+cannot judge: a quarter of the impulse of the reference slide."""
+WARM_UP_ms = 64.0
+"""Time after which offset and noise are known for the first time, for a network of `INPUTS`."""
+DRIFT_ms = (2000.0, 1000.0)
+"""Time constants with which the offsets of v_d and v_s follow a drift."""
+DRIFT_LIMIT = 0.3
+"""The offset of v_d follows deviations up to this many mV, in units of the touch, or up to its
+noise: 0.15 mV/s at most. A slow slide is a deviation of 1 mV for seconds, which must not be taken
+for a drift. That of v_s has no limit: what changes the sum for seconds is a drift or the force."""
+NOISE_PIECES = 16
+"""Number of latest pieces of which the second least noise is taken: motions and bursts raise the
+noise of some pieces, never that of all."""
+ROLLING_ms = 100.0
+"""A roll is reported only after v_d has shown a motion under load for this long without a break,
+and after the first touch-down. The longest tap (40 ms) shows in it for 80 ms."""
 
 STATE = np.dtype(
     [
@@ -94,6 +133,7 @@ STATE = np.dtype(
         ("armed", "i8"),
         ("armed_rows", "i8"),
         ("calm_rows", "i8"),
+        ("moving_rows", "i8"),  # rows for which v_d has shown a motion under load, without a break
         ("roll_reported", "i8"),
         ("roll_rows", "i8"),
         ("look_rows", "i8"),
@@ -104,6 +144,18 @@ STATE = np.dtype(
         ("suspect", "f8", (3,)),  # impulse, its threshold, common part
         ("slip", "f8"),
         ("roll", "f8"),
+        ("unjudged", "i8"),  # reason for which nothing is judged, or NO_REASON
+        ("unjudged_from", "i8"),  # first row of that time
+        ("suppressed_by", "i8"),  # reason of suppressed_rows
+        ("stage", "i8"),  # of the first touch-down
+        ("stage_rows", "i8"),
+        ("stage_calm_rows", "i8"),
+        ("pressed", "f8", (3,)),  # in the touch-down: sum of v_s, its largest size, peak of v_s
+        ("unit", "f8"),  # unit of the touch, as a share of the standard one
+        ("background", "f8", (3,)),  # powers of fast over BACKGROUND_ms
+        ("known_rows", "i8"),  # rows on which offset and noise could be measured
+        ("noises", "f8", (4, NOISE_PIECES)),  # of the latest pieces
+        ("noise_pieces", "i8", (4,)),  # number of pieces so far
     ]
 )
 """State of the detector between two rows. All voltages are in mV."""
@@ -111,6 +163,7 @@ STATE = np.dtype(
 CONSTANTS = np.dtype(
     [
         ("logic", "i8"),
+        ("adapts", "i8"),  # 1 for a network of INPUTS
         ("ms", "f8"),  # rows in a millisecond
         ("quiet_rows", "i8"),
         ("least_noise", "f8"),
@@ -135,11 +188,15 @@ CONSTANTS = np.dtype(
         ("power_share", "f8", (2,)),  # of a new row
         ("sum_keeps", "f8", (2,)),
         ("slow_keeps", "f8"),
+        ("background_share", "f8", (3,)),
+        ("drift_share", "f8", (2,)),
+        ("warm_up_rows", "i8"),
+        ("rolling_rows", "i8"),
     ]
 )
 """Settings of the detector, converted to rows and mV."""
 
-INPUTS = (
+FIXED_INPUTS = (
     *(f"v_d band {AVERAGES_ms[k]:g} to {AVERAGES_ms[k + 1]:g} ms" for k in range(_A - 1)),
     f"v_d {AVERAGES_ms[-1]:g} ms",
     *(f"v_s band {AVERAGES_ms[k]:g} to {AVERAGES_ms[k + 1]:g} ms" for k in range(_A - 1)),
@@ -166,11 +223,28 @@ INPUTS = (
     "noise of v_s",
     "armed for",
 )
-"""Names of the network's inputs.
+"""Names of the inputs of networks that were trained before the detector adapted itself.
 
 The sign of v_d is chosen so that its average over 32 ms is positive, and that of v_s so that
 pressing was negative: swapped channels and inverted polarity make no difference. Large numbers are
 compressed by x / sqrt(1 + |x|). Voltages are in units of 0.5 mV.
+"""
+
+INPUTS = (
+    *FIXED_INPUTS,
+    "rms of v_d 400 ms to noise",
+    "rms of v_s 64 ms to noise",
+    "rms of v_s 400 ms to noise",
+    "rms of v_d 8 ms to 400 ms",
+    "touch to noise",
+    "touched",
+)
+"""Names of the inputs of networks that are trained now.
+
+Signs and compression are those of `FIXED_INPUTS`. Voltages are in units of the first touch: 0.5 mV
+times the sum of v_s over the touch-down, as a share of `STANDARD_TOUCH`. So neither the gain of the
+amplifiers nor, in the main, the normal force makes a difference; "touch to noise" tells how the
+noise compares with both. Until the touch-down is over the unit is 0.5 mV and "touched" is 0.
 """
 
 EVENT_FEATURES = (
@@ -182,10 +256,11 @@ EVENT_FEATURES = (
     "roll_probability",
 )
 """Names of the numbers that are reported with every event."""
-EVENT_COLUMNS = 4 + len(EVENT_FEATURES)
-"""Number of columns of an event: kind, row, confidence, reason, features."""
+EVENT_COLUMNS = 4 + len(EVENT_FEATURES) + 1
+"""Number of columns of an event: kind, row, confidence, reason, features, rows not judged."""
 
 _MEDIAN_TO_SIGMA = 1.4826
+_FIXED = len(FIXED_INPUTS)
 
 
 @njit(cache=True, error_model="numpy")
@@ -221,21 +296,30 @@ def advance(
     reported = 0
     for k in range(volts.shape[0]):
         first, second = 1e3 * volts[k, 0], 1e3 * volts[k, 1]
-        reported = _check_channels(first, second, s, c, events, reported)
+        _check_channels(first, second, s, c)
         if abs(first) >= c.saturation or abs(second) >= c.saturation:
             # The last good row replaces a saturated one: the step into saturation would make the
             # filters ring.
             first, second = s.last[0], s.last[1]
         s.last[0], s.last[1] = first, second
         _filter(first, second, s, line, c, taps, sections)
-        reported = _judge_quiet(first, second, s, piece, room, c, events, reported)
+        if c.adapts:
+            reported = _adapt(first, second, s, piece, room, c, events, reported)
+        else:
+            reported = _judge_quiet(first, second, s, piece, room, c, events, reported)
+        reported = _say_whether_it_judges(s, c, events, reported)
         if s.ready:
             reported = _update_features(first, second, s, c, events, reported)
+            if c.logic == RIG:
+                _follow_touch(s, c)
             reported = _arm(s, c, events, reported)
             if c.logic == RIG:
                 looks = _network_due(s, c)
                 if looks:
-                    _gather_inputs(s, c, seen[k if looked.size else 0])
+                    if c.adapts:
+                        _gather_inputs(s, c, seen[k if looked.size else 0])
+                    else:
+                        _gather_fixed_inputs(s, c, seen[k if looked.size else 0])
                     _evaluate_network(seen[k if looked.size else 0], hidden, output, units, s)
                 if looked.size:
                     looked[k] = looks
@@ -247,16 +331,14 @@ def advance(
 
 
 @njit(cache=True, error_model="numpy")
-def _check_channels(first: float, second: float, s: Any, c: Any, events: Any, reported: int) -> int:
+def _check_channels(first: float, second: float, s: Any, c: Any) -> None:
     """Suppresses events until 50 ms after a channel was saturated or dead."""
     if s.suppressed_rows > 0:
         s.suppressed_rows -= 1
-    suppressed = s.suppressed_rows
     now = round(50.0 * c.ms) + 1
     if abs(first) >= c.saturation or abs(second) >= c.saturation:
         s.suppressed_rows = now
-        if suppressed == 0:
-            reported = _report(REJECTED, 0.0, SATURATED, 0.0, 0.0, s, events, reported)
+        s.suppressed_by = SATURATED
     for j in range(2):
         x, other = (first, second) if j == 0 else (second, first)
         if x != s.last[j] or s.row == 0:
@@ -268,8 +350,37 @@ def _check_channels(first: float, second: float, s: Any, c: Any, events: Any, re
         s.still_span[j] = max(s.still_span[j], abs(other - s.still_at[j]))
         if s.still[j] >= c.dead_rows and s.still_span[j] > c.dead_span and abs(x) < c.saturation:
             if s.suppressed_rows == 0:
-                reported = _report(REJECTED, 0.0, FIRST_DEAD + j, 0.0, 0.0, s, events, reported)
+                s.suppressed_by = FIRST_DEAD + j
             s.suppressed_rows = now
+
+
+@njit(cache=True, error_model="numpy")
+def _say_whether_it_judges(s: Any, c: Any, events: Any, reported: int) -> int:
+    """Reports when nothing can be judged from now on, with the reason, and when that is over."""
+    reason = NO_REASON
+    if s.suppressed_rows > 0:
+        reason = s.suppressed_by
+    elif not s.ready:
+        # A beginning that is restless for less than four pieces is not worth an event.
+        if s.restless_rows >= 4 * c.quiet_rows:
+            reason = NOT_QUIET
+    elif c.adapts and s.stage == TOUCHED:
+        # A fifth less is asked for to judge again, so that it does not go to and fro.
+        most = MOST_NOISE * s.unit * (0.8 if s.unjudged == TOO_NOISY else 1.0)
+        if s.fast_noise[0] > most:
+            reason = TOO_NOISY
+    if reason == NO_REASON and s.unjudged != NO_REASON:
+        was = s.unjudged
+        s.unjudged = NO_REASON
+        return _report(JUDGES_AGAIN, 0.0, was, 0.0, 0.0, s, events, reported)
+    if reason != NO_REASON and s.unjudged == NO_REASON:
+        s.unjudged = reason
+        s.unjudged_from = s.row
+        if reason == NOT_QUIET:
+            s.unjudged_from = 0
+        elif reason in (FIRST_DEAD, SECOND_DEAD):
+            s.unjudged_from = s.row - s.still[reason - FIRST_DEAD]
+        return _report(CANNOT_JUDGE, 0.0, reason, 0.0, 0.0, s, events, reported)
     return reported
 
 
@@ -359,8 +470,6 @@ def _judge_quiet(
             quiet = False
     if not quiet:
         s.restless_rows += c.quiet_rows
-        if not s.ready and s.restless_rows == 4 * c.quiet_rows:
-            return _report(REJECTED, 0.0, NOT_QUIET, 0.0, 0.0, s, events, reported)
         return reported
     hum = max(_hum(piece[0], offset[0], c), _hum(piece[1], offset[1], c) / 2.0)
     if hum > c.hum and not s.hum_reported:
@@ -374,6 +483,69 @@ def _judge_quiet(
         s.fast_noise[j] += weight * (noise[2 + j] - s.fast_noise[j])
     s.ready = 1
     return reported
+
+
+@njit(cache=True, error_model="numpy")
+def _adapt(
+    first: float, second: float, s: Any, piece: Any, room: Any, c: Any, events: Any, reported: int
+) -> int:
+    """Measures offset and noise without waiting for quiet.
+
+    Both are known from the first rows, and follow from then on. The noise is the second least of
+    the latest pieces. The four signals' pieces end at different rows, so that no row has to wait
+    for more than two medians.
+    """
+    if s.suppressed_rows > 0:
+        return reported
+    n, quarter = c.quiet_rows, c.quiet_rows // 4
+    x = (first - second, first + second, s.fast[0], s.fast[1])
+    s.known_rows += 1
+    for j in range(4):
+        at = (s.known_rows - 1 + j * quarter) % n
+        piece[j, at] = x[j]
+        if at == n - 1 and s.known_rows >= n:
+            middle, noise = _middle_and_noise(piece[j], room, c)
+            _take_noise(j, noise, s)
+            looks = j < 2 and s.stage == NO_TOUCH and not s.hum_reported
+            if looks and _is_quiet(piece[j], middle, noise):
+                hum = _hum(piece[j], middle, c) / (1.0 + j)
+                if hum > c.hum:
+                    s.hum_reported = 1
+                    reported = _report(REJECTED, 0.0, HUM, hum, c.hum, s, events, reported)
+    if s.ready:
+        return reported
+    if s.known_rows == c.warm_up_rows:
+        for j in range(4):
+            begin = j * quarter
+            part = piece[j, begin : begin + c.warm_up_rows]
+            middle, noise = _middle_and_noise(part, room[: c.warm_up_rows], c)
+            if j < 2:
+                s.offset[j] = middle
+                s.noise[j] = noise
+            else:
+                s.fast_noise[j - 2] = noise
+        s.unit = 1.0
+        s.ready = 1
+    return reported
+
+
+@njit(cache=True, error_model="numpy")
+def _take_noise(j: int, noise: float, s: Any) -> None:
+    """Takes the noise of a signal's latest piece: v_d, v_s, both above impulse_Hz."""
+    s.noises[j, s.noise_pieces[j] % NOISE_PIECES] = noise
+    s.noise_pieces[j] += 1
+    least, second = math.inf, math.inf
+    for i in range(min(s.noise_pieces[j], NOISE_PIECES)):
+        one = s.noises[j, i]
+        if one < least:
+            least, second = one, least
+        elif one < second:
+            second = one
+    chosen = second if s.noise_pieces[j] > 2 else least
+    if j < 2:
+        s.noise[j] = chosen
+    else:
+        s.fast_noise[j - 2] = chosen
 
 
 @njit(cache=True, error_model="numpy")
@@ -473,7 +645,71 @@ def _update_features(
     s.sum[3] = s.sum[3] * c.sum_keeps[1] + v * c.row_ms
     for j in range(2):
         s.slow_peak[j] = max(abs(s.average[j, 4]), s.slow_peak[j] * c.slow_keeps)
+    if c.adapts:
+        s.background[0] += (fast_d * fast_d - s.background[0]) * c.background_share[0]
+        s.background[1] += (fast_s * fast_s - s.background[1]) * c.background_share[1]
+        s.background[2] += (fast_s * fast_s - s.background[2]) * c.background_share[2]
+        _follow_drift(d, v, s, c)
     return reported if s.touched else _touch(s, c, events, reported)
+
+
+@njit(cache=True, error_model="numpy")
+def _follow_drift(d: float, v: float, s: Any, c: Any) -> None:
+    """Moves the offsets towards v_d and v_s, which deviate from them by `d` and `v`.
+
+    Not in a touch-down, which is no drift. Before it, the offsets become means of all rows so far.
+    """
+    if s.stage == TOUCHING:
+        return
+    limit = max(DRIFT_LIMIT * s.unit, s.noise[0])
+    begin = 1.0 / s.known_rows if s.stage == NO_TOUCH else 0.0
+    s.offset[0] += max(-limit, min(limit, d)) * max(c.drift_share[0], begin)
+    s.offset[1] += v * c.drift_share[1]
+
+
+@njit(cache=True, error_model="numpy")
+def _follow_touch(s: Any, c: Any) -> None:
+    """Follows the first touch-down; at its end its size becomes the unit of the network's inputs,
+    and what v_d and v_s are then becomes their offset."""
+    if s.stage == TOUCHED:
+        return
+    level = abs(s.average[1, 4])
+    threshold = _touch_threshold(1, s, c)
+    if s.stage == NO_TOUCH:
+        if level > threshold:
+            s.stage = TOUCHING
+            s.stage_rows, s.stage_calm_rows = 0, 0
+            s.pressed[0], s.pressed[1], s.pressed[2] = 0.0, 0.0, 0.0
+        return
+    s.stage_rows += 1
+    s.pressed[0] += s.average[1, 4] / c.ms
+    s.pressed[1] = max(s.pressed[1], abs(s.pressed[0]))
+    s.pressed[2] = max(s.pressed[2], level)
+    calm = level < max(threshold, TOUCH_CALM * s.pressed[2])
+    s.stage_calm_rows = s.stage_calm_rows + 1 if calm else 0
+    if s.stage_calm_rows < TOUCH_CALM_ms * c.ms and s.stage_rows < LONGEST_TOUCH_ms * c.ms:
+        return
+    if s.pressed[1] < max(LEAST_TOUCH, TOUCH_SIGMAS * s.noise[1]):
+        s.stage = NO_TOUCH
+        return
+    s.stage = TOUCHED
+    s.moving_rows = 0
+    if not c.adapts:
+        return
+    s.unit = min(max(s.pressed[1] / STANDARD_TOUCH, LEAST_UNIT), LARGEST_UNIT)
+    for j in range(2):
+        moved = s.average[j, _A - 1]
+        s.offset[j] += moved
+        for i in range(_A):
+            s.average[j, i] -= moved
+
+
+@njit(cache=True, error_model="numpy")
+def _touch_threshold(j: int, s: Any, c: Any) -> float:
+    """Returns the average over 16 ms above which something touches: of v_d (0) or v_s (1)."""
+    floor_mV = 0.15 if c.adapts else 0.5
+    threshold: float = 5.0 * s.noise[j] / math.sqrt(16.0 * c.ms) + floor_mV
+    return threshold
 
 
 @njit(cache=True, error_model="numpy")
@@ -481,7 +717,7 @@ def _touch(s: Any, c: Any, events: Any, reported: int) -> int:
     """Learns the polarity from the first touch: pressing drives both strips alike and v_s
     negative."""
     for j in range(2):
-        if abs(s.average[j, 4]) > 5.0 * s.noise[j] / math.sqrt(16.0 * c.ms) + 0.5:
+        if abs(s.average[j, 4]) > _touch_threshold(j, s, c):
             s.touch[j] += s.average[j, 4] / c.ms
     # In 900 simulated presses |sum of v_d| was at most 0.75 |sum of v_s| (decision 0049).
     if abs(s.touch[0]) + abs(s.touch[1]) < 300.0:
@@ -493,14 +729,22 @@ def _touch(s: Any, c: Any, events: Any, reported: int) -> int:
 
 
 @njit(cache=True, error_model="numpy")
+def _unit(s: Any, c: Any) -> float:
+    """Returns the factor on thresholds in mV: the unit of the touch, 1 where nothing adapts."""
+    unit: float = s.unit if c.adapts else 1.0
+    return unit
+
+
+@njit(cache=True, error_model="numpy")
 def _arm(s: Any, c: Any, events: Any, reported: int) -> int:
     """Arms the detector while the predictive signal is above its threshold."""
     if s.silent_rows > 0:
         s.silent_rows -= 1
     if s.mute_rows > 0:
         s.mute_rows -= 1
-    threshold = max(c.arm[0], c.arm[1] * c.low_noise * s.noise[0])
+    threshold = max(c.arm[0] * _unit(s, c), c.arm[1] * c.low_noise * s.noise[0])
     level = abs(s.low - s.offset[0])
+    s.moving_rows = s.moving_rows + 1 if level > threshold / 2.0 else 0
     if s.armed:
         s.armed_rows += 1
         s.calm_rows = 0 if level > threshold / 2.0 else s.calm_rows + 1
@@ -541,51 +785,80 @@ def _compare(first: float, second: float, s: Any, c: Any, events: Any, reported:
 @njit(cache=True, error_model="numpy")
 def _network_due(s: Any, c: Any) -> bool:
     """Returns whether the network is evaluated at this row."""
-    threshold = max(c.look[0], c.look[1] * s.fast_noise[0])
+    threshold = max(c.look[0] * _unit(s, c), c.look[1] * s.fast_noise[0])
     if abs(s.fast[0]) > threshold:
         s.look_rows = c.look_rows
     elif s.look_rows > 0:
         s.look_rows -= 1
-    if not s.armed or s.suppressed_rows > 0:
+    if s.unjudged != NO_REASON or not (s.armed or (c.adapts and s.stage == TOUCHED)):
         return False
     looks: bool = s.look_rows > 0 or s.row % c.idle_rows == 0
     return looks
 
 
 @njit(cache=True, error_model="numpy")
+def _gather_fixed_inputs(s: Any, c: Any, x: Any) -> None:
+    """Computes the inputs of a network of `FIXED_INPUTS`."""
+    _gather(1.0, s, c, x)
+    _compress(x)
+
+
+@njit(cache=True, error_model="numpy")
 def _gather_inputs(s: Any, c: Any, x: Any) -> None:
-    """Computes the inputs of the network, in the order of `INPUTS`."""
+    """Computes the inputs of a network of `INPUTS`."""
+    _gather(s.unit, s, c, x)
+    at = _FIXED
+    noise, common = s.fast_noise[0], s.fast_noise[1]
+    x[at] = math.sqrt(s.background[0]) / noise
+    x[at + 1] = math.sqrt(s.background[1]) / common
+    x[at + 2] = math.sqrt(s.background[2]) / common
+    x[at + 3] = math.sqrt(s.power[0] / (s.background[0] + noise * noise))
+    # 10 mV is the order of a slip's impulse after a standard touch.
+    x[at + 4] = 10.0 * s.unit / noise
+    x[at + 5] = 1.0 if s.stage == TOUCHED else 0.0
+    _compress(x)
+
+
+@njit(cache=True, error_model="numpy")
+def _gather(unit: float, s: Any, c: Any, x: Any) -> None:
+    """Computes the inputs that all networks have, with voltages in units of `unit` times 0.5 mV."""
     sign = 1.0 if s.average[0, 5] >= 0.0 else -1.0
     pressed = -1.0 if s.touch[1] > 0.0 else 1.0
+    mV = 2.0 / unit
     for j in range(_A):
         d, v = sign * s.average[0, j], pressed * s.average[1, j]
         if j + 1 < _A:
             d -= sign * s.average[0, j + 1]
             v -= pressed * s.average[1, j + 1]
-        x[j] = 2.0 * d
-        x[_A + j] = 2.0 * v
+        x[j] = mV * d
+        x[_A + j] = mV * v
     at = 2 * _A
     noise, common = s.fast_noise[0], s.fast_noise[1]
-    x[at] = 2.0 * sign * s.fast[0]
-    x[at + 1] = 2.0 * pressed * s.fast[1]
+    x[at] = mV * sign * s.fast[0]
+    x[at + 1] = mV * pressed * s.fast[1]
     x[at + 2] = sign * s.fast[0] / noise
     for j in range(4):
-        x[at + 3 + j] = 2.0 * s.peak[j]
+        x[at + 3 + j] = mV * s.peak[j]
     x[at + 7] = s.peak[1] / noise
     x[at + 8] = math.sqrt(s.power[0]) / noise
     x[at + 9] = math.sqrt(s.power[1]) / noise
     x[at + 10] = math.sqrt(s.power[2]) / common
-    x[at + 11] = 0.05 * sign * s.sum[0]
-    x[at + 12] = 0.05 * pressed * s.sum[1]
-    x[at + 13] = 0.05 * sign * s.sum[2]
-    x[at + 14] = 0.05 * pressed * s.sum[3]
-    x[at + 15] = 2.0 * s.slow_peak[0]
-    x[at + 16] = 2.0 * s.slow_peak[1]
-    # 0.3 mV keeps the ratio finite and small where nothing has happened yet.
-    x[at + 17] = sign * s.average[0, 4] / (s.slow_peak[0] + 0.3)
-    x[at + 18] = 4.0 * s.noise[0]
-    x[at + 19] = 4.0 * s.noise[1]
+    x[at + 11] = 0.025 * mV * sign * s.sum[0]
+    x[at + 12] = 0.025 * mV * pressed * s.sum[1]
+    x[at + 13] = 0.025 * mV * sign * s.sum[2]
+    x[at + 14] = 0.025 * mV * pressed * s.sum[3]
+    x[at + 15] = mV * s.slow_peak[0]
+    x[at + 16] = mV * s.slow_peak[1]
+    # 0.3 mV, in units of the touch, keeps the ratio finite and small before anything happens.
+    x[at + 17] = sign * s.average[0, 4] / (s.slow_peak[0] + 0.3 * unit)
+    x[at + 18] = 2.0 * mV * s.noise[0]
+    x[at + 19] = 2.0 * mV * s.noise[1]
     x[at + 20] = s.armed_rows / (10.0 * c.ms)
+
+
+@njit(cache=True, error_model="numpy")
+def _compress(x: Any) -> None:
+    """Compresses large numbers, so that none of them rules a weighted sum alone."""
     for i in range(x.size):
         # A loop of its own, so that the compiler can use vector instructions.
         x[i] = x[i] / math.sqrt(1.0 + abs(x[i]))
@@ -614,9 +887,10 @@ def _evaluate_network(x: Any, hidden: Any, output: Any, units: Any, s: Any) -> N
 def _decide(looks: bool, s: Any, c: Any, events: Any, reported: int) -> int:
     """Logic ``rig``: reports a slip or a roll that the network finds while armed, and what it
     rejects with the reason."""
-    threshold = max(c.fire[0], c.fire[1] * s.fast_noise[0])
+    threshold = max(c.fire[0] * _unit(s, c), c.fire[1] * s.fast_noise[0])
     level = abs(s.fast[0])
-    if level > threshold and s.suppressed_rows == 0 and s.mute_rows == 0 and s.silent_rows == 0:
+    judges = s.unjudged == NO_REASON
+    if level > threshold and judges and s.mute_rows == 0 and s.silent_rows == 0:
         if not s.armed:
             s.mute_rows = c.silent_rows
             confidence = level / (level + threshold)
@@ -645,7 +919,8 @@ def _decide(looks: bool, s: Any, c: Any, events: Any, reported: int) -> int:
             return _report(
                 REJECTED, confidence, reason, s.suspect[0], s.suspect[1], s, events, reported
             )
-    if looks and s.armed and not s.roll_reported:
+    moves = s.stage == TOUCHED and s.moving_rows >= c.rolling_rows
+    if looks and s.armed and moves and not s.roll_reported:
         s.roll_rows = s.roll_rows + 1 if s.roll > c.roll_probability else 0
         if s.roll_rows >= 4:
             s.roll_reported = 1
@@ -669,4 +944,5 @@ def _report(
     row[4] = s.low - s.offset[0]
     row[5], row[6], row[7] = impulse, s.peak[3], threshold
     row[8], row[9] = s.slip, s.roll
+    row[10] = s.row - s.unjudged_from
     return reported + 1

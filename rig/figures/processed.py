@@ -8,6 +8,7 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
 
+from rig.detector.events import SHOWN_AS, EventKind, unjudged_s
 from rig.figures.pressed import TRIALS_SHOWN
 from rig.figures.style import STYLE, legend_above, set_margins
 
@@ -15,7 +16,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from numpy.typing import NDArray
 
-    from rig.detector.events import EventKind
     from rig.files.processed.reader import ProcessedFile
     from rig.files.processed.values import DetectedTrial
 
@@ -25,7 +25,7 @@ MARKS: dict[EventKind, tuple[str, str]] = {
     "roll": ("C2", "--"),
     "rejected": ("0.6", ":"),
 }
-"""Colour and line of each kind of event."""
+"""Colour and line of each kind of event. Time that cannot be judged is shaded."""
 AROUND_S = 0.5
 """Time shown before the first and after the last event; the file contains all of the trial."""
 
@@ -80,13 +80,20 @@ def _mark_events(panels: tuple[Axes, Axes], confidence: Axes, trial: DetectedTri
     for kind, (colour, line) in MARKS.items():
         events = [event for event in trial.events if event.kind == kind]
         for number, event in enumerate(events):
-            label = f"{kind} ({len(events)})" if number == 0 else None
+            label = f"{SHOWN_AS[kind]} ({len(events)})" if number == 0 else None
             for axes, named in zip(panels, (label, None), strict=True):
                 axes.axvline(event.time_s, color=colour, linestyle=line, linewidth=0.8, label=named)
         if events:
             times = [event.time_s for event in events]
             sure = [event.confidence for event in events]
             confidence.plot(times, sure, "o", markersize=4, color=colour)
+
+    if trial.sample.size:
+        record_s = (int(trial.sample[-1]) + 1) / trial.rate_Hz
+        for number, (begin_s, end_s) in enumerate(unjudged_s(trial.events, record_s)):
+            label = "cannot judge" if number == 0 else None
+            for axes, named in zip(panels, (label, None), strict=True):
+                axes.axvspan(begin_s, end_s, color="0.85", zorder=0, label=named)
 
 
 def _in_words(trial: DetectedTrial) -> str:

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.detector import DEFAULT_DETECTOR
+from rig.detector.events import SHOWN_AS
 from rig.files.errors import JournalError
 from rig.files.journal.detections import NO_DETECTOR
 from rig.files.journal.follow import JournalTail
@@ -30,7 +31,10 @@ if TYPE_CHECKING:
 
 log = logging.getLogger("rig")
 
-SHOWN = {"predictive": "early warning", "incipient slip": "incipient slip"}
+SHOWN = {
+    kind: SHOWN_AS[kind]
+    for kind in ("predictive", "incipient slip", "cannot judge", "judges again")
+}
 """Kinds of events that are shown, and what they are called. Rejections and rolls are in the
 processed file."""
 MOST_BYTES_A_LOOK = 4 << 20
@@ -38,7 +42,7 @@ MOST_BYTES_A_LOOK = 4 << 20
 
 @dataclass(frozen=True)
 class FoundSlip:
-    """An early warning or a slip."""
+    """A slip, or another event that is shown."""
 
     time_s: float
     """Time in s since the run's start."""

@@ -192,7 +192,7 @@ class RunView:
         self.events.append(self._event(level, code, text, time_s))
 
     def note_slip(self, time_s: float, what: str, text: str) -> None:
-        """Add an early warning or a slip."""
+        """Add a slip, or another event of the detector that is shown."""
         self.slips.append(self._event("slip", what, text, time_s))
 
     def _event(self, level: str, code: str, text: str, time_s: float) -> dict[str, Any]:

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rig.core.errors import ConfigurationError, ExitCode, RigError
-from rig.detector.events import EVENT_KINDS, SlipEvent
+from rig.detector.events import EVENT_KINDS, SlipEvent, unjudged_s
 from rig.detector.registered import ChosenDetector
 from rig.files.checksum import checksum_findings, sha256_of
 from rig.files.errors import RunFileError
@@ -83,6 +83,8 @@ class DetectionResult:
     """Number of events by kind."""
     first_slip: tuple[str, float] | None
     """The first incipient slip: its trial, and when in it, s."""
+    unjudged_s: dict[str, float] = field(default_factory=dict)
+    """Time in s that the detector could not judge, in all trials together, by its reason."""
     warnings: tuple[str, ...] = field(default=())
     made_by: str = ""
     """`detection_digest` of what did it. Empty from a program that does not know of it."""
@@ -149,8 +151,7 @@ def _detect(job: DetectionJob) -> DetectionResult:
             return there
         trials = detect_trials(run, detector)
     write_processed(target, source, stated, made_by, trials)
-    events = [(trial.id, event) for trial in trials for event in trial.events]
-    return _found(target, False, source, made_by, len(trials), events, warnings)
+    return _found(target, False, source, made_by, trials, warnings)
 
 
 def _stated(detector: ChosenDetector) -> StatedDetector:
@@ -210,8 +211,7 @@ def _already_there(
         if there.made_by != made_by:
             warnings.append(f"{target.name}: written again: other code has made it")
             return None
-        trials, events = len(there.trial_ids()), there.events()
-        return _found(target, True, source, made_by, trials, events, warnings)
+        return _found(target, True, source, made_by, there.trials(), warnings)
 
 
 def _found(
@@ -219,22 +219,35 @@ def _found(
     kept: bool,
     source: ProcessedSource,
     made_by: str,
-    trials: int,
-    events: list[tuple[str, SlipEvent]],
+    trials: list[DetectedTrial],
     warnings: list[str],
 ) -> DetectionResult:
+    events = [(trial.id, event) for trial in trials for event in trial.events]
     counts = Counter(event.kind for _, event in events)
     slips = ((trial, event.time_s) for trial, event in events if event.kind == "incipient slip")
     return DetectionResult(
         file=target,
         kept=kept,
         simulated=source.simulated,
-        trials=trials,
+        trials=len(trials),
         events={kind: counts[kind] for kind in EVENT_KINDS},
         first_slip=next(slips, None),
+        unjudged_s=_unjudged_by_reason(trials),
         warnings=tuple(warnings),
         made_by=made_by,
     )
+
+
+def _unjudged_by_reason(trials: list[DetectedTrial]) -> dict[str, float]:
+    by_reason: dict[str, float] = {}
+    for trial in trials:
+        cannot = [event for event in trial.events if event.kind == "cannot judge"]
+        record_s = (int(trial.sample[-1]) + 1) / trial.rate_Hz
+        # Every interval begins with one such event, except a gap within one, which extends it.
+        for begin_s, end_s in unjudged_s(trial.events, record_s):
+            reason = next(event.reason for event in cannot if begin_s <= event.time_s <= end_s)
+            by_reason[reason] = by_reason.get(reason, 0.0) + end_s - begin_s
+    return by_reason
 
 
 def _source(run: RunFile, sha256: str) -> ProcessedSource:

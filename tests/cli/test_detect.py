@@ -57,7 +57,7 @@ def test_one_line_a_file_says_what_was_found(rig: Any, runs: list[str]) -> None:
     assert [line.split(":")[0] for line in lines] == runs
     assert "1 trial: 1 incipient slip (first at 0.90" in lines[0]
     assert (
-        f"of trial-001), 1 early warning. Saved processed/r0.paper-hp-{DETECTOR_VERSION}-"
+        f"of trial-001), 1 motion under load begun. Saved processed/r0.paper-hp-{DETECTOR_VERSION}-"
         in lines[0]
     )
     assert lines[2].startswith("r2.h5: 1 trial: nothing found. Saved")
@@ -413,7 +413,7 @@ def test_the_literal_logic_says_that_it_disagrees_with_the_paper() -> None:
 
     remark = literal_remark(literal, [found(predictive=2), found(predictive=1, incipient_slip=1)])
     assert remark is not None
-    assert "in 1 file there was an early warning and v_d stayed below 30 mV" in remark
+    assert "in 1 file a motion under load began and v_d stayed below 30 mV" in remark
     assert "The paper states no threshold" in remark
     assert "DISAGREES with the paper" in remark
     assert literal_remark(literal, [found(predictive=1, incipient_slip=1), found()]) is None

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from rig.evaluation.scoring.outcomes import DetectorReport, TrialOutcome, Truth, judge
+from rig.evaluation.scoring.tables import score
 
 SLIP = Truth(
     label="slip", motion_s=0.5, node_slip_s=0.8, ridge_slip_s=1.0, gross_slip_s=1.2, record_s=2.0
@@ -108,6 +109,26 @@ def test_armings_that_no_slip_followed_are_counted_from_the_motion_on():
     hold = Truth(label="hold", motion_s=0.5)
     told = judged(hold, [], [0.3, 0.6, 0.9])
     assert (told.followed, told.in_vain, told.armed) == (0, 2, False)
+
+
+def test_a_slip_in_time_that_is_not_judged_is_missed_and_said_to_be_unjudged():
+    told = judge(SLIP, DetectorReport(unjudged_s=((0.0, 0.1), (0.9, 1.2))), {})
+    assert (told.found, told.slip_unjudged, told.cannot_judge) == (False, True, True)
+    assert (told.unjudged_s, told.record_s) == (pytest.approx(0.4), 2.0)
+    partly = judge(SLIP, DetectorReport(unjudged_s=((1.0, 1.2),)), {})
+    assert (partly.slip_unjudged, partly.cannot_judge) == (False, True)
+    hold = judge(Truth("hold", 0.5, record_s=2.0), DetectorReport(unjudged_s=((0.0, 2.0),)), {})
+    assert (hold.slip_unjudged, hold.unjudged_s) == (False, 2.0)
+
+
+def test_a_detector_that_never_judges_finds_nothing_and_is_not_credited_for_it():
+    silent = judge(SLIP, DetectorReport(unjudged_s=((0.0, 2.0),)), {})
+    told = score([silent, judged(SLIP, [1.001])])
+    assert (told["found"].value, told["found"].of) == (0.5, 2)
+    assert (told["found_of_judged"].value, told["found_of_judged"].of) == (1.0, 1)
+    assert told["slips_unjudged"].value == 0.5
+    assert told["unjudged_time"].value == pytest.approx(50.0)
+    assert math.isnan(score([silent])["found_of_judged"].value)
 
 
 def test_a_slip_without_its_times_is_refused():

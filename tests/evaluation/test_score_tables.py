@@ -78,6 +78,7 @@ def test_a_score_tells_every_kind_of_right_and_wrong():
     shares = {name: (one.value, one.of) for name, one in told.items() if one.unit == "1"}
     assert shares == {
         "found": (pytest.approx(2 / 3), 3),
+        "found_of_judged": (pytest.approx(2 / 3), 3),
         "found_first": (pytest.approx(1 / 3), 3),
         "early": (pytest.approx(1 / 3), 3),
         "late": (0.0, 3),
@@ -102,6 +103,7 @@ def test_a_score_tells_every_kind_of_right_and_wrong():
         "taken_for_rolls": (pytest.approx(1 / 6), 6),
         "pressing_alarms": (1 / 9, 9),
         "cannot_judge": (0.0, 9),
+        "slips_unjudged": (0.0, 3),
         "armed": (pytest.approx(2 / 3), 3),
         "armings_in_vain": (pytest.approx(3 / 5), 5),
         "roll_armed": (0.5, 2),

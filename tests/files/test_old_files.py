@@ -7,6 +7,7 @@ sweep with its journal, an interrupted journal, and an imported recording with i
 from __future__ import annotations
 
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import h5py
@@ -14,7 +15,9 @@ import numpy as np
 import pytest
 import recorded_run as run
 
+from rig.detector.detector import DETECTOR_VERSION
 from rig.detector.registered import chosen_detector
+from rig.detector.settings import DetectorSettings
 from rig.files.journal.reader import read_journal
 from rig.files.journal.writer import JournalWriter
 from rig.files.processed.reader import ProcessedFile
@@ -99,18 +102,24 @@ def test_an_old_interrupted_run_is_continued_and_recovered(old: Path) -> None:
         assert file.outcome.attempt == 2
 
 
-def test_an_old_processed_file_is_read_and_made_again_by_the_present_code(old: Path) -> None:
+def test_an_old_processed_file_is_read_and_its_parameters_find_the_same_slip_today(
+    old: Path,
+) -> None:
     target = old / "processed" / f"{IMPORT}.rig-1-31e5fc930dbe.h5"
+    before = target.read_bytes()
     with ProcessedFile.open(target) as processed:
         (first, *_) = [event for _, event in processed.events() if event.kind == "incipient slip"]
         assert first.time_s == 0.832
         assert processed.source.file_name == f"{IMPORT}.h5"
-    found = detect_file(DetectionJob(old / f"{IMPORT}.h5", chosen_detector("rig")))
+        assert list(processed.findings()) == []
+        settings = processed.settings
+    assert isinstance(settings, DetectorSettings)
+    chosen = replace(chosen_detector("rig"), settings=settings)
+    found = detect_file(DetectionJob(old / f"{IMPORT}.h5", chosen))
     assert isinstance(found, DetectionResult)
-    assert found.file == target
-    # It does not say which code made it, so it is made again, and says then what it said before.
-    assert not found.kept
-    assert "other code has made it" in found.warnings[0]
-    with ProcessedFile.open(target) as processed:
+    # The detector's version is another one, so that both results stand side by side.
+    assert found.file.name == f"{IMPORT}.rig-{DETECTOR_VERSION}-31e5fc930dbe.h5"
+    assert target.read_bytes() == before
+    with ProcessedFile.open(found.file) as processed:
         (again, *_) = [event for _, event in processed.events() if event.kind == "incipient slip"]
         assert again.time_s == first.time_s

@@ -73,7 +73,7 @@ def test_slips_that_the_run_has_recorded_are_shown_and_not_looked_for_again(jour
     shown = [(event["code"], event["t"], event["text"]) for event in view.slips]
     assert shown == [
         ("incipient slip", 2.5, "trial-001: slip-detected"),
-        ("early warning", 2.5, "trial-001: early-warning"),
+        ("motion under load begun", 2.5, "trial-001: early-warning"),
     ]
     assert [event["code"] for event in view.events] == ["servo"]
 

@@ -107,7 +107,7 @@ def baseline_score(volts: ArrayLike, rate_Hz: float, settings: BaselineSettings)
 def baseline_reports(
     volts: ArrayLike, rate_Hz: float, settings: BaselineSettings, factors: ArrayLike = (1.0,)
 ) -> list[DetectorReport]:
-    """Returns alarms and early warnings in `volts` (n, 2), one report for each factor on the
+    """Returns alarms and armings in `volts` (n, 2), one report for each factor on the
     threshold."""
     signal = _signal(volts, rate_Hz, settings)
     armed = _armed(signal, rate_Hz, settings)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from rig.core.settings import Settings, fingerprint
 from rig.detector import kernel
+from rig.detector.events import unjudged_s
 from rig.detector.registered import ChosenDetector
 from rig.evaluation.scoring.baselines import BaselineSettings, baseline_reports
 from rig.evaluation.scoring.outcomes import DetectorReport
@@ -20,16 +21,6 @@ Floats = NDArray[np.float64]
 FACTORS: tuple[float, ...] = tuple(2.0 ** (-half / 2) for half in range(-6, 7))
 """Factors on the threshold, descending: the points of a ROC. For a probability, the odds are
 multiplied by the square of the factor."""
-
-
-CANNOT_JUDGE = tuple(
-    kernel.REASONS[reason]
-    for reason in (
-        kernel.SATURATED, kernel.NOT_QUIET, kernel.FIRST_DEAD, kernel.SECOND_DEAD,
-        kernel.ONE_INVERTED,
-    )
-)  # fmt: skip
-"""Reasons of a rejected event that say that a recording, or a part of it, cannot be judged."""
 
 
 class Named(Protocol):
@@ -105,7 +96,8 @@ class DetectorContender:
             alarms_s=np.array(slips, dtype=np.float64),
             armings_s=np.array(armings, dtype=np.float64),
             rolls_s=np.array(rolls, dtype=np.float64),
-            cannot_judge=any(one.reason in CANNOT_JUDGE for one in events),
+            inverted=any(one.reason == kernel.REASONS[kernel.ONE_INVERTED] for one in events),
+            unjudged_s=unjudged_s(events, len(volts) / rate_Hz),
         )
 
 
@@ -129,5 +121,5 @@ class BaselineContender:
     def reports(
         self, volts: Floats, rate_Hz: float, factors: tuple[float, ...]
     ) -> list[DetectorReport]:
-        """Returns its alarms and early warnings at each threshold."""
+        """Returns its alarms and armings at each threshold."""
         return baseline_reports(volts, rate_Hz, self.settings, factors)

@@ -11,7 +11,7 @@ separately. What happens after the end of a record is not in its truth.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -84,11 +84,13 @@ class DetectorReport:
     alarms_s: Floats = field(default_factory=lambda: _NOTHING)
     """Incipient slips, (k,)."""
     armings_s: Floats = field(default_factory=lambda: _NOTHING)
-    """Early warnings, (m,)."""
+    """When a motion under load armed it, (m,)."""
     rolls_s: Floats = field(default_factory=lambda: _NOTHING)
     """Recognised rolls, (j,)."""
-    cannot_judge: bool = False
-    """True if the detector said that it cannot judge the recording."""
+    unjudged_s: tuple[tuple[float, float], ...] = ()
+    """Intervals of which the detector said that it cannot judge them, ascending."""
+    inverted: bool = False
+    """True if the detector said that one channel is inverted, so that no alarm is to be trusted."""
 
 
 @dataclass(frozen=True)
@@ -120,7 +122,14 @@ class TrialOutcome:
     """True if, in a slip, there was an alarm after the time in which it is found, whether it was
     found or not."""
     cannot_judge: bool
-    """True if the detector said that it cannot judge the recording."""
+    """True if the detector said that it cannot judge the recording, or a part of it."""
+    slip_unjudged: bool
+    """True if, in a slip, it judged no moment of the time in which an alarm finds the slip. Such a
+    slip is also missed: an alarm in that time would have to be taken back."""
+    unjudged_s: float
+    """Length of the time that it did not judge."""
+    record_s: float
+    """Length of the record; NaN if it is not known."""
     early_by_s: float
     """Time from the first early alarm to the slip of the whole ridge."""
     after_node_s: float
@@ -131,14 +140,14 @@ class TrialOutcome:
     before_gross_s: float
     """Time from that alarm to gross slip."""
     armed: bool
-    """True if there was an early warning between the start of the motion and the slip of the whole
-    ridge."""
+    """True if a motion under load armed the detector between the start of the motion and the slip
+    of the whole ridge."""
     arming_lead_s: float
-    """Time from the last of these early warnings to the slip of the whole ridge."""
+    """Time from the last of these armings to the slip of the whole ridge."""
     followed: int
-    """Number of these early warnings."""
+    """Number of these armings."""
     in_vain: int
-    """Number of early warnings in a motion without a slip of the whole ridge."""
+    """Number of armings in a motion without a slip of the whole ridge."""
     classified_as_roll: bool
     """True if the detector recognised a roll; in a slip, only before the whole ridge slipped."""
     false_alarms: int
@@ -198,7 +207,10 @@ def judge(truth: Truth, said: DetectorReport, traits: Mapping[str, float | str])
         alarmed_moving=bool(moved.size),
         alarmed_touching=bool(touching.any()),
         alarmed_after=bool(late.size),
-        cannot_judge=said.cannot_judge,
+        cannot_judge=bool(said.unjudged_s) or said.inverted,
+        slip_unjudged=truth.slipped and _covers(said.unjudged_s, *truth.window_s()),
+        unjudged_s=float(sum(end - begin for begin, end in said.unjudged_s)),
+        record_s=truth.record_s,
         early_by_s=truth.ridge_slip_s - float(early[0]) if early.size else math.nan,
         after_node_s=found_s - truth.node_slip_s,
         after_ridge_s=found_s - truth.ridge_slip_s,
@@ -214,6 +226,11 @@ def judge(truth: Truth, said: DetectorReport, traits: Mapping[str, float | str])
         quiet_s=float(sum(end - begin for begin, end in truth.quiet_s)),
         tick_phases=_tick_phases(truth, early if truth.slipped else moved),
     )
+
+
+def _covers(intervals: Sequence[tuple[float, float]], begin: float, end: float) -> bool:
+    """Returns whether one of the intervals contains all of the time from `begin` to `end`."""
+    return any(first <= begin and end <= last for first, last in intervals)
 
 
 def _tick_phases(truth: Truth, alarms: Floats) -> tuple[float, ...]:

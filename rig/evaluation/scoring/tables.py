@@ -190,6 +190,11 @@ def _quantities(outcomes: Sequence[TrialOutcome]) -> Iterator[tuple[str, ScoredN
     slips = [one for label in SLIPS for one in labelled(label)]
     if slips:
         yield "found", share(slips, lambda one: one.found)
+        yield (
+            "found_of_judged",
+            share([one for one in slips if not one.slip_unjudged], lambda one: one.found),
+        )
+        yield "slips_unjudged", share(slips, lambda one: one.slip_unjudged)
         yield "found_first", share(slips, lambda one: one.found_first)
         yield "early", share(slips, lambda one: one.early)
         yield "late", share(slips, lambda one: one.late)
@@ -219,6 +224,9 @@ def _quantities(outcomes: Sequence[TrialOutcome]) -> Iterator[tuple[str, ScoredN
     if outcomes:
         yield "pressing_alarms", share(outcomes, lambda one: one.alarmed_pressing)
         yield "cannot_judge", share(outcomes, lambda one: one.cannot_judge)
+    if timed := [one for one in outcomes if math.isfinite(one.record_s)]:
+        unjudged = 100 * sum(o.unjudged_s for o in timed) / sum(o.record_s for o in timed)
+        yield "unjudged_time", ScoredNumber(unjudged, math.nan, math.nan, len(timed), "%")
     yield from _alarms_per_hour(outcomes)
     phases = [phase for one in outcomes for phase in one.tick_phases]
     if len(phases) >= FEWEST_PHASES:

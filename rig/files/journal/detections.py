@@ -19,11 +19,15 @@ EVENT_CODES = {
     "incipient slip": "slip-detected",
     "roll": "roll-detected",
     "rejected": "slip-rejected",
+    "cannot judge": "slip-not-judged",
+    "judges again": "slip-judged-again",
 }
 """Codes of journal events by the kind of what was found (`rig.detector.events`)."""
 SHOWN_CODES = {
-    EVENT_CODES["predictive"]: "early warning",
+    EVENT_CODES["predictive"]: "motion under load begun",
     EVENT_CODES["incipient slip"]: "incipient slip",
+    EVENT_CODES["cannot judge"]: "cannot judge",
+    EVENT_CODES["judges again"]: "judges again",
 }
 """Those that are shown on an axis of time, and what they are called there."""
 UNSHOWN_CODES = (EVENT_CODES["roll"], EVENT_CODES["rejected"])

@@ -260,7 +260,7 @@ function chart(id, title, labels, scales, axes, opts = {}) {
 }
 
 function importance(event) {
-  return {"incipient slip": 0, "early warning": 3}[event.code] ?? (["warning", "error"].includes(event.level) ? 1 : 2);
+  return {"incipient slip": 0, "motion under load begun": 3}[event.code] ?? (["warning", "error"].includes(event.level) ? 1 : 2);
 }
 
 function drawEvents(plot) {

@@ -1,0 +1,166 @@
+"""The detector `rig` with a network of today's inputs: from the first touch on it knows gain and
+noise, without waiting for quiet.
+
+The network here has one unit by hand, so that what is tested is the kernel and not the training: a
+slip is an impulse above a share of the touch, and every motion is a roll.
+"""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from rig.detector import kernel
+from rig.detector.detector import IncipientSlipDetector
+from rig.detector.events import SlipEvent, unjudged_s
+from rig.detector.network import Network
+from rig.detector.settings import DetectorSettings
+
+RATE_Hz = 1000.0
+IMPULSE = "peak of v_d 3 ms"
+
+
+def by_hand(threshold: float = 2.0, roll_odds: float = -50.0) -> DetectorSettings:
+    """A network that reports a slip where the compressed impulse is above a threshold, and a roll
+    with odds that do not depend on its inputs."""
+    hidden = [40.0 if name == IMPULSE else 0.0 for name in kernel.INPUTS]
+    network = Network(
+        name="by hand",
+        inputs=kernel.INPUTS,
+        hidden=((*hidden, -40.0 * threshold),),
+        output=((50.0, 0.0), (0.0, roll_odds)),
+        first_seed=0,
+        last_seed=0,
+        trained_by="hand",
+    )
+    return DetectorSettings(network=network)
+
+
+def pressed_and_sheared(seed: int = 0, noise_mV: float = 0.1) -> np.ndarray:
+    """Volts (2200, 2): a press of 0.3 s to 4 N, rest, a shear from 1.2 s that ends in an impulse at
+    1.5 s, rest."""
+    time = np.arange(2200) / RATE_Hz
+    press = np.where((time > 0.3) & (time < 0.6), -4.5 * np.sin(np.pi * (time - 0.3) / 0.3), 0.0)
+    hump = 3.0 * np.clip((time - 1.2) / 0.05, 0, 1) * (time < 1.5)
+    v_d = 0.1 * press + hump - 30.0 * np.exp(-(((time - 1.5) / 0.0012) ** 2))
+    noise = noise_mV * np.random.default_rng(seed).standard_normal((2200, 2))
+    return 1e-3 * (np.column_stack([press + v_d / 2, press - v_d / 2]) + noise)
+
+
+def told(volts: np.ndarray, chosen: DetectorSettings | None = None) -> list[SlipEvent]:
+    detector = IncipientSlipDetector(chosen or by_hand(), RATE_Hz)
+    return detector.add(volts) + detector.finish()
+
+
+def samples(events: list[SlipEvent], kind: str = "incipient slip") -> list[int]:
+    return [event.sample for event in events if event.kind == kind]
+
+
+def drifting(volts: np.ndarray) -> np.ndarray:
+    """Adds the drift of a film that warms: 6 mV that decay within 4 s, unequal by a fifth."""
+    time = np.arange(len(volts)) / RATE_Hz
+    return volts + 6e-3 * np.exp(-time / 4)[:, None] * np.array([1.0, 0.8])
+
+
+def restless(volts: np.ndarray) -> np.ndarray:
+    """Adds a stage that shakes both strips at 31 Hz, from the first row on."""
+    time = np.arange(len(volts)) / RATE_Hz
+    shaking = 1.5e-3 * np.sin(2 * np.pi * 31 * time) * (1 + 0.6 * np.sin(2 * np.pi * 2 * time))
+    return volts + shaking[:, None]
+
+
+def bursting(volts: np.ndarray) -> np.ndarray:
+    """Adds a burst of 15 ms every 0.2 s to both channels alike."""
+    time = np.arange(len(volts)) / RATE_Hz
+    burst = 20e-3 * np.sin(2 * np.pi * 180 * time) * (time % 0.2 < 0.015)
+    return volts + burst[:, None]
+
+
+@pytest.mark.parametrize("spoilt", [drifting, restless, bursting])
+def test_a_recording_that_is_never_quiet_is_judged(spoilt):
+    volts = spoilt(pressed_and_sheared())
+    paper = IncipientSlipDetector(DetectorSettings(logic="paper-hp"), RATE_Hz)
+    begin = [event.kind for event in paper.add(volts[:1100])]
+    assert "cannot judge" in begin or spoilt is not bursting
+    events = told(volts)
+    assert unjudged_s(events, 2.2) == ()
+    (slip,) = samples(events)
+    assert 1498 <= slip <= 1504
+
+
+@pytest.mark.parametrize("gain", [0.1, 0.25, 0.5, 3.0])
+def test_the_gain_of_the_amplifiers_makes_no_difference(gain: float):
+    volts = pressed_and_sheared(1)
+    assert samples(told(gain * volts)) == samples(told(volts)) != []
+    looks = IncipientSlipDetector(by_hand(), RATE_Hz).network_inputs(volts)
+    changed = IncipientSlipDetector(by_hand(), RATE_Hz).network_inputs(gain * volts)
+    rows = np.intersect1d(looks.rows, changed.rows)
+    rows = rows[rows > 800]  # the touch-down is over
+    here, there = np.isin(looks.rows, rows), np.isin(changed.rows, rows)
+    at = kernel.INPUTS.index(IMPULSE)
+    assert rows.size > 100
+    np.testing.assert_allclose(changed.inputs[there, at], looks.inputs[here, at], rtol=0.03)
+
+
+def test_before_the_first_touch_the_gain_is_not_known_and_that_is_an_input():
+    looks = IncipientSlipDetector(by_hand(), RATE_Hz).network_inputs(pressed_and_sheared())
+    touched = looks.inputs[:, kernel.INPUTS.index("touched")] > 0
+    assert not touched[looks.rows < 500].any()
+    assert touched[looks.rows > 800].all()
+
+
+@given(cuts=st.lists(st.integers(1, 2199), max_size=40))
+@settings(max_examples=20, deadline=None)
+def test_events_do_not_know_how_the_rows_came(cuts: list[int]):
+    volts = bursting(drifting(pressed_and_sheared(2, noise_mV=0.8)))
+    detector = IncipientSlipDetector(by_hand(), RATE_Hz)
+    events = [
+        event for block in np.split(volts, sorted(set(cuts))) for event in detector.add(block)
+    ]
+    assert events + detector.finish() == told(volts)
+
+
+def test_bursts_and_motion_do_not_raise_the_noise():
+    still = IncipientSlipDetector(by_hand(), RATE_Hz)
+    still.add(np.tile(pressed_and_sheared(3)[:250], (8, 1)))
+    moved = IncipientSlipDetector(by_hand(), RATE_Hz)
+    moved.add(bursting(pressed_and_sheared(3)))
+    for name in ("noise", "fast_noise"):
+        np.testing.assert_allclose(moved._state[name], still._state[name], rtol=0.35)
+
+
+def test_noise_that_hides_slips_is_said_and_not_judged():
+    volts = pressed_and_sheared(4)
+    volts[900:] += 20e-3 * np.random.default_rng(4).standard_normal((1300, 2))
+    # The least of the latest pieces decides, so that the noise has to last.
+    hidden = 20e-3 * np.random.default_rng(5).standard_normal((6000, 2))
+    events = told(np.concatenate([volts, hidden, hidden]))
+    (cannot,) = [event for event in events if event.kind == "cannot judge"]
+    assert cannot.reason.startswith("too noisy")
+    assert not [slip for slip in samples(events) if slip > cannot.sample]
+    assert unjudged_s(events, 14.2) == ((cannot.time_s, 14.2),)
+
+
+def test_touch_downs_and_taps_are_no_rolls():
+    """A network that calls everything a roll is believed only in a motion under load."""
+    rolls = by_hand(roll_odds=50.0)
+    volts = pressed_and_sheared(5)
+    assert samples(told(volts[:1150], rolls), "roll") == []
+    tapped = volts[:1150].copy()
+    tap = -12e-3 * np.sin(np.pi * np.arange(40) / 40)
+    tapped[1000:1040] += np.column_stack([1.2 * tap, 0.8 * tap])
+    assert samples(told(tapped, rolls), "roll") == []
+    (roll,) = samples(told(volts, rolls), "roll")
+    assert roll >= 1300
+
+
+def test_a_network_of_earlier_inputs_still_works():
+    inputs = kernel.FIXED_INPUTS
+    earlier = by_hand().network
+    assert earlier is not None
+    hidden = earlier.hidden[0]
+    network = earlier.model_copy(
+        update={"inputs": inputs, "hidden": ((*hidden[: len(inputs)], hidden[-1]),)}
+    )
+    events = told(pressed_and_sheared(6), DetectorSettings(network=network))
+    assert samples(events)
