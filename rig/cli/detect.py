@@ -79,15 +79,27 @@ def detect(
             digest = detection_digest(wanted)
             work = [DetectionJob(file.absolute(), wanted, there, digest, True) for file in files]
         answers: dict[int, Answer] = {}
-        reported_files = 0
-        with _DetectionProgress(len(files)) as progress:
-            results = completed(detect_file, work, jobs or processors(), scheduler)
-            for number, result in results:
-                answers[number] = _answer(result, work[number], files[number])
-                progress.done(len(answers), files[number])
-                while reported_files in answers:
-                    _tell(files[reported_files], answers[reported_files], as_json, debug)
-                    reported_files += 1
+        told = 0
+
+        def answered(number: int, result: DetectionResult | DetectionFailure | RigError) -> None:
+            """Keep an answer; report those whose turn in the order of the files has come."""
+            nonlocal told
+            answers[number] = _answer(result, work[number], files[number])
+            while told in answers:
+                _tell(files[told], answers[told], as_json, debug)
+                told += 1
+
+        # A file that is not there is refused at once, not as 1/1 behind others' hours of work.
+        there_is = [k for k, file in enumerate(files) if scheduler is not None or file.exists()]
+        for number in range(len(files)):
+            if number not in there_is:
+                answered(number, detect_file(work[number]))
+        with _DetectionProgress(len(there_is)) as progress:
+            present = [work[number] for number in there_is]
+            results = completed(detect_file, present, jobs or processors(), scheduler)
+            for done, (number, result) in enumerate(results, 1):
+                progress.done(done, files[there_is[number]])
+                answered(there_is[number], result)
         remark = literal_remark(wanted, list(answers.values()))
         if remark is not None:
             say(remark)

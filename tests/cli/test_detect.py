@@ -97,6 +97,14 @@ def test_processes_and_one_after_the_other_give_the_same_bytes(rig: Any, runs: l
     assert contents(rig.folder / "by-3") == one
 
 
+def test_a_file_that_is_not_there_is_refused_without_progress(rig: Any) -> None:
+    done = rig.run("detect", *HP, "none.h5", "nor-this.h5")
+    assert done.code == 8
+    assert [line for line in done.stderr.splitlines() if "/2" in line or "/1" in line] == []
+    assert [line.partition(":")[0] for line in done.errors] == ["error", "error"]
+    assert "none.h5: no such file" in done.stderr
+
+
 @pytest.mark.thorough
 def test_a_file_that_fails_is_named_and_the_others_go_on(rig: Any, runs: list[str]) -> None:
     compile_run(recorded_run.write_run(rig.folder / "sweep.rigj"))
