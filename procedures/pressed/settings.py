@@ -30,6 +30,7 @@ from procedures.pressed.contact import (
 from rig.bench.settings import STRIPS, FixtureSettings
 from rig.core.errors import RigError
 from rig.core.settings import Settings as BaseSettings
+from rig.core.settings import name_without_unit
 from rig.detector import DEFAULT_DETECTOR
 from rig.files.journal.detections import NO_DETECTOR
 from rig.instruments.roles import Acquisition, InputChannel
@@ -261,20 +262,40 @@ def summary_of(readings: Sequence[Reading], names: Sequence[str]) -> dict[str, A
     found: dict[str, Any] = {"trials": len(readings), "valid_trials": len(counting)}
     if readings and "tick_Hz" in readings[-1]:  # not in files of before
         found["tick_Hz"] = readings[-1]["tick_Hz"]
+    errors: dict[str, float] = {}
     for name in names:
         values = [float(value) for r in counting if (value := r.get(name)) is not None]
         if values:
             found[f"mean_{name}"] = statistics.fmean(values)
         if len(values) > 1:
             found[f"standard_deviation_{name}"] = statistics.stdev(values)
+            errors[f"mean_{name}"] = statistics.stdev(values) / math.sqrt(len(values))
+        elif values and (own := _own_error(counting, name)) is not None:
+            errors[f"mean_{name}"] = own
+    if errors:
+        found["standard_errors"] = errors
     put_in = {"put_in": sentences} if (sentences := _put_in(readings)) else {}
     return found | _touch_gains_of(readings) | force_zero_of(readings) | put_in
 
 
+def _own_error(readings: Sequence[Reading], name: str) -> float | None:
+    """Return the standard error that the one reading with this value states itself, if it does."""
+    (reading,) = (r for r in readings if r.get(name) is not None)
+    quantity = name_without_unit(name)
+    error = reading.get(f"{quantity}_error{name.removeprefix(quantity)}")
+    return None if error is None else float(error)
+
+
+def truth_of(readings: Sequence[Reading]) -> dict[str, Any]:
+    """Return the simulated bench's record of the latest trial that has one; empty on a real one."""
+    told = [str(truth) for r in readings if (truth := r.get("simulated_truth"))]
+    known: dict[str, Any] = json.loads(told[-1]) if told else {}
+    return known
+
+
 def _put_in(readings: Sequence[Reading]) -> list[str]:
     """Return what the simulated bench put into the trials, in words; nothing on a real one."""
-    told = [str(truth) for r in readings if (truth := r.get("simulated_truth"))]
-    known = json.loads(told[-1]) if told else {}
+    known = truth_of(readings)
     lines = []
     if (body := known.get("object", {})).get("shape") in ("cylinder", "sphere"):
         shape = f"a {body['shape']} of {body['radius_mm']:g} mm radius"

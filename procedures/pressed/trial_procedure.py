@@ -17,6 +17,7 @@ from procedures.pressed.settings import (
     PressedSettings,
     import_what_a_trial_needs,
     summary_of,
+    truth_of,
 )
 from procedures.pressed.torque_limit import require_torque_limit
 from procedures.pressed.way_down import held_speed_bound, require_possible
@@ -37,6 +38,10 @@ class TrialProcedure(Procedure):
     drift: ClassVar[Mapping[str, DriftFigure]] = TOUCH_DRIFT
     summary_labels: ClassVar[Mapping[str, str]] = SUMMARY_LABELS
     point_name = ("trial", "trials")
+    method = (
+        "Counts, and means and standard deviations over the valid trials; the error of a mean is "
+        "that of the trials' scatter, of a single trial its own"
+    )
     summary_keys: ClassVar[tuple[str, ...]] = (
         "force_error_rms_percent",
         "force_error_peak_percent",
@@ -95,3 +100,15 @@ class TrialProcedure(Procedure):
         """Return how many trials are valid, and the means and standard deviations of the
         `summary_keys` over the valid ones."""
         return summary_of(readings, self.summary_keys)
+
+    def put_in(self, readings: Sequence[Reading], summary: Mapping[str, Any]) -> Mapping[str, Any]:
+        """Return the friction of the simulated skin, beside what was recovered of it."""
+        known = truth_of(readings)
+        return {
+            name: known[there]
+            for name, there in (
+                ("mean_static_friction", "static_coefficient"),
+                ("mean_kinetic_friction", "kinetic_coefficient"),
+            )
+            if name in summary and there in known
+        }

@@ -69,6 +69,15 @@ class Sweep(Procedure):
         "gain_near_200_Hz_error_dB": "gain near 200 Hz, standard error; dB",
         "gain_near_200_Hz_at_Hz": "gain near 200 Hz, measured at; Hz",
     }
+    method = (
+        "Joint weighted least squares of gain and phase: a circuit of 20 dB/decade with one pole, "
+        "and second-order notches; 95 % intervals; verdicts are two one-sided tests of 5 % against "
+        "model/bounds"
+    )
+    summary_origins = {  # noqa: RUF012
+        "model.bounds": "set",
+        "model.circuit.circuit_corner_Hz": "computed from the paper's Table 1",
+    }
     drift = {"gain_near_200_Hz_dB": DriftFigure("gain near 200 Hz", "film", 0.5)}  # noqa: RUF012
 
     settings: SweepSettings
@@ -186,6 +195,12 @@ class Sweep(Procedure):
             **contact.force_zero_of(readings),
             **model(readings, several, settings.bounds),
         }
+
+    def put_in(self, readings: Sequence[Reading], summary: Mapping[str, Any]) -> Mapping[str, Any]:
+        """Return the film of the simulated bench, beside what was recovered of it."""
+        from procedures.sweep.summary import put_in
+
+        return put_in(readings, summary)
 
 
 # --- the plan ---------------------------------------------------------------------------------

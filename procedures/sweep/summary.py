@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -15,6 +15,9 @@ from rig.analysis.response.curve import CurveError, ResponseCurve, points_of
 from rig.analysis.verdict import Bounds
 from rig.run.checked_procedure import TRUTH
 from rig.run.points import Reading
+
+if TYPE_CHECKING:
+    from rig.analysis.film.truth import FilmTruth
 
 NEAR_200 = 1.26
 """Largest ratio to 200 Hz of a frequency near it: a tenth of a decade, the coarse grid's step."""
@@ -60,7 +63,6 @@ def model(readings: Sequence[Reading], several_loads: bool, bounds: Bounds) -> d
         return {}
     # Takes long to import, so never imported while something is switched on.
     from rig.analysis.film.gain_curve import analyse
-    from rig.analysis.film.truth import FilmTruth
 
     def of_loads(name: str) -> npt.NDArray[np.float64] | None:
         return _column(readings, name) if several_loads else None
@@ -78,9 +80,34 @@ def model(readings: Sequence[Reading], several_loads: bool, bounds: Bounds) -> d
         )
     except CurveError:
         return {}
+    return {"analysis": found.sentences(_truth(readings)), "model": found.as_dict()}
+
+
+def put_in(readings: Sequence[Reading], summary: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the numbers of the simulated film by the names of those that recover them; of each
+    notch the frequency, NaN for one that the film has not. Empty without film or model."""
+    from rig.analysis.film.model import FIRST_ORDER_SLOPE
+
+    truth, found = _truth(readings), summary.get("model")
+    if truth is None or found is None:
+        return {}
+    near = [truth.drop_near_Hz(drop["frequency"]["value"]) for drop in found["drops"]]
+    return {
+        "model.level": truth.level_dB,
+        "model.corner": truth.corner_Hz,
+        "model.asymptotic_slope": FIRST_ORDER_SLOPE,
+        "model.preload_effect": truth.gain_per_newton_dB,
+        "model.linearity.slope": truth.gain_per_load_decade_dB,
+        "model.drops.frequency": [math.nan if one is None else one for one in near],
+    }
+
+
+def _truth(readings: Sequence[Reading]) -> FilmTruth | None:
+    """Return the film of a simulated bench; None on a real one."""
+    from rig.analysis.film.truth import FilmTruth
+
     told = [str(reading[TRUTH]) for reading in readings if reading.get(TRUTH)]
-    truth = FilmTruth.of(told[0] if told else None)
-    return {"analysis": found.sentences(truth), "model": found.as_dict()}
+    return FilmTruth.of(told[0] if told else None)
 
 
 def _gain_near_200(readings: Sequence[Reading]) -> dict[str, Any]:

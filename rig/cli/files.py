@@ -16,7 +16,7 @@ from rig.core.errors import ConfigurationError, ExitCode, FoundWrongError
 from rig.core.text import printable
 
 if TYPE_CHECKING:
-    from rig.files.journal.values import RunHeader
+    from rig.files.journal.values import Results, RunHeader
     from rig.processing.analyses import Analyses
     from rig.run.points import Reading
 
@@ -78,7 +78,10 @@ def resume(
 def show(
     files: Files,
     all_settings: Annotated[
-        bool, typer.Option("--all", help="Show the settings that have their default, too.")
+        bool,
+        typer.Option(
+            "--all", help="Show tables of results and the settings that have their default, too."
+        ),
     ] = False,
     figures: Annotated[bool, typer.Option(help="Draw the figures of the files again.")] = False,
     figures_to: Annotated[
@@ -112,7 +115,7 @@ def show(
                 contents = read_journal(path)
                 header, readings = contents.header, [kept.reading for kept in contents.kept()]
                 said = describe(path, header, ending_of(contents))
-                said |= _results(header, readings)
+                said |= _results(header, readings, contents.results, as_json, all_settings)
                 shown(said if all_settings or as_json else _without_defaults(said, header))
                 continue
             doubts = [f"warning: {path.name}: {found}" for found in checksum_findings(path)]
@@ -124,7 +127,8 @@ def show(
                 with RunFile.open(path) as run:
                     _say_all(doubts)
                     said = describe(path, run.header, run.outcome)
-                    said |= _results(run.header, run.readings()) | _analysed(analyse_run(run))
+                    said |= _results(run.header, run.readings(), run.results, as_json, all_settings)
+                    said |= _analysed(analyse_run(run))
                     shown(said if all_settings or as_json else _without_defaults(said, run.header))
             if draws:
                 _draw(path, figures_to, pdf, say if as_json else _print)
@@ -165,33 +169,50 @@ def recover(files: Files, debug: Debug = False) -> None:
             raise typer.Exit(int(failed.code or ExitCode.INTERNAL))
 
 
-def _results(header: RunHeader, readings: Sequence[Reading]) -> dict[str, Any]:
-    """Return the procedure's own summary of the readings as ``results``, where it is installed and
-    still takes them; one that is broken costs a line, not the command."""
+def _results(
+    header: RunHeader,
+    readings: Sequence[Reading],
+    stored: Results | None,
+    as_json: bool,
+    whole: bool,
+) -> dict[str, Any]:
+    """Return the results as they are stored, as ``results``, and what this program finds otherwise.
+    Those of a file that has none are computed now."""
+    from rig.cli.results import compared, compared_in_words, computed_now
+
+    now = _recomputed(header, readings)
+    if stored is None:
+        return {} if now is None else computed_now(now, as_json, whole)
+    return compared(stored, now) if as_json else compared_in_words(stored, now, whole)
+
+
+def _recomputed(header: RunHeader, readings: Sequence[Reading]) -> Results | None:
+    """Return what the procedure computes from the readings now, where it is installed and still
+    takes them; one that is broken costs a line, not the command."""
     from pydantic import ValidationError
 
     from rig.core.entry_points import PROCEDURES, names
     from rig.core.errors import RigError
-    from rig.run.checked_procedure import CheckedProcedure
     from rig.run.load_procedure import load_procedure
+    from rig.run.results import results_of
 
     if header.procedure not in names(PROCEDURES) or not readings:
-        return {}
+        return None
     try:
         procedure = load_procedure(header.procedure)
     except ConfigurationError as error:
         say(f"warning: no summary: {error.one_line()}")
-        return {}
+        return None
     try:
         settings = procedure.Settings.model_validate_json(json.dumps(header.settings))
     except ValidationError:  # written by another version of the procedure
-        return {}
+        return None
     try:
-        return {"results": dict(CheckedProcedure(procedure(settings)).summarise(readings))}
+        return results_of(procedure(settings), readings, bool(header.simulated))
     except RigError as error:
         if not isinstance(error.__cause__, KeyError):  # then another version has written the file
             say(f"warning: no summary: {error.one_line()}")
-        return {}
+        return None
 
 
 def _without_defaults(said: dict[str, Any], header: RunHeader) -> dict[str, Any]:

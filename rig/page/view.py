@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from rig.files.journal.detections import SHOWN_CODES, UNSHOWN_CODES
 from rig.files.journal.format import Block, JournalRecord, PointBegin, PointDiscard, PointKeep
-from rig.files.journal.values import End, JournalEvent, RunHeader, Stream, StreamState
+from rig.files.journal.values import End, JournalEvent, Results, RunHeader, Stream, StreamState
 from rig.page.ring import Ring
 
 MOST_CHANNELS = 16
@@ -121,6 +121,8 @@ class RunView:
 
     def take(self, record: JournalRecord) -> None:
         """Take the next record of the journal."""
+        if isinstance(record, Results):
+            return
         if self.end is not None and not isinstance(record, End):
             # Another attempt records behind the end of the one before. It may press again long
             # before its first point, and a bench that was left unsafe would have refused it.

@@ -18,7 +18,7 @@ from rig.files.errors import JournalError
 from rig.files.journal.follow import JournalTail
 from rig.files.journal.format import JournalRecord, PointDiscard
 from rig.files.journal.reader import DAMAGED, NEVER_CLOSED
-from rig.files.journal.values import End, JournalEvent, RunHeader
+from rig.files.journal.values import End, JournalEvent, Results, RunHeader
 from rig.files.naming import JOURNAL_SUFFIX, RUN_SUFFIX
 from rig.files.runfile.reader import RunFile
 from rig.page.folder import FoundFile, ResultsFolder
@@ -199,7 +199,8 @@ class BenchWatch:
         with self.lock:
             for record in records:
                 self.view.take(record)
-                if self.stop is not None and self.stop.over and not isinstance(record, End):
+                goes_on = not isinstance(record, (End, Results))
+                if self.stop is not None and self.stop.over and goes_on:
                     self.stop = None  # another attempt at the same run
                 if self.stop is not None and not self.behind:
                     self.stop.reacted |= _reacts(record)

@@ -106,6 +106,14 @@ class CheckedProcedure:
             raise self._fault(f"summarise() returned {_kind(found)}, not a mapping")
         return found
 
+    def put_in(self, readings: Sequence[Reading], summary: Mapping[str, Any]) -> Mapping[str, Any]:
+        """Return what a simulated bench had put in, by the name of the value that recovers it."""
+        with self._blamed():
+            found: Any = self._procedure.put_in(readings, summary)
+        if not isinstance(found, Mapping):
+            raise self._fault(f"put_in() returned {_kind(found)}, not a mapping")
+        return found
+
     def _points(self, hook: str, found: Any) -> tuple[Point, ...]:
         points = tuple(found) if isinstance(found, (tuple, list)) else (found,)
         for point in points:

@@ -44,6 +44,7 @@ from rig.run.phases import Phases, RunPhase
 from rig.run.point_loop import PointLoop
 from rig.run.points import Point, check_points, require_roles
 from rig.run.press_references import PressReferences
+from rig.run.results import results_of
 from rig.run.stopping import StopFlag, StopRequestedError
 from rig.run.time_of_day import jump_in_words
 
@@ -184,7 +185,6 @@ class _Execution:
             unregister_interlocks()
             self._end_interlocks()
         self._save()
-        self._summarise()
         if self.outcome.off_failures:
             self._hand_over()
         else:
@@ -349,7 +349,8 @@ class _Execution:
             self.outcome.warnings.append(told.one_line())
 
     def _save(self) -> None:
-        """Close the journal and compile it; every step is tried even if an earlier one fails."""
+        """Put the end on the disk, add the results, close the journal and compile it; every step is
+        tried even if an earlier one fails."""
         self.phases.enter(RunPhase.SAVING)
         outcome = self.outcome
         compiled = self.job.compiled or outcome.status != "complete"
@@ -363,10 +364,12 @@ class _Execution:
                     continue  # it is in the journal
                 self.run.event("error", type(failure).__name__, failure.one_line())
             self.recorder.put_end(self.journal.end(outcome, self.run.elapsed_s()))
-        with self._saving():
-            self.recorder.close()
+            self.recorder.barrier()
         if outcome.status == "failed":
             self._forget_what_is_not_in_the_journal()
+        self._summarise()
+        with self._saving():
+            self.recorder.close()
         if compiled:
             with self._saving():
                 outcome.file = compile_run(self.journal.path, retire=True)
@@ -376,13 +379,16 @@ class _Execution:
             outcome.journal = self.journal.path
 
     def _summarise(self) -> None:
-        """Ask the procedure for its summary; one that fails costs the summary and nothing else."""
+        """Ask the procedure for its summary and record it as the run's results. The data are on the
+        disk already: whatever fails here is a warning and costs the results, nothing else."""
         try:
-            self.outcome.summary = self.procedure.summarise(self.loop.readings())
-        except RigError as error:
-            self.outcome.failures.append(error)
-            if self.outcome.code == ExitCode.DONE:
-                self.outcome.code = error.code
+            found = results_of(self.job.procedure, self.loop.readings(), self.bench.simulated)
+            self.outcome.summary = found.values
+            if self.readings:
+                self.recorder.put_results(found)
+        except Exception as error:  # noqa: BLE001 - a bug in an analysis does not end what follows
+            told = error if isinstance(error, RigError) else internal(error)
+            self.outcome.warnings.append(f"no results in the run file: {told.one_line()}")
 
     def _forget_what_is_not_in_the_journal(self) -> None:
         """Drop the readings that are not in the journal, after a failure of the disk."""

@@ -188,11 +188,7 @@ class RunJob:
             "collection": self.collection,
             "run_number": self.run_number,
             "start_time": time_of_day.now_iso(),
-            "program": {
-                "name": PROGRAM,
-                "version": rig.__version__,
-                "configuration": source_state(),
-            },
+            "program": present_program(),
             "settings": self.settings.model_dump(mode="json"),
             "setting_units": {name: unit for name, _, unit in leaves(self.settings) if unit},
             "fingerprint": self.fingerprint(bench_toml),
@@ -232,6 +228,11 @@ class RunJob:
                 for stream in self.procedure.streams
             ],
         }
+
+
+def present_program() -> dict[str, str]:
+    """Return name, version and source of this program, as journals have them."""
+    return {"name": PROGRAM, "version": rig.__version__, "configuration": source_state()}
 
 
 def _latest(interrupted: JournalContents) -> datetime | None:

@@ -18,7 +18,8 @@ Hooks are called in this order:
     take(run, point)                  each point in turn
     why_invalid(reading)              after each point
     refine(readings)                  after the last point of the first plan: further points
-    summarise(readings)               when the bench is safe and the data are saved
+    summarise(readings)               when the bench is safe and the data are on the disk
+    put_in(readings, summary)         after it, for a run on a simulated bench
 
 The planning hooks (all but `check`, `arm` and `take`) must not touch an instrument: they are called
 without one, for instance when a batch is planned. The runner owns the loop between the hooks. From
@@ -93,6 +94,12 @@ class Procedure(ABC):
     summary_labels: ClassVar[Mapping[str, str]] = MappingProxyType({})
     """Label and, after a semicolon, unit of values of the summary, by name, for the terminal. The
     other values are shown by their names."""
+    method: ClassVar[str] = ""
+    """How the summary is computed, in a sentence for the run file."""
+    summary_origins: ClassVar[Mapping[str, str]] = MappingProxyType({})
+    """Where values of the summary come from that were not measured, by name: ``set`` for a setting,
+    ``calibrated`` for a number of a calibration, or in words. A dotted name reaches into tables
+    (``model.bounds``); a table's origin is that of all that is in it."""
     point_name: ClassVar[tuple[str, str]] = ("point", "points")
     """Noun for one of its points, and for several."""
 
@@ -180,8 +187,17 @@ class Procedure(ABC):
     def summarise(self, readings: Sequence[Reading]) -> Mapping[str, Any]:
         """Return the results of the whole run for the closing lines and ``--json``.
 
-        Called when the bench is safe and the data are saved, also for a run that was stopped:
-        `readings` may be empty. It is called for old run files too (``rig show``). An exception
-        costs the summary and makes the exit code 1; the data stay saved.
+        Called when the bench is safe and the data are on the disk, also for a run that was stopped:
+        `readings` may be empty. It is called for old run files too (``rig show``). The run file has
+        the result as ``/entry/results``. There, a table with the keys value, standard_error, low,
+        high and unit is an estimate, and a table ``standard_errors`` has the errors of other values
+        by their names. An exception costs the summary and is a warning; the data stay saved.
+        """
+        return {}
+
+    def put_in(self, readings: Sequence[Reading], summary: Mapping[str, Any]) -> Mapping[str, Any]:
+        """Return what a simulated bench had put in, by the dotted name of the value of the summary
+        that recovers it, in the same unit. Called for a simulated run, after `summarise`; for a
+        list of tables a name has a list.
         """
         return {}

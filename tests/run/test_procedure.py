@@ -231,19 +231,48 @@ def test_what_a_hook_raises_is_the_fault_of_its_package(
     assert procedure.log.count("off") == procedure.log.count("on") or hook == "arm"
 
 
-def test_a_summary_that_fails_costs_the_summary_only(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def unlike_json(*_: Any) -> dict[str, Any]:
+    return {"file": open}
+
+
+@pytest.mark.parametrize("hook", ["summarise", "put_in"])
+@pytest.mark.parametrize("what", [dividing, leaving, unlike_json])
+def test_a_summary_that_fails_costs_the_results_and_is_a_warning(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, hook: str, what: Callable[..., Any]
 ) -> None:
-    procedure = made(summarise=dividing)(Settings())
-    outcome = run_of(procedure, tmp_path, monkeypatch)
-    assert outcome.code is ExitCode.INTERNAL
-    assert outcome.status == "complete"
-    assert "a fault in the package test_procedure" in outcome.failures[0].message
+    procedure = made(**{hook: what})(Settings())
+    outcome = run_of(procedure, tmp_path, monkeypatch, simulated=hook == "put_in")
+    assert (outcome.code, outcome.status) == (ExitCode.DONE, "complete")
+    assert outcome.failures == []
+    (warning,) = outcome.warnings
+    assert warning.startswith("no results in the run file: ")
+    assert what is unlike_json or "a fault in the package test_procedure" in warning
     assert procedure.log[-1] == "guard: done"
     assert outcome.file is not None
     with RunFile.open(outcome.file) as run:
         assert run.outcome.status == "complete"
         assert run.point_ids() == ["first", "second"]
+        assert run.results is None
+
+
+def test_the_end_is_on_the_disk_before_the_summary_is_computed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen: list[str] = []
+
+    def summarise(procedure: Any, readings: Any) -> dict[str, Any]:
+        (journal,) = tmp_path.rglob("*.rigj")
+        contents = read_journal(journal)
+        seen.extend([*procedure.log, contents.ends[-1].status, *contents.kept_ids()])
+        return {"points": len(readings)}
+
+    outcome = run_of(made(summarise=summarise)(Settings()), tmp_path, monkeypatch)
+    assert outcome.code is ExitCode.DONE
+    assert seen[-4:] == ["guard: safe", "complete", "first", "second"]
+    assert outcome.file is not None
+    with RunFile.open(outcome.file) as run:
+        assert run.results is not None
+        assert run.results.values == {"points": 2}
 
 
 def test_an_unknown_procedure_is_refused() -> None:

@@ -332,9 +332,14 @@ def _put_in(value: float | None, unit: str) -> str:
 def _linearity_as_dict(linearity: LoadLinearity | None, bounds: Bounds) -> dict[str, Any] | None:
     if linearity is None:
         return None
-    arrays = ("frequencies", "slopes", "slope_errors", "worst_deviations")
+    columns = {
+        "frequency_Hz": linearity.frequencies,
+        "slope_dB_decade": linearity.slopes,
+        "slope_error_dB_decade": linearity.slope_errors,
+        "worst_deviation_dB": linearity.worst_deviations,
+    }
     return {
-        **{name: getattr(linearity, name).tolist() for name in arrays},
+        "by_frequency": {name: column.tolist() for name, column in columns.items()},
         "slope": linearity.slope.as_dict(),
         "largest_difference": linearity.largest_difference.as_dict(),
         "differing_loads_N": list(linearity.differing_loads_N),

@@ -28,7 +28,7 @@ from rig.files.journal.format import (
     JournalRecord,
     decode,
 )
-from rig.files.journal.values import End, RunHeader
+from rig.files.journal.values import End, Results, RunHeader
 
 READ_BYTES = 1 << 20
 """Bytes that are read at a time; a longer record is read whole."""
@@ -147,7 +147,7 @@ class JournalTail:
                 record = self._decode(buffer[begin : begin + need])
                 records.append(record)
                 self._offset += need
-                self.ended = isinstance(record, End)
+                self.ended = isinstance(record, End) or (self.ended and isinstance(record, Results))
         except BadRecord as error:
             self.problem = f"bad record at byte {self._offset}: {error}"
             self._seen = now

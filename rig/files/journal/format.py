@@ -23,7 +23,7 @@ from typing import Any
 from pydantic import BaseModel, ValidationError
 
 from rig.core.errors import ConfigurationError
-from rig.files.journal.values import End, JournalEvent, RunHeader, StreamState
+from rig.files.journal.values import End, JournalEvent, Results, RunHeader, StreamState
 
 MAGIC = b"RIGJ0001"
 MAX_PAYLOAD = 16 << 20
@@ -45,6 +45,7 @@ class RecordKind(IntEnum):
     POINT_DISCARD = 6
     END = 7
     STREAM = 8
+    RESULTS = 9
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,7 +88,15 @@ class PointDiscard:
 
 
 JournalRecord = (
-    RunHeader | Block | JournalEvent | PointBegin | PointKeep | PointDiscard | End | StreamState
+    RunHeader
+    | Block
+    | JournalEvent
+    | PointBegin
+    | PointKeep
+    | PointDiscard
+    | End
+    | StreamState
+    | Results
 )
 
 
@@ -223,6 +232,8 @@ def _decode_json(
             return JournalEvent.model_validate(value)
         if kind == RecordKind.END:
             return End.model_validate(value)
+        if kind == RecordKind.RESULTS:
+            return Results.model_validate(value)
         state = StreamState.model_validate(value)
         if header is not None:
             header.check_state(state)

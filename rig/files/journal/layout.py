@@ -22,7 +22,7 @@ RESERVED_GROUPS = frozenset(
         *("definition", "title", "start_time", "end_time", "duration", "program_name"),
         *("identifier_experiment", "identifier_collection", "user", "sample", "parameters"),
         *("configuration", "journal_header", "notes", "outcome", "events", "instrument"),
-        *("simulated_truth", "simulated_world", "origin"),
+        *("simulated_truth", "simulated_world", "origin", "results"),
         *("points", "attempts", "waveforms", "discarded", "between_points", "blocks"),
     }
 )

@@ -28,7 +28,7 @@ from rig.files.journal.format import (
     from_json,
 )
 from rig.files.journal.segments import Attempt, Grouping, Segment
-from rig.files.journal.values import LONGEST_S, End, JournalEvent, RunHeader
+from rig.files.journal.values import LONGEST_S, End, JournalEvent, Results, RunHeader
 
 MAX_REMEMBERED = 64 << 20
 """Bytes of points and events a journal may have; a real night has a twentieth of it. They grow some
@@ -56,6 +56,8 @@ class JournalContents:
     grouping: Grouping
     events: list[JournalEvent] = field(default_factory=list)
     ends: list[End] = field(default_factory=list)
+    results: Results | None = None
+    """The results of the attempt that ended last; None where none were recorded behind its END."""
     last_is_end: bool = False
     last_time: float = 0.0
     """Latest time in the journal, in s since the run's start."""
@@ -210,7 +212,11 @@ def _header(reader: _Reader, path: Path) -> RunHeader:
 
 def _take(contents: JournalContents, record: JournalRecord) -> None:
     contents.grouping.follow(record)
-    contents.last_is_end = isinstance(record, End)
+    # Results belong to the END before them; those of an earlier attempt lack its later points.
+    contents.results = record if isinstance(record, Results) else None
+    contents.last_is_end = isinstance(record, End) or (
+        contents.last_is_end and isinstance(record, Results)
+    )
     if isinstance(record, Block):
         contents.last_time = max(contents.last_time, record.host_time)
     elif isinstance(record, JournalEvent):

@@ -14,7 +14,7 @@ from typing import Any, Self
 
 from rig.core.threads import start_thread
 from rig.files.errors import JournalMovedError, RecordingError
-from rig.files.journal.values import End, JournalEvent, StreamState
+from rig.files.journal.values import End, JournalEvent, Results, StreamState
 from rig.files.journal.writer import JournalWriter, encode_or_raise
 
 SYNC_INTERVAL_S = 0.25
@@ -93,6 +93,10 @@ class Recorder:
     def put_end(self, fields: Mapping[str, Any] | End) -> None:
         """Record how the run, or this attempt at it, ended."""
         self._put_records(lambda: [self._journal.encoder.end(fields)])
+
+    def put_results(self, fields: Mapping[str, Any] | Results) -> None:
+        """Record what was computed from all readings, behind the END."""
+        self._put_records(lambda: [self._journal.encoder.results(fields)])
 
     def check(self) -> None:
         """Raise the thread's first error, if there is one; JournalMovedError once only, since what

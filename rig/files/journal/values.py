@@ -202,6 +202,30 @@ class End(Settings):
     exit: Annotated[int, Field(ge=0, le=255)] = 0
 
 
+class Results(Settings):
+    """What the procedure has computed from the readings of the whole run: its summary.
+
+    It follows the END that it belongs to. A journal may lack it: the summary is computed when the
+    data are on the disk, and may fail.
+    """
+
+    model_config = ConfigDict(allow_inf_nan=True)
+
+    program: Program
+    """The program that computed it; a resumed run may have been begun by another version."""
+    method: Short = ""
+    """How it was computed, in a sentence."""
+    values: Tree
+    """The summary, nested. An estimate is a table with value, standard_error, low, high, unit."""
+    origins: dict[Short, Short] = Field(default_factory=dict)
+    """Dotted name of a value, or of a group of values, to where it comes from; whatever is not
+    named was measured."""
+    put_in: Tree = Field(default_factory=dict)
+    """Dotted name of a value to what a simulated World had put in, in the same unit."""
+    labels: dict[Short, Short] = Field(default_factory=dict)
+    """Name of a value to what it means."""
+
+
 class RunHeader(Settings):
     """The description of a run that a journal has before the first sample."""
 

@@ -32,7 +32,7 @@ from rig.files.journal.format import (
     json_record,
 )
 from rig.files.journal.reader import JournalContents, KeptPoint, read_journal
-from rig.files.journal.values import End, JournalEvent, RunHeader, StreamState
+from rig.files.journal.values import End, JournalEvent, Results, RunHeader, StreamState
 from rig.files.naming import journal_path, next_run_path
 
 __all__ = [
@@ -117,6 +117,10 @@ class JournalEncoder:
     def end(self, fields: Mapping[str, Any] | End) -> bytes:
         """Return a record of how the run ended."""
         return json_record(RecordKind.END, End.model_validate(fields))
+
+    def results(self, fields: Mapping[str, Any] | Results) -> bytes:
+        """Return a record of what was computed from all readings, behind the END."""
+        return json_record(RecordKind.RESULTS, Results.model_validate(fields))
 
     def _check_open(self, point_id: str) -> None:
         if self._open != point_id:
@@ -255,6 +259,10 @@ class JournalWriter:
     def end(self, fields: Mapping[str, Any] | End) -> None:
         """Write how the run, or this attempt at it, ended."""
         self._record(lambda: [self.encoder.end(fields)])
+
+    def results(self, fields: Mapping[str, Any] | Results) -> None:
+        """Write what was computed from all readings, behind the END."""
+        self._record(lambda: [self.encoder.results(fields)])
 
     def _record(self, encode: Any) -> None:
         self.append(encode_or_raise(self.path, encode))

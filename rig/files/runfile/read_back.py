@@ -25,6 +25,7 @@ from rig.files.runfile.sample_groups import (
 )
 from rig.files.runfile.sample_walk import SampleWalk, channel_digests
 from rig.files.runfile.table import PointTable, point_table
+from rig.files.runfile.write_results import result_differences
 
 if TYPE_CHECKING:
     import h5py
@@ -44,6 +45,7 @@ def differences(walk: SampleWalk, file: Path) -> list[str]:
         with h5py.File(file) as opened:
             entry = opened["entry"]
             found = list(_text_differences(entry, contents))
+            found += result_differences(entry, contents.results)
             found += _table_differences(entry, contents, point_table(contents))
             found += _sample_differences(entry, walk)
             return found

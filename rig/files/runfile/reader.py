@@ -18,7 +18,7 @@ from rig.files.file_kind import IN_WORDS, kind_of
 from rig.files.hdf5.open_file import OpenFile
 from rig.files.hdf5.safe_reading import DAMAGE, refuse_links, text_of, texts_of, whole
 from rig.files.journal.format import from_json
-from rig.files.journal.values import RunHeader
+from rig.files.journal.values import Results, RunHeader
 from rig.files.runfile.former_names import column_in, with_present_keys
 
 if TYPE_CHECKING:
@@ -139,6 +139,15 @@ class RunFile(OpenFile):
                 warnings=tuple(texts_of(group["warnings"])),
                 imported=imported,
             )
+
+    @property
+    def results(self) -> Results | None:
+        """What the procedure computed when the run ended; None where the file has no results, as
+        those of earlier versions and of imports."""
+        with _naming(self.path):
+            if "results" not in self.entry:
+                return None
+            return Results.model_validate(from_json(text_of(self.entry["results/record"])))
 
     def point_ids(self) -> list[str]:
         """Return the ids of the kept points, in the order of ``column``'s rows."""

@@ -35,6 +35,7 @@ from rig.files.journal.values import (
 )
 from rig.files.runfile.table import PointTable
 from rig.files.runfile.write_plots import write_plot
+from rig.files.runfile.write_results import write_results
 
 if TYPE_CHECKING:
     import h5py
@@ -100,6 +101,7 @@ def write_entry(entry: h5py.Group, contents: JournalContents, table: PointTable)
     _write_points(group(entry, "points", "NXcollection"), contents, table)
     _write_truth(entry, contents, table)
     _write_world(entry, header)
+    write_results(entry, contents.results)
     for plot in header.layout.plots:
         title = header.marked(plot.title or header.title)
         write_plot(entry, plot, header.layout, table, title)

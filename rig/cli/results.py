@@ -1,0 +1,117 @@
+"""Results as `rig show` shows them: as they are stored, and beside them what this program finds
+otherwise."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict
+from typing import Any
+
+from rig.analysis.estimate import Estimate
+from rig.files.journal.values import Program, Results
+from rig.files.runfile.result_fields import ESTIMATE
+from rig.run.results import Difference, differences
+
+COMMIT_LETTERS = 10
+
+
+def compared(stored: Results, now: Results | None) -> dict[str, Any]:
+    """Return the stored results, who computed them and how, and what differs now, for JSON.
+
+    Without results of the present program nothing is said of differences.
+    """
+    shown: dict[str, Any] = {
+        "results": stored.values,
+        "results_by": stored.program.model_dump(),
+        "results_method": stored.method,
+        "results_origins": stored.origins,
+        "results_put_in": stored.put_in,
+    }
+    if now is not None:
+        found = differences(stored.values, now.values)
+        shown["recomputed"] = {
+            "by": now.program.model_dump(),
+            "differences": {name: asdict(one) for name, one in found.items()},
+        }
+    return shown
+
+
+def compared_in_words(stored: Results, now: Results | None, whole: bool) -> dict[str, Any]:
+    """Return the stored results with a remark at each value that differs now, for reading.
+
+    Tables, such as the numbers of a film's model, are shown where `whole`; what differs in them is
+    shown in any case.
+    """
+    before = stored.program
+    said = f"{before.name} {_named(before, full=True)}"
+    found: dict[str, str] = {}
+    if now is not None:
+        full = before.version == now.program.version
+        by, anew_by = _named(before, full), _named(now.program, full)
+        found = {
+            name: _remark(one, by, anew_by)
+            for name, one in differences(stored.values, now.values).items()
+        }
+        if before != now.program:
+            same = "" if found else ", which finds the same"
+            said += f"; this is {_named(now.program, full=True)}{same}"
+    return {"results": _in_words(stored.values, found, whole), "results_by": said}
+
+
+def computed_now(now: Results, as_json: bool, whole: bool) -> dict[str, Any]:
+    """Return the results of a file that has none, as the present program computes them."""
+    if as_json:
+        return {"results": now.values, "results_by": now.program.model_dump(), "stored": False}
+    by = f"computed now by {now.program.name} {_named(now.program, full=True)}; none are stored"
+    return {"results": _in_words(now.values, {}, whole), "results_by": by}
+
+
+def _named(program: Program, full: bool) -> str:
+    """Return the version, with the commit where `full`: ``0.9.1 (1a2b3c4d5e+dirty)``."""
+    if not full or not program.configuration:
+        return program.version
+    commit, plus, dirty = program.configuration.partition("+")
+    return f"{program.version} ({commit[:COMMIT_LETTERS]}{plus}{dirty})"
+
+
+def _remark(one: Difference, by: str, anew_by: str) -> str:
+    """Return ``stored 20 dB/decade by A, recomputed 19.9 by B``."""
+    unit = f" {one.unit}" if one.unit else ""
+    anew = "nothing" if one.recomputed is None else _shown(one.recomputed)
+    if one.stored is None:
+        return f"not stored by {by}, {anew}{unit} by {anew_by}"
+    return f"stored {_shown(one.stored)}{unit} by {by}, recomputed {anew} by {anew_by}"
+
+
+def _in_words(values: Mapping[str, Any], found: Mapping[str, str], whole: bool) -> dict[str, Any]:
+    """Return the values, or their remarks, with an estimate as a line; tables where `whole`."""
+    shown: dict[str, Any] = {}
+    for key, value in values.items():
+        if whole or not isinstance(value, Mapping):
+            shown[key] = _worded(value, found, str(key))
+    elsewhere = {name: said for name, said in found.items() if name.partition(".")[0] not in shown}
+    return shown | elsewhere
+
+
+def _worded(value: Any, found: Mapping[str, str], name: str) -> Any:
+    if name in found:
+        return found[name]
+    if isinstance(value, Mapping):
+        if value.keys() == ESTIMATE:
+            return str(Estimate(**{**value, **_infinite(value)}))
+        return {key: _worded(inner, found, f"{name}.{key}") for key, inner in value.items()}
+    if isinstance(value, list):
+        return [_worded(inner, found, f"{name}.{number}") for number, inner in enumerate(value, 1)]
+    return value
+
+
+def _infinite(estimate: Mapping[str, Any]) -> dict[str, float]:
+    """Return the numbers of an estimate that JSON has as None: they are not finite."""
+    return {key: math.inf for key, number in estimate.items() if number is None}
+
+
+def _shown(value: Any) -> str:
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    return f"{len(value)} values" if isinstance(value, (list, Mapping)) else str(value)
