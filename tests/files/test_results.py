@@ -21,6 +21,7 @@ from rig.files.runfile.compile import compile_run
 from rig.files.runfile.reader import RunFile
 from rig.files.runfile.result_fields import result_fields
 from rig.files.verify import verify
+from rig.run.results import Difference, differences
 
 SLOPE = {"value": 20.01, "standard_error": 0.02, "low": 19.97, "high": 20.05, "unit": "dB/decade"}
 DROPS = [
@@ -76,7 +77,7 @@ def test_each_number_is_a_field_with_error_unit_and_origin(file: Path) -> None:
         assert process["program"][()] == b"tactile-rig"
         assert process["program"].attrs["configuration"] == "abc"
         assert process["version"][()] == b"0.9.1"
-        assert process["method"][()] == b"least squares"
+        assert process["method/data"][()] == b"least squares"
         slope = process["values/model/slope"]
         assert slope[()] == 20.01
         assert dict(slope.attrs) == {
@@ -202,8 +203,35 @@ def test_results_that_no_field_can_hold_do_not_cost_the_file(
     file = compile_run(journal)
     with h5py.File(file) as opened:
         assert "values" not in opened["entry/results"]
-        assert b"no such thing" in opened["entry/results/failure"][()]
+        assert b"no such thing" in opened["entry/results/failure/data"][()]
     with RunFile.open(file) as opened:
         assert opened.results is not None
         assert opened.results.values == VALUES
         assert opened.outcome.points_done == 5
+
+
+def test_what_two_versions_find_differently_is_named_and_nothing_else() -> None:
+    now = {
+        **VALUES,
+        "mean_static_friction": 0.68 * (1 + 1e-9),
+        "model": {**VALUES["model"], "slope": {**SLOPE, "value": 19.9}, "new": 3.0},
+    }
+    assert differences(VALUES, VALUES) == {}
+    assert differences(VALUES, now) == {
+        "model.slope": Difference(20.01, 19.9, "dB/decade"),
+        "model.new": Difference(None, 3.0),
+    }
+    within = {**SLOPE, "value": 20.01 + 0.009 * SLOPE["standard_error"]}
+    assert differences({"slope": SLOPE}, {"slope": within}) == {}
+
+
+def test_show_says_beside_the_stored_value_what_this_version_finds(rig: Any) -> None:
+    stored = {"points": 5, "largest_gain_standard_error_dB": 0.02, "model": {"slope": SLOPE}}
+    file = compile_run(recorded(rig.folder / "a.rigj", values=stored))
+    shown = rig.run("show", str(file))
+    assert shown.code == 0, shown.stderr
+    assert "results_by: tactile-rig 0.9.1 (abc)" in shown.stdout
+    told = rig.run("show", "--json", str(file)).object
+    assert told["results"] == stored
+    assert told["results_by"]["version"] == "0.9.1"
+    assert told["results_method"] == "least squares"

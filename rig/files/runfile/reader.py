@@ -147,7 +147,7 @@ class RunFile(OpenFile):
         with _naming(self.path):
             if "results" not in self.entry:
                 return None
-            return Results.model_validate(from_json(text_of(self.entry["results/record"])))
+            return Results.model_validate(from_json(text_of(self.entry["results/record/data"])))
 
     def point_ids(self) -> list[str]:
         """Return the ids of the kept points, in the order of ``column``'s rows."""

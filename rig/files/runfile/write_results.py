@@ -14,6 +14,7 @@ from rig.files.hdf5.nexus import (
     set_attributes,
     text_field,
     texts_field,
+    write_note,
 )
 from rig.files.hdf5.safe_reading import text_of, texts_of, whole
 from rig.files.journal.format import to_json
@@ -28,7 +29,7 @@ RESULTS = "results"
 VALUES = "values"
 """Name of the group of its fields."""
 FAILURE = "failure"
-"""Name of the text that says why there are no fields."""
+"""Name of the note that says why there are no fields."""
 
 
 def write_results(entry: h5py.Group, results: Results | None) -> None:
@@ -40,8 +41,8 @@ def write_results(entry: h5py.Group, results: Results | None) -> None:
         results.program.configuration
     )
     text_field(made, "version", results.program.version)
-    text_field(made, "method", results.method)
-    text_field(made, "record", to_json(results))
+    write_note(made, "method", "text/plain", "", results.method)
+    write_note(made, "record", "application/json", "results.json", to_json(results))
     values = group(made, VALUES, "NXcollection")
     try:
         for field in result_fields(results):
@@ -53,7 +54,7 @@ def write_results(entry: h5py.Group, results: Results | None) -> None:
         # Data come first: results that no field can hold do not cost the file. They are in the
         # record. A disk that is full is found by the next step.
         del made[VALUES]
-        text_field(made, FAILURE, f"no fields: {type(error).__name__}: {error}")
+        write_note(made, FAILURE, "text/plain", "", f"{type(error).__name__}: {error}")
 
 
 def _write(place: h5py.Group, name: str, value: Any) -> h5py.Dataset:
@@ -77,7 +78,7 @@ def result_differences(entry: h5py.Group, results: Results | None) -> Iterator[s
         if RESULTS in entry:
             yield f"{RESULTS} is there, although the journal has none"
         return
-    if text_of(entry[f"{RESULTS}/record"]) != to_json(results):
+    if text_of(entry[f"{RESULTS}/record/data"]) != to_json(results):
         yield f"{RESULTS}/record differs"
     if FAILURE in entry[RESULTS]:
         return
