@@ -25,7 +25,6 @@ from rig.analysis.slope import slopes
 from rig.core.errors import (
     ConfigurationError,
     InstrumentError,
-    InstrumentTimeoutError,
     LimitError,
     UnsafeError,
 )
@@ -358,8 +357,8 @@ def unload(run: Run, pressed: str, came_from_mm: float) -> None:
     stage = run.bench.stage_z
     try:
         stage.stop()
-    except InstrumentTimeoutError:
-        stage.stop()  # one answer was lost: a second request fits into the drive's own time-out
+    except InstrumentError:
+        stage.stop()  # one answer was lost or spoilt: there is time for a second request
     timed_out = False
     try:
         try:

@@ -30,6 +30,7 @@ from procedures.roll_trial.settings import (
     NUDGES,
     SETTLED_S,
     RollTrialSettings,
+    TURN_deg_s,
 )
 from rig.bench.settings import FixtureSettings
 from rig.core.errors import ConfigurationError, LimitError
@@ -88,11 +89,12 @@ class RollTrial(TrialProcedure):
     def points(self) -> tuple[Point, ...]:
         """Return one point per trial."""
         settings = self.settings
-        motion_s = settings.profile.duration_s + SETTLED_S
+        tick_Hz = 1 / settings.tick_s  # at most: the links of the stages are not known here
+        motion_s = settings.profile_at(tick_Hz).duration_s + SETTLED_S
         aligned = settings.alignment != "none"
         first_s = pressing_s(settings) + 2 * len(NUDGES) * NUDGED_S if aligned else 0.0
         moves = (
-            Move("rotary.speed", settings.turn_speed_deg_s, ("turn_speed_deg_s",)),
+            Move("rotary.speed", settings.turn_speed_at_deg_s(tick_Hz), ("turn_speed_deg_s",)),
             Move(
                 "rotary.acceleration",
                 settings.turn_acceleration_deg_s2,
@@ -139,7 +141,7 @@ class RollTrial(TrialProcedure):
             f"{fixture.centre_mm:g} mm in the middle {settings.start_mm:+g} mm",
         )
         if curve:
-            turns = settings.profile.turns(settings.tick_s)
+            turns = settings.profile_at(1 / settings.tick_s).turns(settings.tick_s)
             fastest = max((turn.speed_deg_s for turn in turns), default=0.0)
             named = f"{as_option(settings, 'profile_times_s')} with {as_option(settings, angle)}"
             self._require(bench, "rotary.speed", fastest, f"{named} turns at", "its fastest part")
@@ -182,9 +184,18 @@ class RollTrial(TrialProcedure):
         object's reference, the skin being clear of it."""
         self.start_series(run)
         assert self._series is not None
+        tick_Hz = self._series.rates.tick_Hz
+        speed_deg_s = self.settings.turn_speed_at_deg_s(tick_Hz)
+        if self.settings.turn_speed_deg_s is None and speed_deg_s < TURN_deg_s:
+            run.event(
+                "warning",
+                "turn-speed",
+                f"the object is turned at {speed_deg_s:.3g} deg/s and not at {TURN_deg_s:g} deg/s, "
+                f"since the servo holds the force at {tick_Hz:.3g} Hz; --turn-speed sets another",
+            )
         if self.settings.alignment == "none":
             run.event("warning", "alignment", "the offset of the rotary axis is not known")
-        rotary, x, tick_Hz = run.bench.rotary, run.bench.stage_x, self._series.rates.tick_Hz
+        rotary, x = run.bench.rotary, run.bench.stage_x
         run.arm("x", x.stop, emergency=x.make_safe, done="x stage stopped")
         stopped = "rotary stage stopped"
         arm_pressed(run, "roll", lambda: _stand(run), rotary.make_safe, stopped, tick_Hz)

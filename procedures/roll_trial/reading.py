@@ -86,7 +86,7 @@ def _strips(settings: RollTrialSettings, record: RollTrialRecord) -> Reading:
     t = np.arange(len(volts)) / DECIMATED_Hz - record.filter_delay_s
     before = (t >= _zero_from_s(record)) & (t < record.motion_from_s)
     volts = volts - volts[before].mean(axis=0)
-    way_s = settings.profile.duration_s / 2
+    way_s = settings.profile_at(record.tick_Hz).duration_s / 2
     there = (t >= record.motion_from_s) & (t < record.motion_from_s + way_s)
     rolled = (t >= record.motion_from_s) & (t < record.motion_to_s)
     peaks = [1e3 * float(column[np.argmax(np.abs(column))]) for column in volts[there].T]

@@ -6,12 +6,14 @@ from typing import Literal
 
 from pydantic import Field, model_validator
 
-from procedures.pressed.settings import PressedSettings
+from procedures.pressed.settings import PressedSettings, TICK_Hz
 from procedures.roll_trial.profile import Curve, Profile, ThereAndBack
 
 NUDGES = (0, 1, 0, -1, 0)
 NUDGED_S = 0.35
 """Time of a nudge, which measures the axis, including the time until the rubber is at rest."""
+TURN_deg_s = 12.0
+"""Largest speed of the turn at `TICK_Hz` ticks of the servo (paper 5)."""
 SETTLED_S = 0.05
 """Time by which a stage may be late at the end of its profile."""
 HOMING_ROTARY_S = 1.0
@@ -23,8 +25,9 @@ class RollTrialSettings(PressedSettings):
 
     angle_deg: float = 3.5
     """Angle of the roll from upright and back (paper 5); positive rolls towards +x."""
-    turn_speed_deg_s: float = Field(default=12.0, gt=0)
-    """Largest speed of the turn."""
+    turn_speed_deg_s: float | None = Field(default=None, gt=0)
+    """Largest speed of the turn. Default: 12 deg/s (paper 5), or as much less as the servo has
+    fewer than 100 ticks a second to hold the force: 3 deg/s at 25 Hz."""
     turn_acceleration_deg_s2: float = Field(default=60.0, gt=0)
     """Acceleration of the turn."""
     stay_s: float = Field(default=0.3, ge=0, le=60)
@@ -69,14 +72,22 @@ class RollTrialSettings(PressedSettings):
         to it differently."""
         return f"{self.object} at {self.start_mm:g} mm".lstrip()
 
-    @property
-    def profile(self) -> Profile:
-        """Profile of the roll."""
+    def turn_speed_at_deg_s(self, tick_Hz: float) -> float:
+        """Return the largest speed of the turn where the servo has this many ticks a second. By
+        default a tick is 0.12 deg of the turn, or less: that far the force is held within the
+        default errors on every model of stage (docs/safety.md)."""
+        return self.turn_speed_deg_s or TURN_deg_s * min(1.0, tick_Hz / TICK_Hz)
+
+    def profile_at(self, tick_Hz: float) -> Profile:
+        """Return the profile of the roll where the servo has this many ticks a second."""
         if self.profile_times_s:
             own = (self.profile_times_s, self.profile_angles_deg)
             return Curve(*own, acceleration_deg_s2=self.turn_acceleration_deg_s2)
         return ThereAndBack(
-            self.angle_deg, self.turn_speed_deg_s, self.turn_acceleration_deg_s2, self.stay_s
+            self.angle_deg,
+            self.turn_speed_at_deg_s(tick_Hz),
+            self.turn_acceleration_deg_s2,
+            self.stay_s,
         )
 
     @property

@@ -195,7 +195,7 @@ class RollTrialRun(HeadTrial):
         """Offset of the rotary axis that x compensates for."""
         if series.offset is not None and self.settings.alignment == "compensate":
             self._offset_mm = series.offset.value
-        self._profile = self.settings.profile
+        self._profile = self.settings.profile_at(series.rates.tick_Hz)
         self._turns = list(self._profile.turns(series.rates.tick_s))
 
     def roll(self) -> None:

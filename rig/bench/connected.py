@@ -118,6 +118,14 @@ class Bench:
             limits["load_cell.load"] = Reach(0.0, largest, "N", "load cell")
         return limits
 
+    def hand_over(self) -> None:
+        """Close every instrument, so that another program can reach all of them: a serial port or a
+        line answers one at a time. `close` has still to be called; nothing else may be."""
+        self.links.close()
+        close_all(self.instruments)
+        with contextlib.suppress(RigError):
+            self.clock.set_free()
+
     def close(self) -> None:
         """Close every instrument; a failure of one does not prevent closing the others."""
         self.links.close()

@@ -226,6 +226,8 @@ def _done(procedure: type[Procedure], outcome: RunOutcome) -> str:
 
 
 def _bench_state(outcome: RunOutcome) -> str:
+    if outcome.off_failures and outcome.taken_over is not None and outcome.taken_over.safe:
+        return "Bench was made safe by the guard (see above); before"
     if outcome.off_failures:
         return "Bench is NOT safe (see above); done"
     if not outcome.safe:

@@ -186,6 +186,10 @@ class Clock(ABC):
         simulated bench has sent; does nothing in real time."""
         return lambda: None
 
+    def set_free(self) -> None:  # noqa: B027 - real time passes by itself
+        """Let the time of a simulated bench pass by itself from now on: another program acts on
+        it. Nobody may wait on this clock any more."""
+
     def close(self) -> None:  # noqa: B027 - nothing to release in real time
         """Release the resources of the clock."""
 
@@ -276,6 +280,10 @@ class SlavedClock(Clock):
     def announce(self, run: int, point: int) -> None:
         """Announce to the bench which point comes next."""
         self._control.request("point", run=run, point=point)
+
+    def set_free(self) -> None:
+        """Let bench time follow real time from now on."""
+        self._control.request("free")
 
     def close(self) -> None:
         """End the bench this clock drives."""

@@ -192,9 +192,7 @@ class _Execution:
 
     def _hand_over(self) -> None:
         """Leave the bench to the guard, and mark the bench as that leaves it."""
-        if "force_sensor" in self.bench.instruments:
-            with contextlib.suppress(RigError, OSError):
-                self.bench.force_sensor.close()  # one program at a time can read it
+        self.bench.hand_over()
         over_limit = [off.name for off in self.outcome.off_failures if off.over_limit]
         taken = self.outcome.taken_over = self.guard.take_over(over_limit)
         # Between the two the guard's own mark stays: it says what may still be pressed.

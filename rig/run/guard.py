@@ -39,6 +39,7 @@ from rig.core.errors import RigError
 
 if TYPE_CHECKING:
     from rig.bench.plan import BenchPlan
+    from rig.run.arming import Arming
     from rig.run.still_pressed import PressedState
 
 
@@ -58,6 +59,9 @@ write to a full one would wait for ever; so there is always room for the message
 safe and that the run is done."""
 ENDING_S = 5.0
 """Longest time in s that a guard with nothing left to do may take to end before it is killed."""
+AGAIN_S, AGAIN_EVERY_S = 5.0, 0.5
+"""Time in s for which the guard tries again what did not answer, and the pause before each try: a
+switch that starts anew or an adapter that was unplugged is there again within a few seconds."""
 REST_S = 10.0
 """Longest time in which an axis comes to rest, in addition to the waits for its answers."""
 
@@ -410,13 +414,13 @@ def longest_make_safe_s(settings: Any) -> float:
 
 def longest_take_over_s(plan: BenchPlan) -> float:
     """Return the longest time in s that the guard of a bench may take to act."""
-    each_s = (longest_make_safe_s(part.settings) for part in plan.instruments)
-    return sum(each_s) + PRESSED_S + REST_S + COMPILED_S
+    each_s = [longest_make_safe_s(part.settings) for part in plan.instruments]
+    return 2 * sum(each_s) + AGAIN_S + PRESSED_S + REST_S + COMPILED_S
 
 
-def make_bench_safe(bench_toml: str, source: str) -> MadeSafe:
+def make_bench_safe(bench_toml: str, source: str, again_s: float = 0.0) -> MadeSafe:
     """Call every driver's `make_safe` in the order of the roles, each isolated from the others'
-    failures and each with a deadline.
+    failures and each with a deadline. What failed is tried again for `again_s` seconds.
 
     An instrument whose driver or settings cannot be used is reported as a failure; the others are
     made safe. Raises ConfigurationError if the text describes no instrument at all.
@@ -430,15 +434,24 @@ def make_bench_safe(bench_toml: str, source: str) -> MadeSafe:
     for part in reversed(described.instruments):
         off = partial(part.driver.make_safe, part.settings)
         arming.register(part.role, off, longest_make_safe_s(part.settings))
-    failed = {f.name: f.reason.removeprefix(f"{f.name}: ") for f in arming.make_safe()}
+    failed = _make_safe(arming)
+    give_up_s = time.monotonic() + again_s
+    while failed and time.monotonic() < give_up_s:
+        time.sleep(AGAIN_EVERY_S)
+        failed = _make_safe(arming)  # what has worked is not armed any more
     safe = not described.failures and all(role in MEASURING_ROLES for role in failed)
     return MadeSafe(failed | described.failures, safe)
+
+
+def _make_safe(arming: Arming) -> dict[str, str]:
+    """Run what is armed; return the reasons of what failed, by role."""
+    return {f.name: f.reason.removeprefix(f"{f.name}: ") for f in arming.make_safe()}
 
 
 def _make_safe_as_ordered(order: dict[str, Any]) -> MadeSafe:
     """Make the bench safe; any exception becomes a failure, for the report."""
     try:
-        return make_bench_safe(order["bench_toml"], order["bench_source"])
+        return make_bench_safe(order["bench_toml"], order["bench_source"], AGAIN_S)
     except Exception as error:  # noqa: BLE001 - the report keeps the next run from starting
         return MadeSafe({"bench": f"{type(error).__name__}: {error}"}, False)
 

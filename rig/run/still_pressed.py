@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from datetime import datetime
@@ -19,7 +20,7 @@ from rig.bench.connect import connect
 from rig.bench.connected import Bench, close_all
 from rig.bench.plan import BenchPlan, parse_bench
 from rig.core.clock import WallClock
-from rig.core.errors import RigError
+from rig.core.errors import InstrumentError, RigError
 from rig.instruments.roles import Instrument
 from rig.run.interlock_store import InterlockStore
 from rig.run.lift import Lift
@@ -28,6 +29,8 @@ RATE_S_S = 500.0
 SECONDS = 0.3
 """Time in s over which the force is averaged: above the sensor's noise, and within a person's
 patience."""
+AGAIN_S, AGAIN_EVERY_S = 5.0, 0.5
+"""Time in s for which a z that does not answer is tried again, and the pause before each try."""
 PRESSED_N = 0.4
 """Force above which something is pressed: far above the sensor's noise and its drift in a run."""
 
@@ -47,6 +50,8 @@ class PressedState:
     """The same, if the force is over its limit; else None."""
     released: bool = False
     """True if z is known to stand clear of contact, and nothing is felt."""
+    answered: bool = True
+    """False if z did not answer, or not any more on its way up: it may do so a moment later."""
 
 
 @dataclass(frozen=True)
@@ -70,13 +75,21 @@ def pressed_state(bench_toml: str, source: str, orders: Orders) -> PressedState:
     """Connect to z and force sensor of a bench that was stopped, read both, lift z off what it may
     press (`rig.run.lift`), read both again, and leave z stopped.
 
-    z is lifted without a force sensor, too, where that does not answer. A bench that cannot be read
-    is not an error: the text says so.
+    z is lifted without a force sensor, too, where that does not answer. Where z itself does not it
+    is tried again, for `AGAIN_S`. A bench that cannot be read is not an error: the text says so.
     """
-    try:
-        return _measured(parse_bench(bench_toml, source), orders)
-    except Exception as error:  # noqa: BLE001 - the guard has to report, whatever it met
-        return PressedState(f"not known whether something is still pressed: {_why(error)}")
+    begun_s = time.monotonic()
+    while True:
+        passed_s = time.monotonic() - begun_s
+        try:
+            now = replace(orders, within_s=orders.within_s - passed_s)
+            state = _measured(parse_bench(bench_toml, source), now)
+        except Exception as error:  # noqa: BLE001 - the guard has to report, whatever it met
+            text = f"not known whether something is still pressed: {_why(error)}"
+            state = PressedState(text, answered=not isinstance(error, InstrumentError))
+        if state.answered or time.monotonic() - begun_s > AGAIN_S:
+            return state
+        time.sleep(AGAIN_EVERY_S)
 
 
 def _measured(whole: BenchPlan, orders: Orders) -> PressedState:
@@ -109,7 +122,8 @@ def _lifted(bench: Bench, sensor: _Sensor, lift: Lift, orders: Orders) -> Presse
     try:
         lift.carry_out(sensor.latest_N)
     except (RigError, OSError) as error:
-        return _look(bench, sensor, lift).state(f"; not lifted: {_why(error)}")
+        state = _look(bench, sensor, lift).state(f"; not lifted: {_why(error)}")
+        return replace(state, answered=not isinstance(error, InstrumentError))
     after = _look(bench, sensor, lift)
     text = f"{before.in_words(past=True)}; stage_z was lifted: {after.in_words()}"
     # It has moved off what it pressed, whether or not a force sensor shows it.

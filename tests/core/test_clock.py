@@ -58,7 +58,9 @@ def slaved_bench(**streams: Callable[[], int]) -> Iterator[SlavedBench]:
     loop = asyncio.new_event_loop()
     thread = threading.Thread(target=loop.run_forever)
     thread.start()
-    server = ControlServer(bench.world, streams, bench.ended.set, bench.orphaned.set)
+    server = ControlServer(
+        bench.world, streams, bench.ended.set, bench.orphaned.set, bench.orphaned.set
+    )
     bench.port = asyncio.run_coroutine_threadsafe(server.start(), loop).result(10)
 
     async def end() -> None:

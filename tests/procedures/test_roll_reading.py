@@ -25,7 +25,7 @@ def rolled(rest_s: float, scale: float = 1.0, noise_mV: np.ndarray | float = 0.0
     settings = RollTrialSettings(rest_s=rest_s)
     found = RollTrialRecord(1, 100.0, 1000.0)
     found.tapped_s, found.motion_from_s = 1.0, 1.0 + rest_s
-    way_s = settings.profile.duration_s / 2
+    way_s = settings.profile_at(100.0).duration_s / 2
     found.motion_to_s = found.motion_from_s + 2 * way_s
     t = np.arange(round(1000 * (found.motion_to_s + 0.2))) / 1000
     v_2 = np.where((t >= 1.0) & (t < 1.06), -4.0, 0.0)

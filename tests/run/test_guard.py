@@ -316,3 +316,27 @@ def test_a_report_that_cannot_be_written_keeps_no_data_back(bench: Bench) -> Non
     assert report["safe"] is True
     assert "not compiled" in report["file"]
     assert bench.outputs()[-1][0] is False
+
+
+def test_what_does_not_answer_is_tried_again_for_a_while_and_what_did_is_left_alone(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    asked: list[str] = []
+
+    def part(role: str, tries: int) -> Any:
+        def make_safe(settings: object) -> None:
+            asked.append(role)
+            if asked.count(role) < tries:
+                raise InstrumentError(role, "stop", "no answer", "switch it on")
+
+        driver = SimpleNamespace(make_safe=make_safe)
+        return SimpleNamespace(role=role, driver=driver, settings=SimpleNamespace(timeout_s=1.0))
+
+    parts = part("generator", 1), part("stage_z", 3)
+    described = SimpleNamespace(instruments=parts, failures={})
+    monkeypatch.setattr("rig.bench.plan.parse_to_make_safe", lambda *_: described)
+    monkeypatch.setattr("rig.run.guard.AGAIN_EVERY_S", 0.01)
+    made = make_bench_safe("", "bench.toml", again_s=PATIENCE_S)
+    assert made.safe
+    assert made.failures == {}
+    assert asked == ["generator", "stage_z", "stage_z", "stage_z"]

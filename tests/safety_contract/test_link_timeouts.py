@@ -91,3 +91,53 @@ def test_a_link_as_patient_as_its_drive_is_refused_and_the_bench_can_be_made_saf
         assert "set timeout_s to 0.36 s or less" in error
     assert made_safe.code == 0, made_safe.stderr
     assert not any(e["what"] in ("homing", "move") for e in rig.log())
+
+
+@pytest.mark.parametrize(
+    ("stages", "fault"),
+    [
+        ("az-festo", 'kind = "checksum"\nacquisition = 4\nafter_s = 0.066\nat = 3'),
+        pytest.param(
+            "festo",
+            'kind = "close"\nacquisition = 4\nafter_s = 0.1\nat = 2',
+            marks=pytest.mark.thorough,
+        ),
+    ],
+)
+def test_one_spoilt_answer_to_the_stop_of_what_is_pressed_is_asked_for_again(rig, stages, fault):
+    """Found by an attack: the first answer while the bench is made safe has a wrong checksum."""
+    plan = rig.fault(f'[[fault]]\ndevice = "stage_z"\n{fault}\n')
+    options = ("--load", "1N", "--preload", "12N", "--longest-point", "3s", "--seed", "47")
+    ended = rig.sweep("--frequencies", "110,410", *options, "--stages", stages, "--fault", plan)
+    assert ended.code in (0, 3), ended.stderr
+    assert "NOT SAFE" not in ended.stderr
+    assert [e["value"] for e in rig.log() if e["what"] == "injected"]
+    assert stands_mm(rig) == pytest.approx(PARKED_mm, abs=0.02)
+
+
+UNREACHABLE = {
+    "sweep": ("acquisition = 3\nafter_s = 0.05\n", ("--frequencies", "110,410")),
+    "roll-trial": ('move = 2\nof = "rotary"\nafter_s = 0.2\n', ("--angle", "2deg")),
+}
+"""While something is pressed."""
+
+
+@pytest.mark.parametrize("procedure", mostly_thorough(UNREACHABLE, ["sweep"]))
+def test_a_stage_that_is_not_reached_while_it_is_made_safe_is_lifted_once_it_is(rig, procedure):
+    """Every connection to z breaks, more often than the run tries; the guard, which has every link
+    for itself, tries on and lifts what is pressed."""
+    moment, options = UNREACHABLE[procedure]
+    fault = f'[[fault]]\ndevice = "stage_z"\nkind = "close"\ncount = 5\n{moment}'
+    world = rig.world("[watch]\nforce_limit_N = 40.0\n")
+    ended = rig.run(
+        procedure, "--json", "--no-figures", "--world-log", str(rig.world_log),
+        "--fault", rig.fault(fault), "--world", world, *options,
+    )  # fmt: skip
+    assert ended.code == 7, ended.stderr
+    assert "NOT SAFE" in ended.stderr
+    assert "the guard then made the bench safe, was pressed at" in ended.stderr, ended.stderr
+    assert "Bench was made safe by the guard" in ended.stderr
+    log = rig.log()
+    broken = sum(entry["what"] == "injected" for entry in log)
+    assert broken == 5
+    assert [entry["value"] for entry in log if entry["what"] == "last-force"] == [0.0]

@@ -52,6 +52,25 @@ def the_reading(rig):
         return reading
 
 
+@pytest.mark.parametrize(
+    ("stages", "speed"),
+    [
+        pytest.param("festo", "", marks=pytest.mark.thorough),
+        ("az", "3 deg/s"),
+        pytest.param("festo-az", "5.71 deg/s", marks=pytest.mark.thorough),
+        pytest.param("az-festo", "5.71 deg/s", marks=pytest.mark.thorough),
+    ],
+)
+def test_a_roll_with_default_settings_is_valid_on_every_model_of_stage(rig, stages, speed):
+    """The turn is as much slower as the servo has fewer ticks, and that is said."""
+    ended = rig.run("roll-trial", "--json", "--no-figures", *SHORT, "--stages", stages)
+    assert ended.code == 0, ended.stderr
+    told = [line for line in ended.stderr.splitlines() if "the object is turned at" in line]
+    assert len(told) == (speed != "")
+    assert all(f"turned at {speed} and not at 12 deg/s" in line for line in told)
+    assert "--turn-speed" in "".join(told) or not speed
+
+
 @pytest.mark.thorough
 @pytest.mark.stages("festo", because="its servo does not hold the force at the speed of Figure 19")
 @pytest.mark.parametrize(

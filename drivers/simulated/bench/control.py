@@ -34,12 +34,14 @@ class ControlServer:
         streams: Mapping[str, Callable[[], int]],
         stop: Callable[[], None],
         orphaned: Callable[[], None],
+        set_free: Callable[[], None],
         time_passed: Callable[[], None] = lambda: None,
     ):
         self._world = world
         self._streams = streams
         self._stop = stop
         self._orphaned = orphaned
+        self._set_free = set_free
         self._time_passed = time_passed
         self._server: asyncio.Server | None = None
         self._owned = False
@@ -78,6 +80,8 @@ class ControlServer:
             elif do == "weigh":
                 x, y, z = (float(value) for value in request["force_N"])
                 self._world.weigh((x, y, z))
+            elif do == "free":
+                self._set_free()
             elif do == "stop":
                 self._stopped = True
                 self._stop()

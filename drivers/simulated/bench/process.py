@@ -15,6 +15,7 @@ import os
 import signal
 import sys
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any, get_args
 
@@ -77,6 +78,8 @@ async def serve(options: Options, ready: Callable[[dict[str, Any]], None]) -> No
     async def follow_real_time() -> None:
         while True:
             settle()
+            if monitor is not None:
+                monitor.check(world.now_us)
             if world.failure is not None:
                 ended.set()
             await asyncio.sleep(SETTLE_EVERY_S)
@@ -86,18 +89,23 @@ async def serve(options: Options, ready: Callable[[dict[str, Any]], None]) -> No
     def set_free() -> None:
         free.append(loop.create_task(follow_real_time()))
 
-    def orphaned() -> None:
+    def release(why: str) -> None:
+        """Let the time follow real time; `why` is for the log."""
         if not world.timeline.slaved:
             return
         world.timeline.set_free()
-        world.log("world", "owner-gone", None, "world")
+        world.log("world", why, None, "world")
         for server in bench.serial:
             server.set_free()
         set_free()
+
+    def orphaned() -> None:
+        release("owner-gone")
         loop.call_later(options.linger_s, ended.set)
 
     streams = {FORCE_SENSOR: lambda: bench.force.bytes_sent}
-    control = ControlServer(world, streams, ended.set, orphaned, after_time_passed)
+    handed_over = partial(release, "handed-over")
+    control = ControlServer(world, streams, ended.set, orphaned, handed_over, after_time_passed)
     if not options.slaved:
         set_free()
     from_the_terminal = () if options.slaved else (signal.SIGINT, signal.SIGQUIT)
@@ -127,6 +135,7 @@ async def serve(options: Options, ready: Callable[[dict[str, Any]], None]) -> No
             await server.close()
         settle()
         if monitor is not None:
+            monitor.check(world.now_us)
             monitor.over()
         world.close()
     if world.failure is not None:

@@ -30,8 +30,13 @@ class Bench:
         self.sent = {"force": 0}
         self.stopped = threading.Event()
         self.orphaned = threading.Event()
+        self.freed = threading.Event()
         self.server = ControlServer(
-            self.world, {"force": lambda: self.sent["force"]}, self.stopped.set, self._orphan
+            self.world,
+            {"force": lambda: self.sent["force"]},
+            self.stopped.set,
+            self._orphan,
+            self.freed.set,
         )
         self.port = 0
 
@@ -130,6 +135,15 @@ def test_a_stop_ends_the_bench_and_all_its_processes() -> None:
         assert bench.stopped.wait(PATIENCE_S)
         client.leave()
     assert not bench.orphaned.is_set()
+
+
+def test_an_owner_that_hands_the_bench_over_sets_its_time_free_and_can_still_end_it() -> None:
+    with listening() as bench:
+        owner = Client(bench.port)
+        owner.ask(do="free")
+        assert bench.freed.wait(PATIENCE_S)
+        owner.ask(do="stop")
+        assert bench.stopped.wait(PATIENCE_S)
 
 
 @pytest.mark.parametrize("last_word", [b"", b'{"do": "adv'])

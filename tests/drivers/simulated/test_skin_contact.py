@@ -329,7 +329,7 @@ def test_truth_is_asked_for_at_the_control_socket() -> None:
     hung = Hung()
     hung.press(0.02)
     plate, clamp = (
-        ControlServer(world, {}, lambda: None, lambda: None)
+        ControlServer(world, {}, lambda: None, lambda: None, lambda: None)
         for world in (hung.world, World(WorldSettings(), 0, slaved=True))
     )
     assert plate.answer(b'{"do": "truth"}') == {"now_us": hung.now_us, **hung.world.truth()}
@@ -349,7 +349,9 @@ def test_a_step_without_a_solution_is_never_silent(
         raise ConvergenceError("contact step 1 of 10 found no consistent set")
 
     monkeypatch.setattr(ContactStepper, "advance", fails)
-    control = ControlServer(hung.world, {}, lambda: None, lambda: None, lambda: hung.world.settle())
+    control = ControlServer(
+        hung.world, {}, lambda: None, lambda: None, lambda: None, lambda: hung.world.settle()
+    )
     advance = b'{"do": "advance", "us": 10000}'
     answer = control.answer(advance)
     assert "no consistent set" in answer["error"]
