@@ -105,6 +105,8 @@ class BenchSelector:
     waiting: Callable[[], AbstractContextManager[None]] = nullcontext
     """Function whose context lasts while a simulated bench is waited for, to show a person that
     something happens."""
+    check: Callable[[], None] = lambda: None
+    """Function that raises what ends a wait for the guard of an earlier run."""
     while_it_boots: Callable[[], None] = lambda: None
     """Function that is called while a simulated bench boots, which takes about a second; nothing is
     connected yet."""
@@ -144,11 +146,12 @@ class BenchSelector:
         from rig.bench.plan import read_bench
         from rig.core.clock import WallClock
         from rig.run.bench_mark import clear_marks, read_marks, refuse_unsafe
-        from rig.run.lock import BenchLock
+        from rig.run.lock import BenchLock, GuardWait
 
         plan = read_bench(path)
         _refuse_simulation_options(request, path)
-        lock = at_the_end.enter_context(BenchLock(plan))
+        wait = GuardWait(self.say, self.check)
+        lock = at_the_end.enter_context(BenchLock(plan, wait=wait))
         marks = read_marks(lock.names)
         refuse_unsafe(marks, str(path))
         for mark in marks:

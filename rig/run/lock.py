@@ -25,6 +25,8 @@ import hashlib
 import json
 import os
 import time
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
@@ -39,8 +41,20 @@ if TYPE_CHECKING:
 SUFFIX = ".lock"
 ENTRY_BYTES = 4096
 GUARD_S = 10.0
-"""Longest time in s that a new run waits for the guard of a run that died."""
+"""Longest time in s that a program waits for the guard of a run that died, where nobody is told."""
+SAY_AFTER_S, SAY_EVERY_S = 1.0, 60.0
+"""Time in s after which a person is told what is waited for, and the interval from there on."""
 LOOK_EVERY_S = 0.1
+
+
+@dataclass(frozen=True)
+class GuardWait:
+    """A wait for the guard of a run that died, for as long as that guard acts."""
+
+    say: Callable[[str], None]
+    """Function that shows a line to a person."""
+    check: Callable[[], None] = lambda: None
+    """Function that raises what ends the wait."""
 
 
 class BenchLock:
@@ -48,9 +62,11 @@ class BenchLock:
 
     `only_reads` says that the program sets nothing on the bench: `rig make-safe` ends it. Raises
     ConfigurationError if another program holds one of the locks, or if a lock file cannot be made.
+    Where a run has died its guard holds them while it makes the bench safe: with `wait` that is
+    waited for, whatever it takes, else for `GUARD_S`.
     """
 
-    def __init__(self, plan: BenchPlan, only_reads: bool = False):
+    def __init__(self, plan: BenchPlan, only_reads: bool = False, wait: GuardWait | None = None):
         self._entry = {
             "bench": plan.settings.name,
             "pid": os.getpid(),
@@ -64,7 +80,7 @@ class BenchLock:
         try:
             with SharedFolder() as folder:
                 for name in self.names:
-                    self._files[name] = _take(folder, name + SUFFIX)
+                    self._files[name] = _take(folder, name + SUFFIX, wait)
             if (user := _living(read_marks(self.names))) is not None:
                 raise ConfigurationError(*user)
         except BaseException:
@@ -155,11 +171,12 @@ def address_names(plan: BenchPlan | Restable) -> tuple[str, ...]:
     return tuple(sorted(hashlib.sha256(one.encode()).hexdigest()[:16] for one in addresses))
 
 
-def _take(folder: SharedFolder, name: str) -> int:
+def _take(folder: SharedFolder, name: str, wait: GuardWait | None) -> int:
     """Lock the file and return its descriptor. After a program has died, its guard holds the lock
     for as long as it acts."""
     path = folder.path / name
-    give_up = time.monotonic() + GUARD_S
+    begun_s = time.monotonic()
+    say_s = begun_s + SAY_AFTER_S
     while True:
         try:
             file = folder.open_file(name, create=True)
@@ -176,11 +193,18 @@ def _take(folder: SharedFolder, name: str) -> int:
             if locked:
                 continue  # it was removed in between: the file of that name is another one
             entry = _entry_of(file)
-            if time.monotonic() > give_up or _runs(entry.get("pid")):
-                raise ConfigurationError(*_in_use(entry, path))
+            over = wait is None and time.monotonic() > begun_s + GUARD_S
+            if over or _runs(entry.get("pid")):
+                raise ConfigurationError(*_in_use(entry, path, time.monotonic() - begun_s))
         finally:
             if file >= 0:
                 os.close(file)
+        if wait is not None:
+            wait.check()
+            if time.monotonic() > say_s:
+                say_s = time.monotonic() + SAY_EVERY_S
+                why, _ = _in_use(entry, path, time.monotonic() - begun_s)
+                wait.say(f"waiting: {why}; Ctrl-C ends the wait")
         time.sleep(LOOK_EVERY_S)
 
 
@@ -202,8 +226,9 @@ def _entry_of(file: int) -> dict[str, Any]:
     return entry if isinstance(entry, dict) else {}
 
 
-def _in_use(entry: dict[str, Any], path: Path) -> tuple[str, str]:
-    """Return who uses the bench, and what can be done about it."""
+def _in_use(entry: dict[str, Any], path: Path, waited_s: float | None = None) -> tuple[str, str]:
+    """Return who uses the bench, and what can be done about it. `waited_s` is for how long a dead
+    run's guard has been waited for."""
     bench, pid, since = (entry.get(name, "?") for name in ("bench", "pid", "since"))
     who = f"pid {pid} ({entry.get('user', '?')})"
     run = f" (run {entry['file']})" if "file" in entry else ""
@@ -213,8 +238,9 @@ def _in_use(entry: dict[str, Any], path: Path) -> tuple[str, str]:
             "wait until it has ended, or end it with Ctrl-C",
         )
     return (
-        f"the bench {bench} was in use by {who}, which has died{run}; its guard has been "
-        f"making it safe for {GUARD_S:g} s (lock {path})",
+        f"the bench {bench} was in use by {who}, which has died{run}; its guard is making it safe"
+        + (f" and has been waited for {waited_s:.0f} s" if waited_s is not None else "")
+        + f" (lock {path})",
         "check the bench, then start again",
     )
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
 import threading
@@ -15,8 +16,9 @@ from rig.bench.plan import BenchPlan, parse_bench
 from rig.core.errors import ConfigurationError, ExitCode
 from rig.run import lock
 from rig.run.bench_mark import BenchMarks, clear_marks, read_marks
-from rig.run.lock import BenchLock, address_names, in_use
+from rig.run.lock import BenchLock, GuardWait, address_names, in_use
 from rig.run.shared_folder import user_name
+from rig.run.stopping import StopRequestedError
 
 BENCH = """
 name = "{name}"
@@ -179,10 +181,16 @@ def test_its_owner_is_named_and_a_dead_one_has_nothing(tmp_path: Path) -> None:
         assert f"pid {holder.pid}" not in str(in_use(plan()))
 
 
+def stop() -> None:
+    raise StopRequestedError(signal.SIGINT)
+
+
 def test_the_guard_of_a_dead_run_holds_its_bench_until_it_is_safe(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Stands for the guard: a process that has inherited the lock of one that is gone."""
+    """It is waited for as long as it acts, where a person is told and can end the wait.
+
+    Stands for the guard: a process that has inherited the lock of one that is gone."""
     file = tmp_path / "bench.toml"
     file.write_text(BENCH.format(name="b", generator=5025, port="/dev/ttyX"))
     heir = "import subprocess; p = subprocess.Popen(['cat'], pass_fds=lock.files); "
@@ -197,13 +205,20 @@ def test_the_guard_of_a_dead_run_holds_its_bench_until_it_is_safe(
     run.wait()
     assert f"pid {run.pid} (" in str(in_use(plan()))
     monkeypatch.setattr("rig.run.lock.GUARD_S", 0.2)
-    with pytest.raises(ConfigurationError, match=r"its guard has been making it safe for 0\.2 s"):
+    with pytest.raises(ConfigurationError, match="its guard is making it safe and has been waited"):
         BenchLock(plan())
-    monkeypatch.setattr("rig.run.lock.GUARD_S", 30.0)
-    ends_soon = threading.Timer(0.3, run.stdin.close)  # the heir's end of input
+    monkeypatch.setattr("rig.run.lock.SAY_AFTER_S", 0.0)
+    with pytest.raises(StopRequestedError):
+        BenchLock(plan(), wait=GuardWait(print, stop))
+    said: list[str] = []
+    ends_soon = threading.Timer(0.5, run.stdin.close)  # the heir's end of input, after GUARD_S
     ends_soon.start()
-    with BenchLock(plan()):
+    with BenchLock(plan(), wait=GuardWait(said.append)):
         assert run.stdout.read() == b""
+    (told,) = said
+    assert f"waiting: the bench b was in use by pid {run.pid} (" in told
+    assert "its guard is making it safe" in told
+    assert "Ctrl-C ends the wait" in told
     ends_soon.join()
     run.stdout.close()
 

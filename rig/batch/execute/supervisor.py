@@ -12,11 +12,14 @@ worker that the supervisor has died.
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import json
 import os
 import selectors
+import struct
 import subprocess
 import sys
+import termios
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -36,6 +39,8 @@ from rig.run.stopping import StopFlag
 
 POLL_EVERY_S = 0.1
 """Interval in s at which stop requests, other terminals and background processes are polled."""
+BEAT, BEAT_EVERY_S = "beat", 1.0
+"""Word that tells the worker that the supervisor is alive, and the interval in s."""
 STARTING_S = 300.0
 """Time limit from a claim to its run's plan: boot, connect, compile for the first time. From then
 on the run's guard watches."""
@@ -222,6 +227,7 @@ class Supervisor:
         self._record(self._queue.set_meta, "worker", str(worker.pid))
         stop_sent = False
         buffer = b""
+        beaten_s = 0.0
         with selectors.DefaultSelector() as selector, worker:
             selector.register(worker.stdout, selectors.EVENT_READ)
             while True:
@@ -240,6 +246,9 @@ class Supervisor:
                     self._asked_to_end |= _ends_the_batch(command)
                     self._send(worker, command, REQUESTS.get(command.split()[0], command))
                 self._poll()
+                if time.monotonic() - beaten_s >= BEAT_EVERY_S:
+                    beaten_s = time.monotonic()
+                    _beat(worker.stdin.fileno())
                 if self._give_up is not None and time.monotonic() > self._give_up:
                     self._give_up = None
                     self._say(f"warning: the worker was silent for {STARTING_S:g} s and was killed")
@@ -450,6 +459,15 @@ class Supervisor:
 
     def _on_end(self, event: Mapping[str, Any]) -> None:
         self._end = dict(event)
+
+
+def _beat(pipe: int) -> None:
+    """Send a sign of life to a worker, unless it has left an earlier one unread: a write to a full
+    pipe would wait for a worker that is stopped."""
+    with contextlib.suppress(OSError):  # it has died, which is seen at its other end
+        unread = struct.unpack("i", fcntl.ioctl(pipe, termios.FIONREAD, struct.pack("i", 0)))[0]
+        if unread == 0:
+            os.write(pipe, BEAT.encode() + b"\n")
 
 
 def _ends_the_batch(command: str) -> bool:

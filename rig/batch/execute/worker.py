@@ -65,6 +65,9 @@ LOOK_EVERY_S = 1.0
 """Interval in s at which a batch that is held by a full disk looks for room on it."""
 CHECK_EVERY_S = 0.05
 """Interval in s at which a worker that waits for a person checks for commands."""
+SUPERVISOR_S = 10.0
+"""Time in s without a word of the supervisor, which sends one every second, after which no further
+run begins: nobody would notice what becomes of it."""
 GUARD_PATIENCE_S = 60.0
 """Longest time in s that the guard of an earlier worker that died may take to make the bench
 safe."""
@@ -104,6 +107,12 @@ GIVEN_UP = "stopped by a person, who let the batch continue"
 """Reason of a run that was ended alone. It is not taken again."""
 
 
+UNSUPERVISED = (
+    f"the supervisor of the batch was not heard for {SUPERVISOR_S:g} s, it was stopped or hung: no "
+    "run was begun until it was heard again"
+)
+
+
 class _EndError(RigError):
     """The batch ends here, safely, before its last run."""
 
@@ -125,11 +134,14 @@ class _CommandListener:
         self.ending = False
         """True if the batch was asked to end."""
         self._run_given_up = False
+        self.heard_s = time.monotonic()
+        """Time of the supervisor's latest word, by the monotonic clock."""
         threading.Thread(target=self._listen, name="commands", daemon=True).start()
 
     def _listen(self) -> None:
         rest = b""
         while chunk := os.read(0, 4096):  # unbuffered: Python ends while this still listens
+            self.heard_s = time.monotonic()
             *lines, rest = (rest + chunk).split(b"\n")
             for line in lines:
                 self._handle(line.decode())
@@ -307,14 +319,25 @@ class Worker:
         return upcoming.condition.rest_s + (self._batch.retries.rest_s if again else 0.0)
 
     def _between_runs(self) -> None:
-        """Act on requests to stop or pause, and on interlocks; the bench is safe."""
+        """Act on requests to stop or pause, and on interlocks; the bench is safe. Wait while the
+        supervisor is stopped or hangs."""
         self._stop.check()
         self._check_interlocks()
+        if not self._is_supervised():
+            self._send("note", level="warning", text=UNSUPERVISED)
+            with self._interlocks_watched():
+                while not self._is_supervised():
+                    self._stop.check()
+                    self._check_interlocks()
+                    time.sleep(CHECK_EVERY_S)
         if self._commands.stop_after_run:
             raise _stopped("between runs")
         if self._commands.paused.is_set():
             self._send("state", state="paused", text="between runs")
             self._wait("paused")
+
+    def _is_supervised(self) -> bool:
+        return time.monotonic() - self._commands.heard_s < SUPERVISOR_S
 
     def _hold(self, why: str, over: Callable[[], bool] | None = None) -> None:
         """Wait for a person, or end the batch, as `on_hold` says. With `over` the batch also
@@ -604,6 +627,7 @@ class Worker:
         selector = BenchSelector(
             lambda text: self._send("note", level="info", text=text),
             warn=lambda text: self._send("note", level="warning", text=text),
+            check=self._stop.check,
         )
         if self._terms.bench is None:
             request = self._simulated(claim)

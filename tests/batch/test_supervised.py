@@ -1,0 +1,96 @@
+"""No run of a batch begins while its supervisor is stopped or hangs."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import time
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from rig.batch.execute.supervisor import BEAT, _beat
+from rig.batch.execute.worker import SUPERVISOR_S, Worker
+from rig.run.stopping import StopRequestedError
+
+
+class Between:
+    """A worker between two runs, whose supervisor was heard `silent_s` ago."""
+
+    def __init__(self, silent_s: float, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.now_s, self.told, self.stopped = silent_s, list[str](), False
+        self.waited_s = 0.0
+        self.heard_after_s = 30.0
+        """Waiting time after which the supervisor is heard again."""
+        self.commands = SimpleNamespace(heard_s=0.0, stop_after_run=False, paused=_Unset())
+        worker: Any = Worker.__new__(Worker)
+        worker._stop = SimpleNamespace(check=self.check)
+        worker._commands = self.commands
+        worker._check_interlocks = lambda: None
+        worker._interlocks_watched = contextlib.nullcontext
+        worker._send = lambda event, **fields: self.told.append(fields["text"])
+        self.worker = worker
+        monkeypatch.setattr(time, "monotonic", lambda: self.now_s)
+        monkeypatch.setattr(time, "sleep", self.sleep)
+
+    def check(self) -> None:
+        if self.stopped:
+            raise StopRequestedError(signal.SIGTERM)
+
+    def sleep(self, seconds: float) -> None:
+        self.now_s += seconds
+        self.waited_s += seconds
+        if self.waited_s >= self.heard_after_s:
+            self.commands.heard_s = self.now_s
+
+
+class _Unset:
+    def is_set(self) -> bool:
+        return False
+
+
+def test_a_supervisor_that_is_heard_is_not_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    between = Between(0.9 * SUPERVISOR_S, monkeypatch)
+    between.worker._between_runs()
+    assert (between.waited_s, between.told) == (0.0, [])
+
+
+def test_a_supervisor_that_hangs_is_waited_for_before_a_run_begins(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    between = Between(1.1 * SUPERVISOR_S, monkeypatch)
+    between.worker._between_runs()
+    assert between.waited_s == pytest.approx(30.0, abs=0.1)
+    (told,) = between.told
+    assert "the supervisor of the batch was not heard for 10 s" in told
+    assert "no run was begun until it was heard again" in told
+
+
+def test_a_stop_request_ends_that_wait(monkeypatch: pytest.MonkeyPatch) -> None:
+    between = Between(1.1 * SUPERVISOR_S, monkeypatch)
+    plain = between.sleep
+
+    def sleep(seconds: float) -> None:
+        plain(seconds)
+        between.stopped = between.waited_s > 1.0
+
+    monkeypatch.setattr(time, "sleep", sleep)
+    with pytest.raises(StopRequestedError):
+        between.worker._between_runs()
+    assert between.waited_s < 2.0
+
+
+def test_a_worker_that_reads_nothing_gets_one_sign_of_life_and_no_more() -> None:
+    reads, writes = os.pipe()
+    try:
+        for _ in range(3):
+            _beat(writes)
+        assert os.read(reads, 100) == BEAT.encode() + b"\n"
+        _beat(writes)
+        assert os.read(reads, 100) == BEAT.encode() + b"\n"
+        os.close(reads)
+        _beat(writes)  # one that has died is no error
+    finally:
+        os.close(writes)
