@@ -121,42 +121,45 @@ class CheckedDetector(Detector):
         if len(found) > MOST_EVENTS_A_ROW * max(1, end - first):
             raise self._error(f"returned {len(found)} events for {end - first} rows")
         for event in found:
-            fault = self._fault(event, first, end)
+            fault = event_fault(event, first, end, self.rate_Hz)
             if fault is not None:
                 raise self._error(f"returned {fault}")
         return [_plain(event) for event in found]
 
-    def _fault(self, event: Any, first: int, end: int) -> str | None:
-        """Returns what is wrong with an event, as the end of a sentence; None if nothing."""
-        if not isinstance(event, SlipEvent):
-            return f"{type(event).__name__} where an event is expected"
-        if event.kind not in EVENT_KINDS:
-            return f"an event of the kind {shortened(str(event.kind))!r}: it must be one of " + (
-                ", ".join(EVENT_KINDS)
-            )
-        if not isinstance(event.sample, int | np.integer) or not (
-            first <= event.sample < max(end, first + 1)
-        ):
-            return (
-                f"an event in row {shortened(str(event.sample))}, but rows {first} to {end - 1} "
-                "were judged: an event lies in the row in which it was decided"
-            )
-        if event.time_s != event.sample / self.rate_Hz:
-            return f"an event whose time {event.time_s!r} s is not that of its row {event.sample}"
-        if not isinstance(event.confidence, int | float) or not 0 <= event.confidence <= 1:
-            return f"an event with the confidence {event.confidence!r}: it must be from 0 to 1"
-        if not isinstance(event.reason, str):
-            return "an event whose reason is not a text"
-        shown = event.features
-        if not isinstance(shown, dict) or not all(isinstance(name, str) for name in shown):
-            return "an event whose features are not a dict of numbers by name"
-        for name, value in shown.items():
-            if not isinstance(value, int | float | np.floating) or not math.isfinite(value):
-                return f"an event whose feature {shortened(name)!r} is not a finite number"
-        return None
-
     def _error(self, reason: str) -> DetectorError:
         return DetectorError(self._name, self._package, reason)
+
+
+def event_fault(event: Any, first: int, end: int, rate_Hz: float) -> str | None:
+    """Returns what is wrong with an event that was decided in rows `first` to `end` (excluded) at a
+    rate, as the end of "the detector returned ..."; None if nothing is."""
+    if not isinstance(event, SlipEvent):
+        return f"{type(event).__name__} where an event is expected"
+    if event.kind not in EVENT_KINDS:
+        return (
+            f"an event of the kind {shortened(str(event.kind))!r}: it must be one of "
+            f"{', '.join(EVENT_KINDS)}"
+        )
+    if not isinstance(event.sample, int | np.integer) or not (
+        first <= event.sample < max(end, first + 1)
+    ):
+        return (
+            f"an event in row {shortened(str(event.sample))}, but rows {first} to {end - 1} were "
+            "judged: an event lies in the row in which it was decided"
+        )
+    if event.time_s != event.sample / rate_Hz:
+        return f"an event whose time {event.time_s!r} s is not that of its row {event.sample}"
+    if not isinstance(event.confidence, int | float) or not 0 <= event.confidence <= 1:
+        return f"an event with the confidence {event.confidence!r}: it must be from 0 to 1"
+    if not isinstance(event.reason, str):
+        return "an event whose reason is not a text"
+    if not isinstance(event.features, dict):
+        return "an event whose features are not a dict of numbers by name"
+    for name, value in event.features.items():
+        number = isinstance(value, int | float | np.floating) and math.isfinite(value)
+        if not isinstance(name, str) or not number:
+            return f"an event whose feature {shortened(str(name))!r} is not a finite number"
+    return None
 
 
 def _plain(event: SlipEvent) -> SlipEvent:

@@ -57,7 +57,7 @@ class ChosenDetector:
     @property
     def is_own(self) -> bool:
         """True for a detector of this project."""
-        return self.package == OWN_PACKAGE
+        return is_own(self.name)
 
     @property
     def package(self) -> str:
@@ -91,18 +91,29 @@ class ChosenDetector:
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickles names and numbers only: who unpickles it may have another version, or none."""
-        return _chosen_again, (self.name, self.settings.model_dump_json())
+        return chosen_detector, (self.name, self.settings.model_dump_json())
 
 
-def chosen_detector(name: str) -> ChosenDetector:
-    """Returns a detector with its own parameters. ConfigurationError where it is unknown, or its
-    package cannot be used."""
-    return ChosenDetector(name, detector_class(name).default_settings())
+def chosen_detector(name: str, settings_json: str = "") -> ChosenDetector:
+    """Returns a detector with parameters given as JSON, or with its own. ConfigurationError where
+    it is unknown, its package cannot be used, or the parameters are not its."""
+    kind = detector_class(name)
+    if not settings_json:
+        return ChosenDetector(name, kind.default_settings())
+    try:
+        return ChosenDetector(name, kind.Settings.model_validate_json(settings_json))
+    except ValidationError as error:
+        raise ConfigurationError.from_validation(error, f"detector {name!r} here") from error
+
+
+def is_own(name: str) -> bool:
+    """Returns whether a detector is one of this project; nothing is imported."""
+    return _package_of(name)[0] == OWN_PACKAGE
 
 
 def detector_names() -> tuple[str, ...]:
     """Returns the names of all registered detectors, this project's first; nothing is imported."""
-    return tuple(sorted(names(DETECTORS), key=lambda name: (not _is_own(name), name)))
+    return tuple(sorted(names(DETECTORS), key=lambda name: (not is_own(name), name)))
 
 
 @cache
@@ -142,18 +153,6 @@ def _fault(name: str, value: Any) -> str | None:
     except (ValidationError, ValueError, TypeError) as error:
         return f"has Settings without usable defaults: {' '.join(str(error).split())}"
     return None if again == settings else "has Settings that JSON does not hold"
-
-
-def _chosen_again(name: str, settings_json: str) -> ChosenDetector:
-    kind = detector_class(name)
-    try:
-        return ChosenDetector(name, kind.Settings.model_validate_json(settings_json))
-    except ValidationError as error:
-        raise ConfigurationError.from_validation(error, f"detector {name!r} here") from error
-
-
-def _is_own(name: str) -> bool:
-    return _package_of(name)[0] == OWN_PACKAGE
 
 
 @cache

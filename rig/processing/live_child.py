@@ -1,0 +1,126 @@
+"""The process in which another package's detector runs beside a trial (`rig.processing.live`).
+
+It has no descriptor of the run but one socket. It consists of two processes: one that runs the
+detector, and one that does nothing but watch. When the run has gone, or the detector's process has
+ended, the watching one kills whatever is left in their session, also where the detector hangs in C
+code or has started processes.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import select
+import signal
+import socket
+import sys
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+NICENESS = 10
+"""Niceness of the detector: the run and the guard come first."""
+
+
+def main() -> None:
+    """Serve the run on the socket whose descriptor is the first argument; never returns."""
+    connection = socket.socket(fileno=int(sys.argv[1]))
+    connection.set_inheritable(False)
+    worker = os.fork()
+    if worker:
+        _watch(connection, worker)
+    os.nice(NICENESS)
+    with contextlib.suppress(OSError):  # where memory runs out the detector goes, not the run
+        Path("/proc/self/oom_score_adj").write_text("1000")
+    _serve(connection)
+    os._exit(0)
+
+
+def _watch(connection: socket.socket, worker: int) -> None:
+    """Wait until the run has closed its end or the worker has ended; then end all."""
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    poller = select.poll()
+    poller.register(connection, 0)  # nothing but the other end's going
+    poller.register(os.pidfd_open(worker), select.POLLIN)
+    poller.poll()
+    ended = os.waitid(os.P_PID, worker, os.WEXITED | os.WNOHANG)
+    status = 0
+    if ended is not None:
+        by_signal = ended.si_code != os.CLD_EXITED
+        status = ended.si_status + (128 if by_signal else 0)
+    if ended is None:
+        os.killpg(0, signal.SIGKILL)  # the run has gone
+    _kill_the_others()
+    os._exit(status)
+
+
+def _kill_the_others() -> None:
+    """Kill what the detector has left in this session, but not this process, whose exit code the
+    run reads."""
+    own, session = os.getpid(), os.getsid(0)
+    for entry in Path("/proc").iterdir():
+        if entry.name.isdecimal() and int(entry.name) != own:
+            with contextlib.suppress(OSError):
+                if os.getsid(int(entry.name)) == session:
+                    os.kill(int(entry.name), signal.SIGKILL)
+
+
+def _serve(connection: socket.socket) -> None:
+    """Make the detector, say that it is ready, and answer messages until one fails."""
+    import numpy as np
+
+    from rig.core.errors import ConfigurationError, RigError
+    from rig.detector.registered import chosen_detector
+    from rig.processing import live
+
+    order = json.loads(sys.stdin.buffer.read())
+    name, rate_Hz = order["name"], order["rate_Hz"]
+    try:
+        try:
+            chosen = chosen_detector(name, order["settings"])
+            # The first rows may compile something; the run waits for that now, and not later.
+            chosen.make(rate_Hz).add(np.zeros((64, 2)))
+            detector = chosen.make(rate_Hz)
+        except ValueError as error:
+            raise ConfigurationError(f"detector {name}: {error}") from error
+    except RigError as error:
+        _answer(
+            connection, live.FAILED, 0,
+            {"message": error.message, "hint": error.hint, "code": int(error.code)},
+        )  # fmt: skip
+        return
+    _answer(connection, live.READY, 0, asdict(live.identity_of(chosen)))
+    while message := connection.recv(live.MOST_BYTES):
+        asked, number, first = live.HEAD.unpack_from(message)
+        try:
+            if asked == live.BEGIN:
+                detector, events = chosen.make(rate_Hz), []
+            elif asked == live.ROWS:
+                volts = np.frombuffer(message, np.float64, offset=live.HEAD.size).reshape(-1, 2)
+                events = detector.add(volts, first)
+            else:
+                events = detector.finish()
+            if len(events) > live.MOST_EVENTS:
+                raise ValueError(f"{len(events)} events at once")
+            content = [
+                (one.kind, one.sample, one.time_s, one.confidence, one.reason, one.features)
+                for one in events
+            ]
+            _answer(connection, live.DONE, number, content or None)
+        except Exception as error:  # noqa: BLE001 - the run says what it was
+            reason = getattr(error, "reason", f"{type(error).__name__}: {error}")
+            _answer(connection, live.FAILED, number, str(reason))
+            return
+
+
+def _answer(connection: socket.socket, kind: int, number: int, content: Any) -> None:
+    from rig.processing import live
+
+    body = b"" if content is None else json.dumps(content).encode()
+    with contextlib.suppress(BrokenPipeError):
+        connection.send(live.HEAD.pack(kind, number, 0) + body)
+
+
+if __name__ == "__main__":
+    main()
