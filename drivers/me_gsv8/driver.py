@@ -20,129 +20,51 @@ manual (ba-gsv8_en). Commands 49, 4A, 63, 80, 81, A2: parameters as a public cli
 
 from __future__ import annotations
 
-import contextlib
 import struct
-import threading
-import time
-from collections import deque
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any, Literal
+from collections.abc import Mapping, Sequence
 
 import numpy as np
-from pydantic import Field, model_validator
 
 from drivers.me_gsv8 import frames as gsv_frames
-from drivers.me_gsv8.frames import FrameLayout, GsvResponse, Measurements
+from drivers.me_gsv8.commands import (
+    FIRMWARE_VERSION,
+    GET_DIO_DIRECTION,
+    GET_DIO_LEVEL,
+    GET_INPUT_TYPE,
+    GET_INTERFACE,
+    GET_MODE,
+    GET_SERIAL_NUMBER,
+    GET_TX_MAPPING,
+    GET_TX_MODE,
+    READ_DATA_RATE,
+    READ_DATA_RATE_RANGE,
+    READ_USER_SCALE,
+    SET_DIO_DIRECTION,
+    SET_MODE,
+    SET_TX_MAPPING,
+    SET_TX_MODE,
+    START_TRANSMISSION,
+    STOP_TRANSMISSION,
+    WRITE_DATA_RATE,
+    WRITE_USER_SCALE,
+    GsvCommand,
+)
+from drivers.me_gsv8.frames import FrameLayout
+from drivers.me_gsv8.link import DEVICE, GsvLink
+from drivers.me_gsv8.settings import MeGsv8Settings
 from rig.core.clock import Clock
-from rig.core.errors import InstrumentError, InstrumentTimeoutError, RigError
-from rig.core.settings import Settings as BaseSettings
-from rig.core.settings import Wiring
+from rig.core.errors import InstrumentError
 from rig.instruments.roles import ForceFrames, Identity, Reach
 
 ROLES = ("force_sensor",)
 
-DEVICE = "force_sensor"
 MODEL = "GSV-8"
 MODEL_NUMBER = 0x08
 CHANNELS = (1, 2, 3)
 FIRMWARE_WITH_CRC = (1, 56)
-INPUT_RANGE_MV_V = 3.5
-"""Input range of the factory setting; with a user scale as large, floats are in mV/V."""
 MULTI_AXIS, AUTO_FILTER, MIN_MAX = 0x01, 0x02, 0x04
-READ_WAIT_S = 0.02
-"""Longest wait for bytes in one read, which is how long the reader may delay a request."""
-WAITS = 2
-"""Longest wait of a request in time-outs: it may have to synchronise the link before it waits for
-its answer."""
 STREAMING = 0x08
 CRC16_ON = b"\x08"
-
-Matrix = tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]
-
-
-class MeGsv8Settings(BaseSettings):
-    """Settings of the amplifier and its sensor."""
-
-    driver: Literal["me-gsv8"] = "me-gsv8"
-    port: Wiring[str] = Field(min_length=1)
-    """Serial port, for example /dev/ttyACM0 or COM5."""
-    baudrate: int = Field(default=230_400, ge=19_200, le=3_500_000)
-    """Bits per second; without meaning over USB."""
-    timeout_s: Wiring[float] = Field(default=0.5, gt=0, le=60)
-    """Longest wait for an answer."""
-    rate_S_s: float = Field(default=1000.0, ge=1, le=12_000)
-    """Frames per second that `connect` sets; `start` may set another rate."""
-    nominal_force_N: float = Field(default=50.0, gt=0)
-    """The sensor's nominal force on each axis."""
-    rated_output_mV_V: float = Field(default=0.6, gt=0)
-    """Bridge output at the nominal force; 0.6 is typical of a K3D40 [unconfirmed for 50 N]."""
-    matrix_N_mV_V: Wiring[Matrix | None] = None
-    """The calibration sheet's matrix, force in N by bridge output in mV/V; without one, nominal
-    force by rated output on the diagonal, which neglects 0.4 to 2 % of crosstalk."""
-    max_force_N: float | None = Field(default=None, gt=0)
-    """Largest force along any axis; the nominal force if it is not given."""
-    user_scale_mV_V: float = Field(default=INPUT_RANGE_MV_V, gt=0)
-    """The amplifier's user scale and the input range that it stands for."""
-
-    @model_validator(mode="after")
-    def _plausible(self) -> MeGsv8Settings:
-        if abs(np.linalg.det(np.array(self.matrix))) < 1e-9:
-            raise ValueError("matrix_N_mV_V cannot be inverted: two axes would be one")
-        if self.max_force_N is not None and self.max_force_N > 1.5 * self.nominal_force_N:
-            raise ValueError(
-                f"max_force_N = {self.max_force_N:g} is beyond 1.5 times nominal_force_N"
-            )
-        return self
-
-    @property
-    def matrix(self) -> Matrix:
-        """Force in N by bridge output in mV/V."""
-        if self.matrix_N_mV_V is not None:
-            return self.matrix_N_mV_V
-        gain = self.nominal_force_N / self.rated_output_mV_V
-        return ((gain, 0.0, 0.0), (0.0, gain, 0.0), (0.0, 0.0, gain))
-
-    @property
-    def force_limit(self) -> float:
-        """The largest force allowed along an axis, in N."""
-        return self.max_force_N if self.max_force_N is not None else self.nominal_force_N
-
-
-Settings = MeGsv8Settings
-"""The settings of a bench file, under the name by which the bench asks any driver for them."""
-
-
-@dataclass(frozen=True)
-class GsvCommand:
-    """A command: its number, its name in messages, and the number of bytes of its answer."""
-
-    number: int
-    name: str
-    answer_bytes: int = 0
-
-
-GET_INTERFACE = GsvCommand(0x01, "GetInterface", 4)
-READ_USER_SCALE = GsvCommand(0x14, "ReadUserScale", 4)
-WRITE_USER_SCALE = GsvCommand(0x15, "WriteUserScale")
-GET_SERIAL_NUMBER = GsvCommand(0x1F, "GetSerNo", 8)
-STOP_TRANSMISSION = GsvCommand(0x23, "StopTransmission")
-START_TRANSMISSION = GsvCommand(0x24, "StartTransmission")
-GET_MODE = GsvCommand(0x26, "GetMode", 4)
-SET_MODE = GsvCommand(0x27, "SetMode")
-FIRMWARE_VERSION = GsvCommand(0x2B, "FirmwareVersion", 4)
-GET_TX_MAPPING = GsvCommand(0x49, "GetTxMapping", 2)
-SET_TX_MAPPING = GsvCommand(0x4A, "SetTxMapping")
-GET_DIO_DIRECTION = GsvCommand(0x59, "GetDIOdirection", 1)
-SET_DIO_DIRECTION = GsvCommand(0x5A, "SetDIOdirection")
-GET_DIO_LEVEL = GsvCommand(0x5D, "GetDIOlevel", 2)
-READ_DATA_RATE_RANGE = GsvCommand(0x63, "ReadDataRateRange", 4)
-GET_TX_MODE = GsvCommand(0x80, "GetTXMode", 2)
-SET_TX_MODE = GsvCommand(0x81, "SetTXMode")
-READ_DATA_RATE = GsvCommand(0x8A, "ReadDataRate", 4)
-WRITE_DATA_RATE = GsvCommand(0x8B, "WriteDataRate")
-GET_INPUT_TYPE = GsvCommand(0xA2, "GetInputType", 5)
-
 DIGITAL_GROUPS, LINES_PER_GROUP = 4, 4
 INPUTS = tuple(
     f"{group}.{line}"
@@ -152,279 +74,8 @@ INPUTS = tuple(
 """Digital lines as the amplifier's connector has them. A whole group is inputs or outputs."""
 INPUT = b"\x01"
 
-TOKENS = ((GET_SERIAL_NUMBER, b""), (GET_TX_MAPPING, b"\0"), (GET_INPUT_TYPE, b"\x01\xff"))
-"""Queries that change nothing and whose answers differ in length."""
-
-ERRORS: dict[int, str] = {
-    0x40: "unknown command",
-    0x41: "command not implemented",
-    0x42: "broken frame",
-    0x43: "wrong checksum",
-    0x50: "wrong parameter",
-    0x51: "wrong parameter address",
-    0x52: "wrong parameter value",
-    0x53: "wrong parameter bits",
-    0x54: "parameter too large",
-    0x55: "parameter too small",
-    0x56: "wrong combination of parameters",
-    0x57: "parameter too large for the other settings",
-    0x58: "parameter too small for the other settings",
-    0x59: "parameter not implemented",
-    0x5A: "parameters came too late",
-    0x5B: "wrong number of parameters",
-    0x5C: "parameter does not match the settings",
-    0x5D: "parameter collides with the hardware",
-    0x60: "no data available",
-    0x61: "inconsistent data",
-    0x62: "wrong state",
-    0x63: "function not supported",
-    0x64: "data rate too high",
-    0x6E: "memory in the wrong condition",
-    0x6F: "memory access denied",
-    0x70: "access denied",
-    0x71: "write access is blocked",
-}
-
-
-class GsvLink:
-    """A serial port with frames: one request at a time, while measurements may come in between.
-
-    Any number of threads may call; each lock is held for one read or one request.
-    """
-
-    def __init__(self, settings: MeGsv8Settings, clock: Clock):
-        self.crc = False
-        """True if requests carry a CRC; set once the amplifier is known to support it."""
-        self._settings = settings
-        self._clock = clock
-        self._port: Any = None
-        self._decoder = gsv_frames.Decoder()
-        self._responses: deque[GsvResponse] = deque()
-        self._frames: list[Measurements] = []
-        self._frame_bytes = 0
-        self._taken = 0
-        self._unanswered: set[int] = set()
-        self._reading = threading.Lock()
-        self._asking = threading.RLock()
-
-    @property
-    def bytes_consumed(self) -> int:
-        """Bytes taken off the link, less those of measurements not yet collected."""
-        with self._reading:
-            return self._taken - self._frame_bytes
-
-    def expect(self, layout: FrameLayout | None) -> None:
-        """Treat measurements of another layout as an error from now on; with None accept all."""
-        with self._reading:
-            self._decoder.expected = layout
-            self._decoder.crc_only = layout is not None and layout.crc
-
-    def greet(self) -> None:
-        """End the stream that may be running, and drop all that was under way before."""
-        self.expect(None)
-        self.crc = False
-        with self._failing(STOP_TRANSMISSION), self._asking:
-            self._open_port()
-            self._write(STOP_TRANSMISSION, b"")
-            self._synchronise()
-        self.discard()
-
-    def request(self, command: GsvCommand, parameters: bytes = b"") -> bytes:
-        """Send a request and return the data of its answer. Raises InstrumentError for an error
-        code, a broken answer or none."""
-        with self._failing(command), self._asking:
-            self._open_port()
-            if self._unanswered or self._responses:
-                self._synchronise()
-            return self._ask(command, parameters)
-
-    def collect(self) -> list[Measurements]:
-        """Return the measurements since the last call; waits for a few milliseconds if none has
-        come. Raises InstrumentError for bytes that are not a frame."""
-        with self._failing(None):
-            if not self._frames:
-                self._receive()
-            with self._reading:
-                frames, self._frames, self._frame_bytes = self._frames, [], 0
-            self._refuse_rejected("stream")
-            return frames
-
-    def discard(self) -> None:
-        """Drop the measurements that were not collected."""
-        with self._reading:
-            self._frames, self._frame_bytes = [], 0
-
-    def close(self) -> None:
-        """Close the port."""
-        with self._reading:
-            port, self._port = self._port, None
-            self._decoder.reset()
-            self._responses.clear()
-            self._frames, self._frame_bytes = [], 0
-        if port is not None:
-            with contextlib.suppress(OSError):
-                port.close()
-
-    # --- one request -------------------------------------------------------------------------
-
-    def _ask(self, command: GsvCommand, parameters: bytes) -> bytes:
-        self._write(command, parameters)
-        response = self._await(command, strict=True)
-        if len(response.data) != (command.answer_bytes if response.code <= 1 else 0):
-            raise self._error(
-                command.name,
-                f"the answer holds {len(response.data)} bytes, not {command.answer_bytes}: "
-                f"{response.data.hex(' ')}",
-            )
-        self._unanswered.clear()
-        if response.code > 1:
-            raise self._refused(command, parameters, response.code)
-        return response.data
-
-    def _synchronise(self) -> None:
-        """Make sure that the next answer belongs to the next request.
-
-        What came late is dropped until a query is answered whose answer cannot be taken for one
-        of those that are missing.
-        """
-        for command, parameters in TOKENS:
-            if command.answer_bytes in self._unanswered:
-                continue
-            self._drain()
-            self._write(command, parameters)
-            while True:
-                response = self._await(command, strict=False)
-                if response.code == 0 and len(response.data) == command.answer_bytes:
-                    break
-            with self._reading:
-                self._decoder.take_rejected()
-            self._unanswered.clear()
-            return
-        self._unanswered.clear()
-        raise self._error(
-            "synchronise", "too many answers are missing", "switch the amplifier off and on"
-        )
-
-    def _drain(self) -> None:
-        """Drop what has come until nothing comes for a moment."""
-        deadline = time.monotonic() + self._settings.timeout_s
-        while self._receive() and time.monotonic() < deadline:
-            pass
-        with self._reading:
-            self._decoder.reset()
-            self._responses.clear()
-
-    def _write(self, command: GsvCommand, parameters: bytes) -> None:
-        self._unanswered.add(command.answer_bytes)
-        port = self._port
-        try:
-            port.write(gsv_frames.request(command.number, parameters, self.crc))
-        except (TypeError, AttributeError) as error:
-            if port is not None and self._port is port:
-                raise
-            # The reader has closed it meanwhile: pyserial then trips over what is no longer there.
-            raise OSError("the port was closed while it was written to") from error
-
-    def _await(self, command: GsvCommand, strict: bool) -> GsvResponse:
-        """Return the next response; with `strict`, bytes that are not a frame are an error."""
-        deadline = time.monotonic() + self._settings.timeout_s
-        while not self._responses:
-            if time.monotonic() > deadline:
-                raise InstrumentTimeoutError(
-                    DEVICE,
-                    command.name,
-                    f"no answer within {self._settings.timeout_s:g} s",
-                    f"check that the amplifier is switched on and connected to "
-                    f"{self._settings.port}",
-                )
-            self._receive()
-            if strict and not self._responses:  # after the response they are the stream's affair
-                self._refuse_rejected(command.name)
-        return self._responses.popleft()
-
-    def _receive(self) -> int:
-        """Read the bytes that have come to the port, with a short wait, and route their frames;
-        return the number of bytes. If another thread is reading, that one routes the frame that
-        this one waits for."""
-        if not self._reading.acquire(timeout=READ_WAIT_S):
-            return 0
-        try:
-            if self._port is None:
-                raise self._error("read", "the port is closed")
-            waiting = self._port.in_waiting
-            data: bytes = self._port.read(waiting or 1)
-            if not data:
-                return 0
-            if not waiting:  # the first byte has come: take the others with it
-                data += self._port.read(self._port.in_waiting)
-            for frame in self._decoder.feed(data):
-                if isinstance(frame, GsvResponse):
-                    self._responses.append(frame)
-                else:
-                    self._frames.append(frame)
-                    self._frame_bytes += frame.size
-            self._taken += len(data)
-            return len(data)
-        finally:
-            self._reading.release()
-
-    # --- what goes wrong ---------------------------------------------------------------------
-
-    @contextlib.contextmanager
-    def _failing(self, command: GsvCommand | None) -> Iterator[None]:
-        """Turn failures into InstrumentErrors; a port that failed is closed and opened anew."""
-        name = command.name if command is not None else "stream"
-        try:
-            with self._clock.answer_within(WAITS * self._settings.timeout_s, DEVICE):
-                yield
-        except InstrumentTimeoutError:
-            with contextlib.suppress(InstrumentError):  # the time-out itself is the news
-                self._clock.charge(self._settings.timeout_s)
-            raise
-        except RigError:
-            raise
-        except Exception as error:  # pyserial and termios raise what they like where it breaks
-            self.close()
-            raise self._error(name, f"the connection failed ({error})") from error
-
-    def _open_port(self) -> None:
-        """Open the port where it is closed; what comes from it is not trusted yet."""
-        import serial
-
-        if self._port is not None:
-            return
-        port = serial.Serial(
-            self._settings.port,
-            self._settings.baudrate,
-            timeout=READ_WAIT_S,
-            write_timeout=self._settings.timeout_s,
-            exclusive=True,
-        )
-        with self._reading:
-            self._port = port
-            self._unanswered = {STOP_TRANSMISSION.answer_bytes}
-
-    def _refuse_rejected(self, command: str) -> None:
-        with self._reading:
-            rejected = self._decoder.take_rejected()
-        if rejected:
-            raise self._error(
-                command, f"{len(rejected)} bytes came that are not a frame: {rejected.hex(' ')}"
-            )
-
-    def _refused(self, command: GsvCommand, parameters: bytes, code: int) -> InstrumentError:
-        sent = f" {parameters.hex(' ')}" if parameters else ""
-        reason = ERRORS.get(code, "an error without a name")
-        hint = "check the value against the amplifier's manual"
-        if code == 0x71:
-            hint = "take the write lock off with the maker's program"
-        return InstrumentError(
-            DEVICE, f"{command.name}{sent}", f"refused with error {code:02X}: {reason}", hint
-        )
-
-    def _error(self, command: str, cause: str, hint: str | None = None) -> InstrumentError:
-        usual = f"check the cable and that nothing else talks to {self._settings.port}"
-        return InstrumentError(DEVICE, command, cause, hint or usual)
+Settings = MeGsv8Settings
+"""The settings of a bench file, under the name by which the bench asks any driver for them."""
 
 
 class ForceAmplifier:

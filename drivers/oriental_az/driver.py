@@ -49,26 +49,21 @@ from drivers.oriental_az.link import (
     AzRefusalError,
     halves,
     reading,
-    signed,
     writing,
 )
 from drivers.oriental_az.preparation import IDENTITY, identify, set_communication, set_limits
 from drivers.oriental_az.reader import AzReader
+from drivers.oriental_az.readings import AzReadings
 from drivers.oriental_az.registers import (
     ABSOLUTE,
     ALARM_RESET,
     COMMAND_POSITION,
     CURRENT,
     DIRECT_DATA,
-    DIRECT_IO,
     INPUT_COMMAND,
-    INPUT_REGISTERS,
-    INTERNAL_OUTPUTS,
     OPERATION_TYPE,
     POSITION_REGISTERS,
     STATE_REGISTERS,
-    TORQUE,
-    TORQUE_REGISTERS,
     TRIGGER_ALL,
     AzInput,
     AzInternalOutput,
@@ -104,9 +99,6 @@ line."""
 Settings = OrientalAzSettings
 """The settings of a bench file, under the name by which the bench asks any driver for them."""
 
-NOT_THERE = (1, 2, 3)
-"""Exceptions of a drive that does not have the register. One that cannot answer now sends a 4."""
-
 ARRIVAL_POLL_S = 0.02
 POLL_S = 0.005
 KEEP_ALIVES_PER_TIMEOUT = 5
@@ -140,6 +132,7 @@ class AzAxis:
         self._device = settings.role
         self._link = AzLink(self._device, line, settings.unit_id, settings.timeout_s, clock)
         self._line = line
+        self._readings = AzReadings(self._link)
         self._identity = IDENTITY
         self._interlock = StageInterlock(self._device)
         self._in_charge = False
@@ -148,13 +141,8 @@ class AzAxis:
         """The alarm that has been raised already; `keep_alive` does not raise it again."""
         self._stop_stands = False
         """True if a stop by this program may still be in effect."""
-        self._inputs_read = self._torques_read = 0
-        self._has_torque = True
-        """False once the drive has refused the register of its torque."""
         self._current_checked = False
         """True once the drive has read back the operating current that a motion was sent with."""
-        self._turn = 0
-        """Index of the one of two lengths that is next."""
         self._state_at_s = -1.0
         self._motion: MotionWatch | None = None
         """The motion under way; None if there is none. Another thread's stop clears it."""
@@ -359,18 +347,7 @@ class AzAxis:
 
     def torque_percent(self) -> float | None:
         """See `ReadsTorque`: percent of the largest torque."""
-        if not self._has_torque:
-            return None
-        self._torques_read += 1
-        count = TORQUE_REGISTERS[self._torques_read % 2]
-        try:
-            words = self._link.read(TORQUE + 2 - count, count)
-        except AzRefusalError as refused:
-            if refused.exception not in NOT_THERE:
-                raise
-            self._has_torque = False
-            return None
-        return signed(words[-2] << 16 | words[-1]) / 10
+        return self._readings.torque_percent()
 
     def keep_alive(self) -> None:
         """Feed the communication time-outs of the whole line by reading the drive's state, unless
@@ -400,10 +377,7 @@ class AzAxis:
             raise self._error(
                 "read inputs", "the line is waiting out a time-out", "look at its cable"
             )
-        self._inputs_read += 1
-        count = INPUT_REGISTERS[self._inputs_read % 2]
-        words = self._link.read(DIRECT_IO + 2 - count, count, waits=False)
-        return {name: bool(words[-1] >> int(name.removeprefix("DIN")) & 1) for name in names}
+        return self._readings.inputs_high(names)
 
     def make_safe(self) -> None:
         """Switch the STOP input on, and verify that the drive has it on.
@@ -554,19 +528,12 @@ class AzAxis:
             TRIGGER_ALL,
         )
         words = tuple(word for value in values for word in halves(value))
-        return (OPERATION_TYPE, words[2:]) if self._next_turn() else (DIRECT_DATA, words)
-
-    def _next_turn(self) -> int:
-        self._turn ^= 1
-        return self._turn
+        return (OPERATION_TYPE, words[2:]) if self._readings.next_turn() else (DIRECT_DATA, words)
 
     def _read_state(self) -> AzState:
-        count = STATE_REGISTERS[self._next_turn()]
-        words = self._link.read(INPUT_COMMAND, count)
-        if count == 4 and words[3] & AzOutput.ALARM:
-            words = self._link.read(INPUT_COMMAND, 6)
+        state = self._readings.state()
         self._state_at_s = self._clock.now()
-        return AzState.from_words(words)
+        return state
 
     def _poll(self) -> AzState:
         """Return the drive's state; an alarm raises."""
@@ -575,7 +542,7 @@ class AzAxis:
         return state
 
     def _internal(self) -> int:
-        return self._link.read(INTERNAL_OUTPUTS, 2)[0]
+        return self._readings.internal_outputs()
 
     def _read_position(self) -> AzPosition:
         """Read where the axis is; one that is held back, or runs past its target, raises."""
@@ -594,8 +561,7 @@ class AzAxis:
     def _look(self) -> tuple[float, AzPosition]:
         """Return when the drive was asked for its position, and its answer."""
         asked_s = self._clock.now()
-        words = self._link.read(COMMAND_POSITION, POSITION_REGISTERS[self._next_turn()])
-        return asked_s, AzPosition.from_words(words)
+        return asked_s, self._readings.position()
 
     def _await(
         self,

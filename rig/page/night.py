@@ -120,7 +120,7 @@ def _row(row: RunRow) -> dict[str, Any]:
 def _drift(queue: Queue) -> list[dict[str, Any]]:
     """Return the watched figures of each reference by run, as differences from its first run."""
     from rig.batch.execute.drift import watched_figures
-    from rig.batch.execute.worker import BatchTerms
+    from rig.batch.execute.terms import BatchTerms
     from rig.batch.plan.procedures import installed
 
     terms = BatchTerms.of(queue, BatchFolder(queue.path.parent))

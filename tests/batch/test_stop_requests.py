@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from rig.batch.execute import worker
+from rig.batch.execute import worker_link
 from rig.batch.execute.supervisor import Supervisor
 from rig.batch.folder import BatchFolder
 from rig.batch.plan.conditions import BatchPlan
@@ -96,8 +96,8 @@ def test_a_stop_of_one_run_does_not_reach_the_next(
     signals: list[int] = []
     monkeypatch.setattr(os, "kill", lambda _, number: signals.append(number))
     nothing = SimpleNamespace(start=lambda: None)
-    monkeypatch.setattr(worker.threading, "Thread", lambda **_: nothing)  # type: ignore[attr-defined]
-    listener = worker._CommandListener(StopFlag(), lambda *_, **__: None)
+    monkeypatch.setattr(worker_link.threading, "Thread", lambda **_: nothing)  # type: ignore[attr-defined]
+    listener = worker_link.CommandListener(StopFlag(), lambda *_, **__: None)
     listener.run, listener.in_run = 12, True
     listener._handle(command)
     assert signals == ([signal.SIGTERM] if sent else [])

@@ -204,7 +204,7 @@ QUICK = ("--duration", "0.2s", "--settling", "0.1s")
 
 
 def test_the_force_sensor_of_the_simulated_bench_is_found_as_it_is(rig: Any) -> None:
-    from drivers.simulated.instruments.me_gsv8 import Sensor
+    from drivers.simulated.instruments.gsv8_converter import Sensor
 
     done = rig.run("calibrate", "force", "--yes", "--tolerance", "0", "--json", *QUICK)
     assert done.code == 0, done.stderr

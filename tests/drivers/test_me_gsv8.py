@@ -19,7 +19,8 @@ from simulated.ideal import serving
 from drivers.me_gsv8.driver import ForceAmplifier, Settings, connect, make_safe
 from drivers.simulated.faults.plan import FaultPlan
 from drivers.simulated.faults.wire import WireFaults
-from drivers.simulated.instruments.me_gsv8 import Gsv8, GsvMemory, Sensor
+from drivers.simulated.instruments.gsv8_converter import Sensor
+from drivers.simulated.instruments.me_gsv8 import Gsv8, GsvMemory
 from drivers.simulated.ports import Exchange
 from drivers.simulated.transports.serial_server import PtyServer
 from rig.core.clock import Clock, WallClock

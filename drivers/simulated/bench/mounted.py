@@ -376,7 +376,8 @@ def place_of(server: PtyServer | InstrumentTcpServer) -> str:
 
 def _force_sensor(world: World, driver: str) -> ForceSensorCore:
     """Return the simulator that is registered for a driver, in the World."""
-    from drivers.simulated.instruments.me_gsv8 import Gsv8, Sensor
+    from drivers.simulated.instruments.gsv8_converter import Sensor
+    from drivers.simulated.instruments.me_gsv8 import Gsv8
 
     make: Any = simulator_of(FORCE_SENSOR, driver)
     made = make(world, world, FORCE_SENSOR)

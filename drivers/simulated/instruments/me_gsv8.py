@@ -4,10 +4,8 @@ It may keep its settings, ask the World for the force on the sensor at given ins
 its converter makes of it. It may not wait, and it knows no serial port: bytes come in through
 `Gsv8.receive`, responses go out of it, and measurement frames come out of `Gsv8.frames_until`.
 
-The sensor's bridges sit on channels 1 to 3; channels 4 to 8 are open and carry noise. The converter
-runs at 48 kS/s; a frame carries the mean of the conversions since the frame before it, whose -3 dB
-point is 0.443 of the frame rate (the maker states about 0.4). At most 48 conversions a frame are
-computed, evenly spread, so that slow rates stay cheap.
+The sensor's bridges sit on channels 1 to 3; channels 4 to 8 are open and carry noise. What the
+converter makes of them is in `gsv8_converter`, the frames as bytes are in `gsv8_frames`.
 
 Sources: ME-Messsysteme, GSV Communication Protocol Specification (ba-gsvcom_en, 11/2022) and GSV-8
 manual (ba-gsv8_en). What they leave open is marked UNCONFIRMED, each in one place.
@@ -19,34 +17,55 @@ import math
 import struct
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
-from functools import cache
 from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
 from drivers.simulated.faults.wire import WireDialect
-from drivers.simulated.instruments.disturbed_converter import KINDS, DisturbedConverter
+from drivers.simulated.instruments.disturbed_converter import KINDS
 from drivers.simulated.instruments.force_sensor import ForceSensorCore
+from drivers.simulated.instruments.gsv8_converter import (
+    BRIDGE_RANGES_MV_V,
+    CHANNELS,
+    CONVERSIONS_PER_S,
+    INPUT_RANGE_MV_V,
+    BridgeConverter,
+    Sensor,
+    input_range,
+)
+from drivers.simulated.instruments.gsv8_frames import (
+    BAD_ADDRESS,
+    BAD_BITS,
+    BAD_DATA,
+    DONE,
+    DONE_CHANGED,
+    FLOAT32,
+    GSV_DIALECT,
+    INT16,
+    INT24,
+    LOCKED,
+    NO_SUCH_PARAMETER,
+    NOT_IMPLEMENTED,
+    RATE_TOO_HIGH,
+    TOO_LARGE,
+    TOO_SMALL,
+    UNKNOWN,
+    WRONG_COUNT,
+    GsvRequest,
+    RefusedError,
+    encoded,
+    offset_binary,
+    response,
+    take_request,
+)
 from drivers.simulated.ports import DigitalInputPort, Exchange, ForcePort, LogPort
 
-CHANNELS = 8
-CONVERSIONS_PER_S = 48_000
-CONVERSIONS_COMPUTED = 48
-"""Most conversions of one frame that are computed."""
-INPUT_RANGE_MV_V = 3.5
-OVERRANGE = 1.05
-"""The converter's end, in input ranges."""
-NOISE_MV_V = 2e-5
-"""Standard deviation of a value at 1000 frames/s, as the root of the rate (UNCONFIRMED)."""
-NOISE_CHUNK = 256
 MODEL = 0x08
 DIVISORS = tuple(d for d in range(1, CONVERSIONS_PER_S + 1) if CONVERSIONS_PER_S % d == 0)
 """Frame rates are the conversion rate by one of these."""
 FASTEST_FLOATS_S_s = 12_000.0
 FASTEST_S_s, SLOWEST_S_s = 48_000.0, 1.0
-
-INT16, INT24, FLOAT32 = 1, 2, 3
 
 MULTI_AXIS, AUTO_FILTER, MIN_MAX, WRITE_LOCK = 0x01, 0x02, 0x04, 0x80
 KNOWN_MODE = MULTI_AXIS | AUTO_FILTER | MIN_MAX | WRITE_LOCK
@@ -63,41 +82,6 @@ UNSERVED = frozenset(
     | {*range(0x90, 0xA2)}
 )
 """Commands of the protocol that this simulator answers with "not implemented"."""
-
-
-@dataclass(frozen=True)
-class Sensor:
-    """A three-axis sensor: force in N is `matrix` times the bridges' mV/V after `zero_mV_V`.
-
-    The default is a K3D40 of 50 N: a calibrated one of 10 N, scaled (UNCONFIRMED).
-    """
-
-    matrix: tuple[tuple[float, float, float], ...] = (
-        (83.198, 0.354, -0.552),
-        (0.375, 79.864, 0.828),
-        (1.516, 0.452, 83.675),
-    )
-    zero_mV_V: tuple[float, float, float] = (0.012, -0.007, 0.021)
-
-    def bridges(self, force_N: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-        """Return the outputs of the three bridges in mV/V under forces (n, 3)."""
-        inverse, zero, *_ = _inverse(self.matrix, self.zero_mV_V)
-        return np.asarray(force_N @ inverse.T + zero)
-
-    def largest_bridge(self, force_N: npt.NDArray[np.float64]) -> float:
-        """Return the bound in mV/V of all bridges' outputs while no component of the force exceeds
-        these, (3,) in N."""
-        *_, sizes, zero_sizes = _inverse(self.matrix, self.zero_mV_V)
-        return float((sizes @ force_N + zero_sizes).max())
-
-
-@cache
-def _inverse(
-    matrix: tuple[tuple[float, ...], ...], zero: tuple[float, ...]
-) -> tuple[npt.NDArray[np.float64], ...]:
-    """Return the inverse and the zero, and the sizes of both."""
-    of, at = np.linalg.inv(np.array(matrix)), np.array(zero)
-    return of, at, np.abs(of), np.abs(at)
 
 
 @dataclass
@@ -117,35 +101,6 @@ class GsvMemory:
     output_type: list[int] = field(default_factory=lambda: [1] * CHANNELS)
     output_offset: list[float] = field(default_factory=lambda: [0.0] * CHANNELS)
     output_scale: list[float] = field(default_factory=lambda: [1.0] * CHANNELS)
-
-
-class RefusedError(Exception):
-    """A request that is answered with an error code."""
-
-    def __init__(self, code: int):
-        super().__init__(f"error {code:02X}")
-        self.code = code
-
-
-UNKNOWN, NOT_IMPLEMENTED, BAD_FRAME, BAD_CRC = 0x40, 0x41, 0x42, 0x43
-BAD_ADDRESS, BAD_DATA, BAD_BITS, TOO_LARGE, TOO_SMALL = 0x51, 0x52, 0x53, 0x54, 0x55
-NO_SUCH_PARAMETER, WRONG_COUNT, RATE_TOO_HIGH, LOCKED = 0x59, 0x5B, 0x64, 0x71
-DONE, DONE_CHANGED = 0x00, 0x01
-
-
-@dataclass(frozen=True)
-class GsvRequest:
-    """One request frame as it came."""
-
-    number: int
-    parameters: bytes
-    crc: bool
-    by: str
-
-    @property
-    def label(self) -> bytes:
-        """The request as fault plans name it: ``8B 44 7A 00 00``."""
-        return bytes((self.number, *self.parameters)).hex(" ").upper().encode()
 
 
 Answer = tuple[int, bytes]
@@ -188,7 +143,6 @@ class Gsv8(ForceSensorCore):
         serial_number: str = "SIM00001",
         firmware: tuple[int, int] = (1, 60),
     ):
-        self.sensor = sensor or Sensor()
         self.memory = memory or GsvMemory()
         self.serial_number = serial_number
         self.firmware_version = firmware
@@ -201,15 +155,9 @@ class Gsv8(ForceSensorCore):
         self._input = bytearray()
         self._origin_us, self._sent = 0, 0
         self._divisor, self._period_s = 1, 0.0
-        self._back_s = np.zeros(1)
-        """Time from each computed conversion to the end of its frame, in s."""
         self._crc16 = self._streaming = False
         self._last_error = 0
-        self._noise_key: tuple[int, ...] | None = None
-        self._noise_at = 0
-        self._noise: dict[int, npt.NDArray[np.float64]] = {}
-        self._disturbed = DisturbedConverter(CHANNELS, OVERRANGE)
-        """Disturbed values of the converters, in input ranges."""
+        self._converter = BridgeConverter(port, sensor or Sensor())
         self._commands = self._command_table()
         self._switch_on()
 
@@ -222,12 +170,12 @@ class Gsv8(ForceSensorCore):
     def exchanges(self, data: bytes, by: str) -> Iterable[Exchange]:
         """Return the same, request by request."""
         self._input += data
-        while (taken := self._take_request(by)) is not None:
+        while (taken := take_request(self._input, by)) is not None:
             if isinstance(taken, GsvRequest):
                 yield Exchange(taken.label, self._answer(taken))
             else:
                 self._last_error = taken
-                yield Exchange(b"", _response(taken, b"", crc=False))
+                yield Exchange(b"", response(taken, b"", crc=False))
 
     def frames_until(self, now_us: int) -> bytes:
         """Return the measurement frames that fell due since the last call, up to ``now_us``."""
@@ -249,13 +197,9 @@ class Gsv8(ForceSensorCore):
     ) -> None:
         """Take a disturbance of a fault plan from a World time on; `force_N` is what a wrong value
         adds along `axis`."""
-        channel = self.axes.index(axis)
-        along = np.zeros(3)
-        along[channel] = force_N
-        full = _input_range_of_each(tuple(self.memory.input_type))
-        added = np.zeros(CHANNELS)
-        added[:3] = (self.sensor.bridges(along) - self.sensor.zero_mV_V) / full[:3]
-        self._disturbed.add(kind, begin_s, channel=channel, added=added, **keys)
+        self._converter.disturb(
+            kind, begin_s, self.axes.index(axis), force_N, tuple(self.memory.input_type), **keys
+        )
 
     def bench_settings(self, where: str) -> dict[str, Any]:
         """Return the keys of a bench file's table for the driver."""
@@ -265,6 +209,15 @@ class Gsv8(ForceSensorCore):
             "max_force_N": 40.0,
             "matrix_N_mV_V": [list(row) for row in self.sensor.matrix],
         }
+
+    @property
+    def sensor(self) -> Sensor:
+        """The sensor that the bridges belong to."""
+        return self._converter.sensor
+
+    @sensor.setter
+    def sensor(self, sensor: Sensor) -> None:
+        self._converter.sensor = sensor
 
     @property
     def matrix(self) -> tuple[tuple[float, ...], ...]:
@@ -288,29 +241,6 @@ class Gsv8(ForceSensorCore):
 
     # --- frames in ---------------------------------------------------------------------------
 
-    def _take_request(self, by: str) -> GsvRequest | int | None:
-        """Return the next request, the error code of a broken one, or None until more has come."""
-        while True:
-            start = self._input.find(0xAA)
-            del self._input[: len(self._input) if start < 0 else start]
-            if len(self._input) < 2 or self._input[1] & 0xF0 in (0x90, 0xB0):
-                break
-            del self._input[0]
-        if len(self._input) < 4:
-            return None
-        count, crc = self._input[1] & 15, self._input[1] & 0xF0 == 0xB0
-        length = 4 + count + crc
-        if len(self._input) < length:
-            return None
-        frame = bytes(self._input[:length])
-        if frame[-1] != 0x85:
-            del self._input[0]
-            return BAD_FRAME
-        del self._input[:length]
-        if crc and _crc8(frame[1:-1]) != 0:
-            return BAD_CRC
-        return GsvRequest(frame[2], frame[3 : 3 + count], crc, by)
-
     def _answer(self, request: GsvRequest) -> bytes | None:
         try:
             answer = self._command(request).act(request)
@@ -319,7 +249,7 @@ class Gsv8(ForceSensorCore):
             answer = refused.code, b""
         if answer is None:
             return self._frames(np.array([self._now_s()])) if request.number == 0x3B else None
-        return _response(*answer, request.crc)
+        return response(*answer, request.crc)
 
     def _command(self, request: GsvRequest) -> SimulatedCommand:
         """Return the table's entry for a request that may be carried out."""
@@ -439,7 +369,7 @@ class Gsv8(ForceSensorCore):
         which = request.parameters[0]
         if which > CHANNELS:
             raise RefusedError(BAD_ADDRESS)
-        ranges, _ = self._input_ranges(np.array([self._now_s()]))
+        ranges, _ = self._convert(np.array([self._now_s()]))
         for channel in range(CHANNELS) if which == 0 else (which - 1,):
             self.memory.zero[channel] = float(ranges[0, channel])
         self._tell("zero", which, request.by)
@@ -468,8 +398,8 @@ class Gsv8(ForceSensorCore):
     def _get_raw_value(self, request: GsvRequest) -> Answer:
         """Return one channel as 24-bit offset binary (UNCONFIRMED form)."""
         channel = _channel(request)
-        ranges, _ = self._input_ranges(np.array([self._now_s()]))
-        return DONE, _offset_binary(float(ranges[0, channel]), 3)
+        ranges, _ = self._convert(np.array([self._now_s()]))
+        return DONE, offset_binary(float(ranges[0, channel]), 3)
 
     def _get_mapping(self, request: GsvRequest) -> Answer:
         if request.parameters[0] != 0:
@@ -538,7 +468,7 @@ class Gsv8(ForceSensorCore):
     def _get_input_type(self, request: GsvRequest) -> Answer:
         """Return the type and its input range in hundredths of a mV/V."""
         kind = self.memory.input_type[_channel(request)]
-        return DONE, struct.pack(">BI", kind, round(100 * _input_range(kind)))
+        return DONE, struct.pack(">BI", kind, round(100 * input_range(kind)))
 
     def _set_input_type(self, request: GsvRequest) -> Answer:
         channel, kind = _channel(request), request.parameters[1]
@@ -560,8 +490,7 @@ class Gsv8(ForceSensorCore):
         """Begin to count frames from here."""
         self._origin_us, self._sent = self._port.now_us, 0
         self._period_s = self._divisor / CONVERSIONS_PER_S
-        count = min(self._divisor, CONVERSIONS_COMPUTED)
-        self._back_s = self._period_s * np.arange(count)[::-1] / count
+        self._converter.begin(self._divisor)
 
     def _stream(self, on: bool, by: str) -> None:
         if on != self._streaming:
@@ -583,101 +512,21 @@ class Gsv8(ForceSensorCore):
 
     def _frames(self, ends_s: npt.NDArray[np.float64]) -> bytes:
         """Return the measurement frames whose conversions end at these instants."""
-        ranges, saturated = self._input_ranges(ends_s)
+        ranges, saturated = self._convert(ends_s)
         values = ranges - np.array(self.memory.zero)
         if self.memory.mode & MULTI_AXIS:  # the amplifier applies the sensor's matrix itself
             values[:, :3] = values[:, :3] * INPUT_RANGE_MV_V @ np.array(self.sensor.matrix).T
         elif self.memory.data_type == FLOAT32:
             values *= np.array(self.memory.user_scale)
         kept = values[:, : self.memory.values]
-        return self._encoded(kept, np.asarray(saturated[:, : self.memory.values].any(axis=1)))
+        any_saturated = np.asarray(saturated[:, : self.memory.values].any(axis=1))
+        return encoded(kept, any_saturated, self.memory.data_type, self._crc16)
 
-    def _encoded(self, values: npt.NDArray[np.float64], saturated: npt.NDArray[np.bool_]) -> bytes:
-        """Return frames of values (n, k): floats in user units, integers in input ranges."""
-        (count, width), kind = values.shape, self.memory.data_type
-        flat = values.ravel().tolist()
-        if kind == FLOAT32:
-            data = struct.pack(f">{len(flat)}f", *flat)
-        else:
-            data = b"".join(_offset_binary(value, kind + 1) for value in flat)
-        end = 3 + len(data) // count
-        frames = np.empty((count, end + 2 * self._crc16 + 1), np.uint8)
-        frames[:, 0], frames[:, -1] = 0xAA, 0x85
-        frames[:, 1] = (0x30 if self._crc16 else 0x10) | width - 1
-        frames[:, 2] = saturated | (0x80 | kind << 4)
-        frames[:, 3:end] = np.frombuffer(data, np.uint8).reshape(count, -1)
-        if self._crc16:
-            frames[:, end:-1] = _crc16(frames[:, 1:end])
-        return frames.tobytes()
-
-    def _input_ranges(
+    def _convert(
         self, ends_s: npt.NDArray[np.float64]
     ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.bool_]]:
-        """Return each channel's mean over the frame period that ends at each instant, in input
-        ranges, and whether the converter stood at its end within it: both (n, 8)."""
-        count, per_frame = len(ends_s), len(self._back_s)
-        times = np.maximum(ends_s[:, None] - self._back_s, 0.0)
-        force = self._port.force_N(times.ravel()).reshape(count, per_frame, 3)
-        full = _input_range_of_each(tuple(self.memory.input_type))
-        saturated = np.zeros((count, CHANNELS), bool)
-        ranges = self._noise_of(count) / full
-        if self._all_below(OVERRANGE * min(full[:3].tolist()), np.abs(force)):
-            by_conversion = force.swapaxes(0, 1).reshape(per_frame, -1)
-            mean = np.add.reduce(by_conversion).reshape(count, 3) / per_frame
-            ranges[:, :3] += self.sensor.bridges(mean) / full[:3]  # of the mean: it is linear
-        else:
-            converted = self.sensor.bridges(force.reshape(-1, 3)).reshape(force.shape) / full[:3]
-            saturated[:, :3] = (np.abs(converted) >= OVERRANGE).any(axis=1)
-            ranges[:, :3] += np.clip(converted, -OVERRANGE, OVERRANGE).mean(axis=1)
-        np.minimum(np.maximum(ranges, -OVERRANGE, out=ranges), OVERRANGE, out=ranges)
-        self._disturbed.apply(ends_s, ranges, saturated)
-        return ranges, saturated
-
-    def _all_below(self, bridge_mV_V: float, sizes_N: npt.NDArray[np.float64]) -> bool:
-        """Return whether no bridge can reach this under forces of these sizes (n, m, 3): mostly all
-        three components may be as large as the largest, which is found sooner than each one's."""
-        most = self.sensor.largest_bridge
-        return (
-            most(np.full(3, sizes_N.max())) < bridge_mV_V
-            or most(sizes_N.max(axis=(0, 1))) < bridge_mV_V
-        )
-
-    def _noise_of(self, count: int) -> npt.NDArray[np.float64]:
-        """Return the noise of the next frames in mV/V, (n, 8): by key and by number of frames since
-        it came, made in whole chunks, so that neither batches nor earlier points matter."""
-        if self._noise_key != (key := self._port.noise_key):
-            self._noise_key, self._noise_at = key, 0
-            self._noise.clear()
-        first, self._noise_at = self._noise_at, self._noise_at + count
-        chunks = range(first // NOISE_CHUNK, (self._noise_at - 1) // NOISE_CHUNK + 1)
-        drawn = [self._noise_chunk(chunk) for chunk in chunks]
-        begin = first - chunks[0] * NOISE_CHUNK
-        rms = NOISE_MV_V * math.sqrt(self.rate / 1000)
-        noise = drawn[0] if len(drawn) == 1 else np.concatenate(drawn)
-        return rms * noise[begin : begin + count]
-
-    def _noise_chunk(self, chunk: int) -> npt.NDArray[np.float64]:
-        if chunk not in self._noise:
-            assert self._noise_key is not None
-            source = np.random.default_rng([*self._noise_key, chunk])
-            self._noise = {chunk: source.standard_normal((NOISE_CHUNK, CHANNELS))}
-        return self._noise[chunk]
-
-
-# --- bytes -----------------------------------------------------------------------------------
-
-BRIDGE_RANGES_MV_V = (INPUT_RANGE_MV_V, 7.0, 14.0)
-"""Input range by input type: bridge at 5, 2.5 and 1.25 V (UNCONFIRMED beyond the first)."""
-
-
-def _input_range(input_type: int) -> float:
-    """Return the input range in mV/V."""
-    return BRIDGE_RANGES_MV_V[input_type]
-
-
-@cache
-def _input_range_of_each(input_types: tuple[int, ...]) -> npt.NDArray[np.float64]:
-    return np.array([_input_range(kind) for kind in input_types])
+        """See `BridgeConverter.input_ranges`."""
+        return self._converter.input_ranges(ends_s, tuple(self.memory.input_type))
 
 
 def _channel(request: GsvRequest) -> int:
@@ -686,77 +535,3 @@ def _channel(request: GsvRequest) -> int:
     if not 1 <= channel <= CHANNELS:
         raise RefusedError(BAD_ADDRESS)
     return channel - 1
-
-
-def _offset_binary(ranges: float, width: int) -> bytes:
-    """Return a value in input ranges as an integer of `width` bytes: 1.05 ranges are its end."""
-    half = 1 << 8 * width - 1
-    counts = round(ranges / OVERRANGE * half)
-    return (min(max(counts, -half), half - 1) + half).to_bytes(width, "big")
-
-
-def _response(code: int, data: bytes, crc: bool) -> bytes:
-    assert len(data) < 15, "no command here answers with more"
-    body = bytes(((0x70 if crc else 0x50) | len(data), code)) + data
-    return b"\xaa" + body + (bytes((_crc8(body),)) if crc else b"") + b"\x85"
-
-
-def _refusal(reply: bytes, code: int) -> bytes | None:
-    """Return a response made into one with an error code; measurements carry none."""
-    return _response(code, b"", bool(reply[1] & 0x20)) if reply[1] >> 6 == 1 else None
-
-
-def _wrong_check(reply: bytes) -> bytes | None:
-    """Return a response, or the last of some measurements, with a wrong CRC where it has one."""
-    if not reply[1] & 0x20:
-        return None
-    return reply[:-2] + bytes((reply[-2] ^ 0xFF, reply[-1]))
-
-
-GSV_DIALECT = WireDialect(error=_refusal, checksum=_wrong_check)
-
-
-def _crc8(data: bytes) -> int:
-    """Polynomial x8 + x2 + x + 1, start 0: of a message and its own check it is 0."""
-    remainder = 0
-    for byte in data:
-        remainder ^= byte
-        for _ in range(8):
-            remainder = (remainder << 1 ^ 0x107) if remainder & 0x80 else remainder << 1
-    return remainder
-
-
-def _crc16(rows: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
-    """Return the CRC-16 of each row as Modbus has it, (n, 2) with the low byte first: x16 + x15 +
-    x2 + 1 reflected, start FFFF. It is the exclusive or of what each byte brings in at its place.
-    """
-    start, places, brought = _crc16_by_place(rows.shape[1])
-    remainders = np.bitwise_xor.reduce(brought[places + rows], axis=1) ^ start
-    return np.asarray(remainders, "<u2").view(np.uint8).reshape(-1, 2)
-
-
-@cache
-def _crc16_by_place(
-    length: int,
-) -> tuple[np.uint16, npt.NDArray[np.intp], npt.NDArray[np.uint16]]:
-    """Return the contribution of the start, the index of each place's bytes, and the contributions
-    of the bytes."""
-
-    def passed_on(remainders: npt.NDArray[np.uint16]) -> npt.NDArray[np.uint16]:
-        return np.asarray(remainders >> 8 ^ one_byte[remainders & 0xFF])
-
-    one_byte = np.array(_BYTES, np.uint16)
-    start, brought = np.array([0xFFFF], np.uint16), [one_byte]
-    for _ in range(length - 1):
-        brought.append(passed_on(brought[-1]))
-    for _ in range(length):
-        start = passed_on(start)
-    return start[0], np.arange(length) * 256, np.concatenate(brought[::-1])
-
-
-_NIBBLES = (
-    *(0x0000, 0xCC01, 0xD801, 0x1400, 0xF001, 0x3C00, 0x2800, 0xE401),
-    *(0xA001, 0x6C00, 0x7800, 0xB401, 0x5000, 0x9C01, 0x8801, 0x4400),
-)
-_BYTES = tuple((byte := _NIBBLES[n & 15] ^ n >> 4) >> 4 ^ _NIBBLES[byte & 15] for n in range(256))
-"""A byte's two nibbles in one."""

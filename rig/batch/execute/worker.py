@@ -20,10 +20,9 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence, Set
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, replace
-from datetime import datetime
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -32,34 +31,25 @@ from rig.batch.execute.batch_clock import TIME_OVER, clock_of, window_of
 from rig.batch.execute.crash_recovery import archive_files, journal_to_resume, outcome_from_journal
 from rig.batch.execute.disk_room import LEAST_B, has_room
 from rig.batch.execute.drift_watch import DriftWatch
+from rig.batch.execute.run_benches import RunBenches
+from rig.batch.execute.terms import BatchTerms
+from rig.batch.execute.worker_link import CommandListener, Reporter, SendEvent
 from rig.batch.folder import BatchFolder
 from rig.batch.plan.policy import after_failure, kind_of, reason_to_end
 from rig.batch.plan.procedures import installed
-from rig.batch.plan.settings import BatchFile
 from rig.batch.plan.window import does_not_fit
 from rig.batch.queue import AttemptResult, Claim, Queue, QueueWriteError, give_up
 from rig.core.errors import ExitCode, RigError
 from rig.core.units import counted
-from rig.run.bench_selector import (
-    BenchRequest,
-    BenchSelector,
-    ChosenBench,
-    start_simulated,
-    world_in,
-)
 from rig.run.interlock_store import InterlockStore
 from rig.run.interlocks import InterlockError, InterlockWatch, watched
-from rig.run.observers import PAUSED, RunObserver
 from rig.run.stopping import MAKING_SAFE_S, StopFlag, StopRequestedError, TimeLimit
 
 if TYPE_CHECKING:
     from rig.batch.execute.drift import HoldReason
-    from rig.bench.settings import BenchSettings, Fixture
-    from rig.bench.simulated import RunningBench
+    from rig.bench.settings import BenchSettings
     from rig.core.clock import Clock
     from rig.run.outcome import RunOutcome
-    from rig.run.points import Point, Reading
-    from rig.run.procedure import Procedure
 
 LOOK_EVERY_S = 1.0
 """Interval in s at which a batch that is held by a full disk looks for room on it."""
@@ -71,37 +61,6 @@ run begins: nobody would notice what becomes of it."""
 GUARD_PATIENCE_S = 60.0
 """Longest time in s that the guard of an earlier worker that died may take to make the bench
 safe."""
-
-SendEvent = Callable[..., None]
-
-
-@dataclass(frozen=True)
-class BatchTerms:
-    """The settings with which a batch was begun, as its queue records them."""
-
-    file: BatchFile
-    bench: Path | None
-    """Bench file; None where simulated benches are started, one a run."""
-    results: Path
-    """Folder in which the batch's folder lies, and the guard's report of a real bench."""
-    batch_id: str
-    begun: datetime
-    files_from: Path
-    """Folder that the batch file's own file names are relative to."""
-
-    @classmethod
-    def of(cls, queue: Queue, folder: BatchFolder) -> BatchTerms:
-        """Read from a queue."""
-        bench = queue.meta("bench")
-        return cls(
-            BatchFile.model_validate_json(queue.meta("file")),
-            Path(bench) if bench else None,
-            folder.path.parent,
-            queue.meta("id"),
-            datetime.fromisoformat(queue.meta("begun")),
-            Path(queue.meta("files_from")),
-        )
-
 
 GIVEN_UP = "stopped by a person, who let the batch continue"
 """Reason of a run that was ended alone. It is not taken again."""
@@ -121,108 +80,6 @@ def _stopped(when: str) -> _EndError:
     return _EndError(f"stopped by rig batch stop, {when}", None, ExitCode.SIGTERM)
 
 
-class _CommandListener:
-    """Reads the supervisor's commands in a thread of its own; the main thread acts on them."""
-
-    def __init__(self, stop: StopFlag, send: SendEvent):
-        self._stop, self._send = stop, send
-        self.paused = threading.Event()
-        self.stop_after_run = False
-        self.in_run = False
-        self.run: int | None = None
-        """Number of the run under way, or of the latest."""
-        self.ending = False
-        """True if the batch was asked to end."""
-        self._run_given_up = False
-        self.heard_s = time.monotonic()
-        """Time of the supervisor's latest word, by the monotonic clock."""
-        threading.Thread(target=self._listen, name="commands", daemon=True).start()
-
-    def _listen(self) -> None:
-        rest = b""
-        while chunk := os.read(0, 4096):  # unbuffered: Python ends while this still listens
-            self.heard_s = time.monotonic()
-            *lines, rest = (rest + chunk).split(b"\n")
-            for line in lines:
-                self._handle(line.decode())
-        self.ending = True
-        os.kill(os.getpid(), signal.SIGHUP)  # the supervisor has died
-
-    def _handle(self, command: str) -> None:
-        if command.startswith("signal "):
-            self.ending = True
-            os.kill(os.getpid(), int(command.removeprefix("signal ")))
-        elif command == "stop-now":
-            self.ending = True
-            os.kill(os.getpid(), signal.SIGTERM)
-        elif command.split()[:1] == ["stop-run"]:
-            meant = command.split()[1:] in ([], [str(self.run)])  # another one may run by now
-            if self.in_run and not self.ending and meant:
-                self._run_given_up = True
-                os.kill(os.getpid(), signal.SIGTERM)
-        elif command == "stop-after-point":
-            self._stop.after_point = self.stop_after_run = True
-        elif command == "stop-after-run":
-            self.stop_after_run = True
-        elif command == "pause" and not self.paused.is_set():
-            self.paused.set()
-            self._send("state", state="pausing")
-            if self.in_run:  # a run that still connects takes no notice: the batch waits after it
-                os.kill(os.getpid(), signal.SIGTSTP)
-        elif command == "go":
-            if self.paused.is_set():
-                self._send("state", state="running")
-            self.paused.clear()
-            if self.in_run:
-                os.kill(os.getpid(), signal.SIGCONT)
-
-    def take_given_up(self) -> bool:
-        """Return, once, whether the run that has just ended was to end by itself: the batch then
-        continues. A batch that was asked to end as well ends."""
-        given_up, self._run_given_up = self._run_given_up, False
-        if not given_up or self.ending:
-            return False
-        self._stop.requested = None
-        return True
-
-
-class _Reporter(RunObserver):
-    """A run's progress, for the supervisor."""
-
-    def __init__(self, send: SendEvent):
-        self._send = send
-
-    def planned(self, points: Sequence[Point], recorded: Set[str], overhead_s: float) -> None:
-        """See `rig.run.observers.RunObserver`."""
-        self._send("planned", points=len(points), kept=len(recorded))
-
-    def point_recorded(self, number: int, total: int, point: Point, reading: Reading) -> None:
-        """See `rig.run.observers.RunObserver`."""
-        self._send("point", done=number, of=total, point=point.id)
-
-    def event(self, level: str, message: str) -> None:
-        """See `rig.run.observers.RunObserver`."""
-        self._send("note", level=level, text=message)
-
-    def hold_begun(self, reason: str, holds: int, presses: int) -> None:
-        """See `rig.run.observers.RunObserver`."""
-        self._send("disturbed", reason=reason, holds=holds, presses=presses)
-
-    def state(self, name: str) -> None:
-        """See `rig.run.observers.RunObserver`. That it runs again is said when it is asked for."""
-        if name == PAUSED:
-            self._send("state", state="paused", text="the bench is safe")
-
-
-@dataclass(frozen=True)
-class _Ahead:
-    """A simulated bench that boots while the run before its own is taken."""
-
-    request: BenchRequest
-    fixture: Fixture
-    started: RunningBench
-
-
 class Worker:
     """Takes the runs of a queue until none is left, or something ends the night."""
 
@@ -233,12 +90,9 @@ class Worker:
         self._send = send
         self._terms = BatchTerms.of(queue, folder)
         self._batch = self._terms.file.batch
-        self._commands = _CommandListener(stop, send)
+        self._commands = CommandListener(stop, send)
+        self._benches = RunBenches(self._terms, folder, stop, send)
         self._clock = clock_of(queue)
-        self._bench: ChosenBench | None = None
-        """The bench of the bench file, locked once for all runs."""
-        self._ahead: _Ahead | None = None
-        """The simulated bench of the next run, while this one is taken."""
         self._watch = DriftWatch(queue, self._terms.file, self._terms.bench, self._terms.results)
         self._interlocks: InterlockWatch | None = None
         """The watch over the interlock contacts while the batch waits between runs."""
@@ -253,7 +107,7 @@ class Worker:
         """Take the runs; the exit code of the batch."""
         try:
             with ExitStack() as at_the_end:
-                at_the_end.callback(self._abandon)
+                at_the_end.callback(self._benches.abandon)
                 self._recover()
                 self._wait_for_the_window()
                 while (claim := self._next()) is not None:
@@ -394,7 +248,7 @@ class Worker:
     def _interlocks_watched(self) -> Iterator[None]:
         """Watch the bench's interlock contacts while no run does: a door that is opened and closed
         between two runs latches as well."""
-        bench = self._bench
+        bench = self._benches.lasting
         if bench is None or not bench.plan.settings.interlock or self._interlocks is not None:
             yield
             return
@@ -565,11 +419,11 @@ class Worker:
         procedure = own(own.Settings.model_validate_json(given))
         path = self._folder.journal(claim.number, condition.procedure)
         resume = journal_to_resume(path)
-        bench = self._bench_for(claim, procedure, at_the_end)
+        bench = self._benches.bench_for(claim, procedure, at_the_end)
         self._mounted = bench.plan.settings
         job = RunJob(
             procedure=procedure,
-            seed=self._seed,
+            seed=self._benches.seed,
             results=self._terms.results,
             user=self._batch.user,
             sample=self._batch.sample,
@@ -591,11 +445,12 @@ class Worker:
             if began != (job.fingerprint(toml), rig.__version__):
                 archive_files(path)
                 job.resume = None
-        self._boot_next()
+        if self._terms.bench is None and (upcoming := self._queue.upcoming()) is not None:
+            self._benches.boot(upcoming)
         self._commands.run, self._commands.in_run = claim.number, True
         self._stop.time_limit = self._time_limit(bench.clock)
         try:
-            outcome = execute(job, bench.plan, bench.clock, self._stop, _Reporter(self._send))
+            outcome = execute(job, bench.plan, bench.clock, self._stop, Reporter(self._send))
         finally:
             self._commands.in_run = False
             self._stop.time_limit = None
@@ -619,73 +474,6 @@ class Worker:
     def _limit_name(self) -> str:
         assert self._until is not None
         return f"stop_by ({self._until.astimezone():%Y-%m-%d %H:%M:%S})"
-
-    def _bench_for(self, claim: Claim, procedure: Procedure, at_the_end: ExitStack) -> ChosenBench:
-        """Return the bench file's bench, locked once for all runs; or a simulated one for this
-        run."""
-        fixture = procedure.fixtures[0]
-        selector = BenchSelector(
-            lambda text: self._send("note", level="info", text=text),
-            warn=lambda text: self._send("note", level="warning", text=text),
-            check=self._stop.check,
-        )
-        if self._terms.bench is None:
-            request = self._simulated(claim)
-            with self._stop.nothing_connected(), ExitStack() as nothing:
-                return selector.select(request, nothing, fixture, self._booted(request, fixture))
-        if self._bench is None:
-            request = BenchRequest(bench=self._terms.bench, results=self._terms.results)
-            self._bench = selector.select(request, at_the_end, fixture)
-        from rig.core.clock import WallClock
-
-        return replace(self._bench, clock=WallClock())
-
-    def _booted(self, request: BenchRequest, fixture: Fixture) -> RunningBench | None:
-        """Return the simulated bench that was started ahead, if it is the one that is needed."""
-        ahead, self._ahead = self._ahead, None
-        if ahead is not None and (ahead.request, ahead.fixture) != (request, fixture):
-            ahead.started.abandon()
-            return None
-        return None if ahead is None else ahead.started
-
-    def _boot_next(self) -> None:
-        """Start the next run's simulated bench during this run. One with a fault plan is started
-        later: its plan may affect this process's disk."""
-        if self._terms.bench is not None or (upcoming := self._queue.upcoming()) is None:
-            return
-        request = self._simulated(upcoming)
-        fixture = installed(upcoming.condition.procedure).fixtures[0]
-        if request.fault is None:
-            self._ahead = _Ahead(request, fixture, start_simulated(request, fixture))
-
-    def _abandon(self) -> None:
-        if self._ahead is not None:
-            self._ahead.started.abandon()
-
-    def _simulated(self, claim: Claim) -> BenchRequest:
-        """Return the simulated bench of a run: its World and its faults."""
-        own = self._terms.file.simulation
-        request = BenchRequest(seed=self._seed, results=self._folder.path / "runs")
-        if own is None:
-            return request
-        worlds = [own.world] + [c.settings for c in own.change if c.from_run <= claim.number]
-        world = worlds[-1]
-        fault = next(
-            (f.plan for f in own.fault if claim.number in f.runs and claim.attempt <= f.attempts),
-            None,
-        )
-        return replace(
-            request,
-            stages=own.stages,
-            world=None if world is None else world_in(self._terms.files_from, world),
-            fault=None if fault is None else self._terms.files_from / fault,
-            world_log=self._folder.world_log(claim.number) if own.world_log else None,
-        )
-
-    @property
-    def _seed(self) -> int:
-        own = self._terms.file.simulation
-        return 0 if own is None else own.seed
 
 
 def _text_of(findings: Sequence[HoldReason]) -> str:

@@ -9,7 +9,9 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from drivers.simulated.instruments.me_gsv8 import GSV_DIALECT, NOISE_MV_V, Gsv8, GsvMemory, Sensor
+from drivers.simulated.instruments.gsv8_converter import NOISE_MV_V, Sensor
+from drivers.simulated.instruments.gsv8_frames import GSV_DIALECT
+from drivers.simulated.instruments.me_gsv8 import Gsv8, GsvMemory
 
 OK = "AA 50 00 85"
 PLAIN = Sensor(matrix=((100, 0, 0), (0, 100, 0), (0, 0, 100)), zero_mV_V=(0, 0, 0))

@@ -17,7 +17,7 @@ import pytest
 
 from drivers.simulated.bench.options import Options
 from drivers.simulated.bench.start import start
-from drivers.simulated.instruments.me_gsv8 import NOISE_MV_V, Sensor
+from drivers.simulated.instruments.gsv8_converter import NOISE_MV_V, Sensor
 from drivers.simulated.world.axis import AxisCommand, Mechanics, SimulatedAxis
 from rig.bench.connect import connect
 from rig.bench.connected import Bench

@@ -126,3 +126,10 @@ def move_faults(fault: dict[str, Any]) -> tuple[MoveFault, ...]:
     """One fault of the simulated drive's mechanics."""
     plan = FaultPlan.model_validate({"fault": [{"device": "stage_z", **fault}]})
     return plan.of(MoveFault)
+
+
+def break_wire(it: Service, **fault: Any) -> None:
+    """A fault on the wire from now on."""
+    plan = FaultPlan.model_validate({"fault": [{"device": "it", **fault}]})
+    it.server.faults._faults = list(plan.fault)
+    it.server.faults._matched = [0]
