@@ -323,6 +323,18 @@ class BenchWatch:
                 return
             self._unusable.add(file)
 
+    def _files_problem(self) -> str:
+        """Return why what was read is no report on the bench any more: its files, or the folder
+        that the next run would record in, have gone. Empty where they are there."""
+        shown = self._shown
+        if shown is None:
+            return ""
+        if not self.results.is_dir():
+            return f"the results folder {self.results} is not there any more"
+        if not (shown.exists() or shown.with_suffix(RUN_SUFFIX).exists()):
+            return f"{shown.name} is not in the results folder any more"
+        return ""
+
     # --- saying ---------------------------------------------------------------------------------
 
     def facts(self, now: float | None = None) -> Facts:
@@ -363,7 +375,7 @@ class BenchWatch:
             unfinished=bool(unfinished),
             guard_reported=bool(report) and not failed,
             problem=self._problem or ("the journal is still being read" if self.behind else ""),
-            bench_problem=self._locks_problem or self._plan_problem,
+            bench_problem=self._locks_problem or self._plan_problem or self._files_problem(),
         )
 
     def silent_s(self, now: float | None = None) -> float:

@@ -301,3 +301,39 @@ def test_another_attempt_by_the_same_process_takes_the_bar_of_an_ended_stop_away
     noted(journal, "servo")
     words(watch)
     assert (watch.stop, watch.view.end) == (None, None)
+
+
+def test_a_results_folder_that_is_taken_away_leaves_no_bench_green(results: Path) -> None:
+    compile_run(journal_in(results), retire=True)
+    watch = BenchWatch(results)
+    watch.poll()
+    assert watch.word.word == "safe"
+    away = results.rename(results.with_name("away"))
+    watch.poll()
+    assert watch.word.word == "unknown"
+    assert watch.word.reason == f"the results folder {results} is not there any more"
+    results.write_text("a file in its place")
+    watch.poll()
+    assert watch.word.word == "unknown"
+    results.unlink()
+    (results / "day").mkdir(parents=True)
+    watch.poll()
+    assert watch.word.word == "unknown"
+    assert "a_sweep_r001.h5 is not in the results folder any more" in watch.word.reason
+    (results / "day").rmdir()
+    results.rmdir()
+    away.rename(results)
+    watch.poll()
+    assert watch.word.word == "safe"
+
+
+def test_a_compiled_runs_journal_may_go(results: Path) -> None:
+    """The page followed the journal; its run file says the same."""
+    path = journal_in(results)
+    watch = BenchWatch(results)
+    watch.poll()
+    watch.poll()
+    compile_run(path, retire=True)
+    watch.poll()
+    assert not path.exists()
+    assert watch.word.word == "safe"
