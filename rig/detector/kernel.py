@@ -29,7 +29,8 @@ PREDICTIVE, SLIP, ROLL, REJECTED, CANNOT_JUDGE, JUDGES_AGAIN = range(6)
     ONE_INVERTED,
     HUM,
     TOO_NOISY,
-) = range(12)
+    TOO_LIGHT,
+) = range(13)
 REASONS = (
     "",
     "not armed: no motion under load preceded it",
@@ -43,6 +44,7 @@ REASONS = (
     "the first touch drives v_1 and v_2 oppositely: one is inverted, or it was not recorded",
     "mains hum: thresholds rise with it",
     "too noisy: a slip would not stand out from the noise",
+    "the ridge hardly touches, or the gain is a tenth of the usual one",
 )
 """Reasons of events that reject or cannot judge, in the order of the constants above."""
 RIG, LITERAL, HIGH_PASSED = range(3)
@@ -88,6 +90,9 @@ TOUCH_CALM = 0.15
 MOST_NOISE = 5.0
 """Noise above `impulse_Hz`, rms in mV after a standard touch, above which a network of `INPUTS`
 cannot judge: a quarter of the impulse of the reference slide."""
+LEAST_JUDGED_UNIT = 0.1
+"""Touch-down, as a share of the standard one, below which a network of `INPUTS` cannot judge: a
+ridge that touches so lightly slips as soon as anything moves, before there is a shear to see."""
 WARM_UP_ms = 64.0
 """Time after which offset and noise are known for the first time, for a network of `INPUTS`."""
 DRIFT_ms = (2000.0, 1000.0)
@@ -367,7 +372,9 @@ def _say_whether_it_judges(s: Any, c: Any, events: Any, reported: int) -> int:
     elif c.adapts and s.stage == TOUCHED:
         # A fifth less is asked for to judge again, so that it does not go to and fro.
         most = MOST_NOISE * s.unit * (0.8 if s.unjudged == TOO_NOISY else 1.0)
-        if s.fast_noise[0] > most:
+        if s.unit < LEAST_JUDGED_UNIT:
+            reason = TOO_LIGHT
+        elif s.fast_noise[0] > most:
             reason = TOO_NOISY
     if reason == NO_REASON and s.unjudged != NO_REASON:
         was = s.unjudged

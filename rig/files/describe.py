@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rig.core.entry_points import OWN_PACKAGE
+from rig.detector.events import SHOWN_AS
 from rig.files.journal.reader import JournalContents, ending
 from rig.files.journal.values import PersonOrSample, RunHeader
 from rig.files.runfile.reader import RecordedOutcome
@@ -101,7 +102,8 @@ def describe_processed(file: ProcessedFile) -> dict[str, Any]:
 def _event(event: SlipEvent) -> str:
     """Return an event as text, such as ``incipient slip at 6.384 s, confidence 0.6``."""
     reason = f" ({event.reason})" if event.reason else ""
-    return f"{event.kind} at {event.time_s:.3f} s, confidence {event.confidence:.2f}{reason}"
+    sure = "" if "judge" in event.kind else f", confidence {event.confidence:.2f}"
+    return f"{SHOWN_AS[event.kind]} at {event.time_s:.3f} s{sure}{reason}"
 
 
 def _named(who: PersonOrSample) -> str:

@@ -88,7 +88,7 @@ def test_a_recording_that_is_never_quiet_is_judged(spoilt):
     assert 1498 <= slip <= 1504
 
 
-@pytest.mark.parametrize("gain", [0.1, 0.25, 0.5, 3.0])
+@pytest.mark.parametrize("gain", [0.2, 0.25, 0.5, 3.0])
 def test_the_gain_of_the_amplifiers_makes_no_difference(gain: float):
     volts = pressed_and_sheared(1)
     assert samples(told(gain * volts)) == samples(told(volts)) != []
@@ -139,6 +139,15 @@ def test_noise_that_hides_slips_is_said_and_not_judged():
     assert cannot.reason.startswith("too noisy")
     assert not [slip for slip in samples(events) if slip > cannot.sample]
     assert unjudged_s(events, 14.2) == ((cannot.time_s, 14.2),)
+
+
+def test_a_ridge_that_hardly_touches_is_said_and_not_judged():
+    events = told(0.08 * pressed_and_sheared(7, noise_mV=0.05))
+    (cannot,) = [event for event in events if event.kind == "cannot judge"]
+    assert cannot.reason.startswith("the ridge hardly touches")
+    assert 550 < cannot.sample < 800  # the end of the touch-down
+    assert samples(events) == []
+    assert unjudged_s(events, 2.2) == ((cannot.time_s, 2.2),)
 
 
 def test_touch_downs_and_taps_are_no_rolls():

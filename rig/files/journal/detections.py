@@ -11,8 +11,10 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
+from rig.detector.events import SHOWN_AS
+
 if TYPE_CHECKING:
-    from rig.detector.events import SlipEvent
+    from rig.detector.events import EventKind, SlipEvent
 
 EVENT_CODES = {
     "predictive": "early-warning",
@@ -42,7 +44,7 @@ SILENT_CODE = "detection-ended"
 class Detection:
     """One event of a detector in a trial."""
 
-    kind: str
+    kind: EventKind
     sample: int
     """Row of v_1 and v_2 at which it was decided, from 0."""
     time_s: float
@@ -55,8 +57,9 @@ class Detection:
     def in_words(self, point: str, detector: str) -> str:
         """Return what an event of the journal says of it."""
         why = f", {self.reason}" if self.reason else ""
+        shown = SHOWN_AS[self.kind]
         return (
-            f"{point}: {self.kind} at {self.time_s:.3f} s of its record (sample {self.sample}), "
+            f"{point}: {shown} at {self.time_s:.3f} s of its record (sample {self.sample}), "
             f"confidence {self.confidence:.2f}{why} ({detector})"
         )
 

@@ -1,0 +1,80 @@
+"""What breaks the detectors, one condition at a time: `rig` as it was at 15205df, `rig` of this
+tree and `paper-hp`, on the same trials of the skin model (`rig.evaluation.breaks`).
+
+Run with ``pytest -m benchmark -n 0 -s tests/benchmarks/bench_detector_breaks.py``. `RIG_REPEATS` is
+the number of seeds of each condition; they are reserved for reporting. The former network is taken
+from git. Its kernel is that of this tree, which finds the same slips with it (decision 0090).
+"""
+
+from __future__ import annotations
+
+import subprocess
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from measured import heading, repeats
+
+from rig.core.cache import user_cache
+from rig.detector.network import Network
+from rig.detector.registered import chosen_detector
+from rig.detector.settings import DetectorSettings
+from rig.evaluation.breaks import BREAKS
+from rig.evaluation.scored_trials import Population, judge_trials
+from rig.evaluation.scoring.contenders import DetectorContender
+from rig.evaluation.scoring.outcomes import TrialOutcome
+from rig.evaluation.scoring.results import results
+from rig.evaluation.scoring.seeds import FIRST_REPORTING_SEED, SeedRange
+from rig.evaluation.scoring.tables import TOUCHING, rate, score
+from rig.physics.skin.condensed import build_skin
+
+pytestmark = [pytest.mark.benchmark, pytest.mark.timeout(36_000)]
+
+BEFORE = "15205df"
+ROOT = Path(__file__).parents[2]
+
+
+def former() -> DetectorContender:
+    """The detector `rig` of commit `BEFORE`."""
+    stored = ["git", "show", f"{BEFORE}:rig/detector/rig.json"]
+    text = subprocess.run(stored, cwd=ROOT, capture_output=True, check=True).stdout
+    settings = DetectorSettings(network=Network.model_validate_json(text))
+    return DetectorContender(f"rig at {BEFORE}", replace(chosen_detector("rig"), settings=settings))
+
+
+def contenders() -> list[DetectorContender]:
+    """The detectors that are compared."""
+    now = [DetectorContender(name, chosen_detector(name)) for name in ("rig", "paper-hp")]
+    return [former(), *now]
+
+
+def share(outcomes: list[TrialOutcome], name: str) -> str:
+    """How many outcomes have a property, with Wilson's interval in %."""
+    hits = sum(bool(getattr(one, name)) for one in outcomes)
+    if not outcomes:
+        return "-"
+    number = rate(hits, len(outcomes))
+    return f"{hits}/{number.of}, {100 * number.low:.0f}–{100 * number.high:.0f} %"
+
+
+def test_every_break_one_by_one() -> None:
+    count = repeats(100)
+    seeds = SeedRange(first=FIRST_REPORTING_SEED, end=FIRST_REPORTING_SEED + count)
+    heading(f"each break with seeds {seeds.first}:{seeds.end}")
+    print("| break | detector | slips in time | early | no whole slip: false | unjudged time, % |")
+    print("|---|---|---|---|---|---|")
+    cache = user_cache()
+    for name, one in BREAKS.items():
+        skin = build_skin(one.population.skin, cache)
+        population = Population(skin, one.population, one.front_end, False, one.kinds, seeds, cache)
+        judged = judge_trials(population, contenders(), sweep=False, jobs=1, done=lambda _: None)
+        for result in results(contenders(), judged):
+            outcomes = list(result.outcomes)
+            slips = [each for each in outcomes if each.label in ("slip", "slip in a slide")]
+            still = [each for each in outcomes if each.label in TOUCHING]
+            unjudged = score(outcomes)["unjudged_time"].value
+            print(
+                f"| {name} | {result.contender.name} | {share(slips, 'found')} | "
+                f"{share(slips, 'early')} | {share(still, 'alarmed')} | {unjudged:.1f} |",
+                flush=True,
+            )
