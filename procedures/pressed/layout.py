@@ -17,6 +17,7 @@ def ages(*axes: str) -> StreamPlan:
         "looked at",
         "<f8",
         "s",
+        times="ticks",
     )
 
 
@@ -64,6 +65,7 @@ STREAMS = (
         "Positions measured and commanded, at the ticks",
         "<f8",
         "mm",
+        times="ticks",
     ),
     ages("z", "x"),
 )

@@ -16,6 +16,7 @@ STREAMS = (
         "Angle of the object from upright, measured and commanded, at the ticks",
         "<f8",
         "deg",
+        times="ticks",
     ),
     ages("z", "x", "angle"),
 )

@@ -224,6 +224,7 @@ class RunJob:
                     "row_shape": [len(stream.channels)],
                     "units": stream.units,
                     "long_name": stream.long_name,
+                    **({"times": stream.times} if stream.times else {}),
                 }
                 for stream in self.procedure.streams
             ],

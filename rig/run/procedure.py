@@ -62,6 +62,9 @@ class StreamPlan:
     units: str = "count"
     """Unit of the rows as they are; empty where it is the one that they are recorded with, since
     only the instrument knows."""
+    times: str = ""
+    """For rows without a rate of their own: the stream, of one channel, whose rows are their times
+    in s since the record began, row by row."""
 
 
 @dataclass(frozen=True)

@@ -429,8 +429,8 @@ KINDS = {
     "time": "s",
     "duration": "s",
     "host_time": "s",
-    "strip_a": "count",
-    "force": "count",
+    "strip_a": "V",
+    "force": "V",
     "peak_N": "N",
 }
 
@@ -445,7 +445,7 @@ def test_units_are_of_the_right_kind(file: Path) -> None:
         if isinstance(item, h5py.Dataset) and "units" in item.attrs:
             unit = units(str(item.attrs["units"]).replace("1", "dimensionless")).units
             last = name.split("/")[-1]
-            if last in KINDS:
+            if last in KINDS and not name.startswith("between_points"):  # of unknown scale
                 assert unit.is_compatible_with(units(KINDS[last]).units), name
                 checked.add(last)
 

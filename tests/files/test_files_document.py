@@ -11,6 +11,7 @@ from pathlib import Path
 import h5py
 import pytest
 import recorded_run as run
+import recorded_skin
 
 from rig.files.journal.format import MAGIC, MAX_PAYLOAD, RecordKind
 from rig.files.journal.layout import RESERVED_GROUPS
@@ -50,6 +51,19 @@ def test_the_xarray_example_finds_a_gain_by_its_frequency(folder: Path) -> None:
     gain, unit = printed(EXAMPLES[1]).split()
     assert float(gain) == run.reading(3)["gain_dB"]
     assert unit == "dB"
+
+
+def test_the_xarray_example_of_a_trial_finds_friction_and_volts(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = recorded_skin.write_skin(tmp_path / "run.rigj")
+    file.rename(tmp_path / "2026-11-21T22-00-00_slip-trial_r018.h5")
+    monkeypatch.chdir(tmp_path)
+    friction, volts = printed(EXAMPLES[2]).splitlines()
+    assert friction.endswith(" frames, friction 0.65")
+    assert 370 < int(friction.split()[0]) < 395  # of 500, from 0.1 s to the last tick
+    counts = recorded_skin.samples("strips", 0)[1000:2001, 0]
+    assert volts == f"('time',) 1001 V {counts.std() * recorded_skin.COUNTS_V:.4f}"
 
 
 def test_the_checksum_is_checked_by_hand_as_described(folder: Path) -> None:

@@ -144,6 +144,16 @@ def label(field: h5py.Dataset, units: str, long_name: str) -> None:
     set_attributes(field, {"units": units} | ({"long_name": long_name} if long_name else {}))
 
 
+def share_scale(made: h5py.Group, name: str) -> None:
+    """Make a dataset of a group the dimension scale of all others with an axis. xarray, HDFView and
+    others know the dimension by it."""
+    scale = made[name]
+    scale.make_scale(name)
+    for field in made.values():
+        if field != scale and getattr(field, "shape", ()):
+            field.dims[0].attach_scale(scale)
+
+
 def write_values(
     made: h5py.Group, values: Mapping[str, Any], units: Mapping[str, str], prefix: str = ""
 ) -> None:

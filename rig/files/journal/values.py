@@ -137,6 +137,16 @@ class Stream(Settings):
     units: Short = "count"
     """Unit of the rows as they are; empty where each of the stream's states gives it."""
     long_name: Short = ""
+    times: Short = ""
+    """Name of the stream whose rows are the times of this one's rows, in s; empty for none. The
+    header of a stream that has none has no such key."""
+
+    @model_serializer(mode="wrap")
+    def _without_no_times(self, serialize: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        plain: dict[str, Any] = serialize(self)
+        if not self.times:
+            del plain["times"]
+        return plain
 
     @model_validator(mode="after")
     def _row_is_channels(self) -> Stream:

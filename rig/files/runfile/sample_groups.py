@@ -80,6 +80,29 @@ def segment_attributes(contents: JournalContents, number: int) -> dict[str, Any]
     return attributes
 
 
+def segments_of_times(contents: JournalContents) -> dict[int, int]:
+    """Return, for each segment whose rows have no rate, the segment whose rows are their times.
+
+    Left out are segments whose stream names no such stream, and those of which it has not the same
+    rows.
+    """
+    streams = contents.header.streams
+
+    def rows_of(segment: Segment, stream: str) -> tuple[str, int | None, int, int]:
+        return stream, segment.attempt, segment.first_index, segment.rows
+
+    clocks = {
+        rows_of(segment, streams[segment.stream].name): number
+        for number, segment in enumerate(contents.segments)
+        if len(streams[segment.stream].channels) == 1
+    }
+    return {
+        number: clocks[key]
+        for number, segment in enumerate(contents.segments)
+        if (times := streams[segment.stream].times) and (key := rows_of(segment, times)) in clocks
+    }
+
+
 def channel_attributes(state: StreamState | None, channel: int) -> dict[str, Any]:
     """Return the attributes of a channel's dataset: value = scale × count + offset, in
     ``scaled_units``. None are known if the journal has no state for the stream.
@@ -98,3 +121,12 @@ def channel_attributes(state: StreamState | None, channel: int) -> dict[str, Any
     if state.range:
         attributes["range"] = state.range[channel]
     return attributes
+
+
+def scaling_of_cf(state: StreamState | None, channel: int) -> dict[str, Any]:
+    """Return scale and offset by the names of the CF conventions, by which other programs apply
+    them; nothing where they change nothing. They say nothing new: files of before lack them.
+    """
+    if state is None or (state.scale[channel], state.offset[channel]) == (1.0, 0.0):
+        return {}
+    return {"scale_factor": state.scale[channel], "add_offset": state.offset[channel]}

@@ -18,6 +18,7 @@ from rig.files.hdf5.nexus import (
     group,
     number_field,
     plain_text,
+    share_scale,
     text_field,
     texts_field,
     write_note,
@@ -154,6 +155,7 @@ def _write_events(made: h5py.Group, contents: JournalContents) -> None:
         field.attrs["start"] = contents.header.start_time
     for name in ("level", "code", "message"):
         texts_field(made, name, [getattr(event, name) for event in contents.events])
+    share_scale(made, "time")
 
 
 def _write_instrument(made: h5py.Group, header: RunHeader) -> None:

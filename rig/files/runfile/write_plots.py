@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from typing import TYPE_CHECKING
 
-from rig.files.hdf5.nexus import array_field, group, text_field
+from rig.files.hdf5.nexus import array_field, group, share_scale, text_field
 from rig.files.journal.layout import Layout, Plot
 from rig.files.runfile.table import PointTable
 
@@ -35,7 +35,7 @@ def write_plot(
     for name, source in plot.sources().items():
         column = layout.column(source)
         array_field(data, name, table.numbers(source)[order], column.units, column.long_name)
-    _attach_scale(data, plot)
+    share_scale(data, plot.axes[0])
     return data
 
 
@@ -46,12 +46,3 @@ def silx_style(plot: Plot) -> str:
     if plot.signal in plot.log_axes:
         style["signal_scale_type"] = "log"
     return json.dumps(style)
-
-
-def _attach_scale(data: h5py.Group, plot: Plot) -> None:
-    """Name the dimension after the first axis: xarray and HDFView know it by HDF5's scales."""
-    scale = data[plot.axes[0]]
-    scale.make_scale(plot.axes[0])
-    for name in plot.sources():
-        if name != plot.axes[0]:
-            data[name].dims[0].attach_scale(scale)

@@ -6,6 +6,7 @@ passes here once, from `sample_walk` to its dataset.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from rig.files.hdf5.nexus import (
@@ -15,6 +16,7 @@ from rig.files.hdf5.nexus import (
     group,
     label,
     set_attributes,
+    share_scale,
     text_field,
 )
 from rig.files.journal.reader import JournalContents
@@ -22,13 +24,29 @@ from rig.files.journal.segments import Segment
 from rig.files.runfile.sample_groups import (
     channel_attributes,
     channel_names,
+    scaling_of_cf,
     segment_attributes,
     segment_paths,
+    segments_of_times,
 )
 from rig.files.runfile.sample_walk import BlockTable, Piece
 
 if TYPE_CHECKING:
     import h5py
+
+
+GROUPS_OF_AN_AXIS = 60
+"""Groups that share an axis. The list of datasets that use a dimension scale is an attribute, which
+ends at 64 KiB, or 4000 datasets, and is written anew with each of them; a group has 64 channels at
+most."""
+
+
+@dataclass
+class _SharedAxis:
+    """An axis, and how many groups have it."""
+
+    dataset: h5py.Dataset
+    groups: int = 1
 
 
 class SampleWriter:
@@ -41,10 +59,11 @@ class SampleWriter:
         self._places: dict[str, h5py.Group] = {}
         self._fields: dict[int, list[h5py.Dataset]] = {}
         """The datasets of each stream's present segment."""
-        # Time axes of one rate and length are equal: they are stored once and hard-linked. They
-        # carry no dimension scale, since the list of datasets that use a scale is an attribute,
-        # which cannot exceed 64 KiB.
-        self._axes: dict[tuple[float | None, int], h5py.Dataset] = {}
+        # Time axes of one rate and length are equal: they are stored once and hard-linked.
+        self._axes: dict[tuple[float | None, int], _SharedAxis] = {}
+        self._times_in = segments_of_times(contents)
+        self._timed: dict[int, list[tuple[h5py.Group, list[h5py.Dataset]]]] = {}
+        """Groups, with their channels, whose times are the rows of a segment, by that segment."""
 
     def write(self, piece: Piece) -> None:
         """Write one piece; the first of a segment makes its group."""
@@ -65,6 +84,7 @@ class SampleWriter:
         for place, made in self._places.items():
             first = next(p for p in self._paths if p.startswith(f"{place}/"))
             made.attrs["default"] = first.removeprefix(f"{place}/")
+        self._write_times()
         self._write_blocks(blocks)
         self._write_traces()
 
@@ -79,7 +99,8 @@ class SampleWriter:
         fields = []
         names = channel_names(stream.channels)
         units = stream.units or (segment.state.units if segment.state else "")
-        axis = self._axis(data, segment)
+        timed_by = self._times_in.get(number)
+        axis, scale = ("time", None) if timed_by is not None else self._axis(data, segment)
         set_attributes(data, {"signal": names[0], "axes": [axis]})
         if names[1:]:
             set_attributes(data, {"auxiliary_signals": names[1:]})
@@ -87,10 +108,36 @@ class SampleWriter:
         text_field(data, "title", self._title(segment, stream.name))
         for k, (dataset, channel) in enumerate(zip(names, stream.channels, strict=True)):
             field = empty_field(data, dataset, (segment.rows,), stream.dtype)
-            label(field, units, f"{channel} ({units})")
-            set_attributes(field, channel_attributes(segment.state, k))
+            if scaling := scaling_of_cf(segment.state, k):  # its unit is that of scaled values
+                assert segment.state is not None
+                scaled = segment.state.units
+                label(field, scaled, f"{channel} ({units} × scale_factor + add_offset = {scaled})")
+            else:
+                label(field, units, f"{channel} ({units})")
+            set_attributes(field, channel_attributes(segment.state, k) | scaling)
+            if scale is not None:
+                field.dims[0].attach_scale(scale)
             fields.append(field)
+        if timed_by is not None:
+            self._timed.setdefault(timed_by, []).append((data, fields))
         return fields
+
+    def _write_times(self) -> None:
+        """Give those groups their times whose rows have no rate: rows of another stream."""
+        for number, groups in self._timed.items():
+            source = self._entry[self._paths[number]]
+            channel = source[source.attrs["signal"]]
+            scale, offset = channel.attrs.get("scale", 1.0), channel.attrs.get("offset", 0.0)
+            values = channel[()] * scale + offset
+            times: h5py.Dataset | None = None
+            for data, fields in groups:
+                if times is None:
+                    times = array_field(data, "time", values, "s", "Time (s)")
+                    times.make_scale("time")
+                else:
+                    data["time"] = times
+                for field in fields:
+                    field.dims[0].attach_scale(times)
 
     def _title(self, segment: Segment, stream: str) -> str:
         marked = self._contents.header.marked
@@ -100,24 +147,28 @@ class SampleWriter:
         status = "" if attempt.status == "kept" else f" ({attempt.status})"
         return marked(f"{attempt.id}{status}: {stream}")
 
-    def _axis(self, data: h5py.Group, segment: Segment) -> str:
-        """Give a group its axis; its name is ``time``, or ``sample`` without a rate."""
+    def _axis(self, data: h5py.Group, segment: Segment) -> tuple[str, h5py.Dataset]:
+        """Give a group its axis, a dimension scale; its name is ``time``, or ``sample`` without a
+        rate. Return both."""
         import numpy as np
 
         rate = segment.state.rate_Hz if segment.state else None
         name = "time" if rate else "sample"
         key = (rate, segment.rows)
-        if key in self._axes:
-            data[name] = self._axes[key]
-            return name
+        shared = self._axes.get(key)
+        if shared is not None and shared.groups < GROUPS_OF_AN_AXIS:
+            shared.groups += 1
+            data[name] = shared.dataset
+            return name, shared.dataset
         axis = empty_field(data, name, (segment.rows,), np.float64 if rate else np.int64)
         for first in range(0, segment.rows, CHUNK_ROWS):
             index = np.arange(first, min(first + CHUNK_ROWS, segment.rows))
             axis[first : first + len(index)] = index / rate if rate else index
         axis.flush()
         label(axis, "s" if rate else "1", "Time (s)" if rate else "Sample")
-        self._axes[key] = axis
-        return name
+        axis.make_scale(name)
+        self._axes[key] = _SharedAxis(axis)
+        return name, axis
 
     def _write_blocks(self, table: BlockTable) -> None:
         header = self._contents.header
@@ -128,6 +179,7 @@ class SampleWriter:
                 field = array_field(part, name, values, "s" if name == "host_time" else "1")
                 if name == "host_time" and header.start_time is not None:
                     field.attrs["start"] = header.start_time
+            share_scale(part, "host_time")
 
     def _write_traces(self) -> None:
         """Make the layout's traces: groups that link the samples of the first kept point."""
