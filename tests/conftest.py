@@ -4,6 +4,7 @@ the reference case, built once for all workers."""
 from __future__ import annotations
 
 import contextlib
+import gc
 import json
 import os
 import re
@@ -56,6 +57,12 @@ def pytest_configure(config: pytest.Config) -> None:
     config.add_cleanup(lambda: shutil.rmtree(shared, ignore_errors=True))
     if not hasattr(config, "workerinput") and not config.option.collectonly:
         ensure_compiled()
+
+
+def pytest_collection_finish(session: pytest.Session) -> None:
+    """Keep the garbage collector from what imports and collection have made, some million objects:
+    it would look through all of them again and again, and tests that call it waited for it."""
+    gc.freeze()
 
 
 @dataclass

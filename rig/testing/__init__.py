@@ -16,7 +16,7 @@ own, and nothing of the program imports it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from typing import Any
 
 from rig.testing.case import STRANGER, TIMEOUT_S, BenchClock, Case, Service
@@ -58,18 +58,20 @@ def driver_contract(
     return contract_of(CoreCase(driver, core, settings, silent_first_request, force_scale, travel))
 
 
-def contract_of(*cases: Case, further_faults: bool = False) -> ContractTest:
+def contract_of(*cases: Case, further_deals: Collection[int] = ()) -> ContractTest:
     """Return a pytest test that puts each case's driver through every check of the contract.
 
     The test has one parameter set for each check of each case, named ``case-check``. In the check
-    of faults each request of an experiment meets one of five kinds; with `further_faults` the test
-    has only the other four for each request instead, which take minutes.
+    of faults each request of an experiment meets one of five kinds. With `further_deals`, numbers
+    from 1 to 4, the test has only that many walks instead, in each of which every request meets
+    another kind; all four take minutes.
     """
     import pytest
 
     from rig.testing.checks import checks_of, further_walks_of
 
-    chosen = further_walks_of if further_faults else checks_of
+    def chosen(case: Case) -> Mapping[str, Callable[[Case], None]]:
+        return further_walks_of(case, further_deals) if further_deals else checks_of(case)
 
     each = [
         pytest.param(case, check, id=f"{case}-{name}")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 import zlib
 from bisect import bisect_right
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
 from functools import partial
 from typing import Any
@@ -22,6 +22,7 @@ from rig.testing.stage import READ_BACK
 
 Check = Callable[[Case], None]
 KINDS = ("silence", "garbage", "close", "truncate", "stale")
+FURTHER_DEALS = range(1, len(KINDS))
 UNDISTURBED_S = 10.0
 """Time-out of an instrument that no fault keeps from answering; a busy computer never meets it."""
 PATIENT_S = 1.0
@@ -33,8 +34,8 @@ than TIMEOUT_S now and then. A driver that goes wrong at a place does so with an
 def checks_of(case: Case) -> dict[str, Check]:
     """Return every check that applies to a case, by its name.
 
-    The walk of faults deals each request of an experiment one kind of fault. `further_walks_of` has
-    the other kinds.
+    The walk of faults deals each request of an experiment one kind of fault. `further_walks_of`
+    deals it the others.
     """
     each: dict[str, Check] = {
         name.removeprefix("check_"): check
@@ -46,11 +47,12 @@ def checks_of(case: Case) -> dict[str, Check]:
     return each
 
 
-def further_walks_of(case: Case) -> dict[str, Check]:
-    """Return the walks that give every request the kinds of fault that it is not dealt."""
+def further_walks_of(case: Case, deals: Collection[int] = FURTHER_DEALS) -> dict[str, Check]:
+    """Return walks of faults, one for each of `deals`: every request meets another kind in each,
+    and all four together give it every kind that it is not dealt in the check itself."""
     if not case.every_fault:
         return {}
-    return {f"{WALK}-{kind}": partial(walk_other_places, kind=kind) for kind in KINDS}
+    return {f"{WALK}-deal-{deal}": partial(walk_dealt, deal=deal) for deal in deals}
 
 
 def role_of(case: Case) -> Role:
@@ -209,20 +211,24 @@ NOT_EXCITED = "the simulator is at rest although the driver has set it going"
 WALK = "one_fault_anywhere_gives_an_error_or_the_right_value_and_is_over"
 
 
-def walk_other_places(case: Case, kind: str) -> None:
-    """Walk the requests that the check deals another kind of fault."""
-    dealt = dealt_places(case)
-    walk(case, [(at, kind) for at in places_of_faults(case, kind) if dealt.get(at) != kind])
+def walk_dealt(case: Case, deal: int) -> None:
+    """Walk all requests that are answered with the kinds of fault of a further deal."""
+    walk(case, list(dealt_places(case, deal).items()))
 
 
-def dealt_places(case: Case) -> dict[int, str]:
-    """Return the requests that the check visits, counted from 1, and the kind of fault of each."""
+def dealt_places(case: Case, deal: int = 0) -> dict[int, str]:
+    """Return the requests that a walk visits, counted from 1, and the kind of fault of each.
+
+    A request without an answer can only meet a broken connection, and does in the first deal.
+    """
     by_kind = {kind: places_of_faults(case, kind) for kind in ("silence", "close")}
     places: dict[int, str] = {}
     for at in by_kind["close"]:
         # A checksum and not a random number: the same request meets the same kind in every run.
-        kind = KINDS[zlib.crc32(f"{case}-{at}".encode()) % len(KINDS)]
-        places[at] = kind if at in by_kind["silence"] else "close"
+        if at in by_kind["silence"]:
+            places[at] = KINDS[(zlib.crc32(f"{case}-{at}".encode()) + deal) % len(KINDS)]
+        elif deal == 0:
+            places[at] = "close"
     return places
 
 

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from typing import Any
 
 import pytest
@@ -23,8 +25,24 @@ from rig.core.clock import WallClock
 from rig.core.errors import InstrumentError
 
 HEADER_BYTES = 16
-TIMEOUT_S = 0.5
+TIMEOUT_S = 1.0
 DEVICES = ("daq", "stage_z", "rotary", "force_sensor")
+
+
+def bits_of_a_byte(by_default: int) -> list[Any]:
+    """Return all bits of a byte in two parameter sets: the one of the default tier, and the
+    others."""
+    others = [bit for bit in range(8) if bit != by_default]
+    return [
+        pytest.param([by_default], id=f"bit {by_default}"),
+        pytest.param(others, id="other bits", marks=pytest.mark.thorough),
+    ]
+
+
+def at_once(flip: Callable[[int, int], None], byte: int, bits: list[int]) -> None:
+    """Flip each bit on a link of its own, all at the same time: most of it is waiting."""
+    with ThreadPoolExecutor(len(bits)) as threads:
+        list(threads.map(partial(flip, byte), bits))
 
 
 class Scpi:
@@ -40,9 +58,7 @@ class Scpi:
         return 0
 
 
-@pytest.mark.parametrize("bit", mostly_thorough(range(8), [0]))
-@pytest.mark.parametrize("byte", mostly_thorough(range(HEADER_BYTES), [0, 2, 3, 8]))
-def test_a_flipped_bit_in_a_hislip_header_is_an_error_of_the_link(byte: int, bit: int) -> None:
+def flip_in_hislip(byte: int, bit: int) -> None:
     scpi: Any = Scpi()
     server = HislipServer(scpi)
     with serving(server), flipping(server.port) as proxy:
@@ -52,9 +68,17 @@ def test_a_flipped_bit_in_a_hislip_header_is_an_error_of_the_link(byte: int, bit
         proxy.flip(byte, bit)
         # Bytes that a client need not read, such as the control code, may pass.
         with contextlib.suppress(InstrumentError):
-            assert link.query("READ?") == "answer"
-        assert link.query("*IDN?") == "answer", "the next message opens a new connection"
+            assert link.query("READ?") == "answer", f"bit {bit}"
+        assert link.query("*IDN?") == "answer", f"no new connection opened after bit {bit}"
         link.close()
+
+
+@pytest.mark.parametrize("bits", bits_of_a_byte(by_default=0))
+@pytest.mark.parametrize("byte", mostly_thorough(range(HEADER_BYTES), [0, 2, 3, 8]))
+def test_a_flipped_bit_in_a_hislip_header_is_an_error_of_the_link(
+    byte: int, bits: list[int]
+) -> None:
+    at_once(flip_in_hislip, byte, bits)
 
 
 class Registers:
@@ -70,18 +94,24 @@ class Registers:
         raise AssertionError("nobody asks")
 
 
-@pytest.mark.parametrize("bit", mostly_thorough(range(8), [1]))
-@pytest.mark.parametrize("byte", mostly_thorough(range(9), [0, 3, 5, 7, 8]))
-def test_a_flipped_bit_in_a_modbus_header_is_an_error_of_the_link(byte: int, bit: int) -> None:
+def flip_in_modbus(byte: int, bit: int) -> None:
     server = ModbusTcpServer(Registers())
     with serving(server), flipping(server.port) as proxy:
         link = CmmtLink("stage_z", "127.0.0.1", proxy.port, 1, TIMEOUT_S, WallClock())
         assert link.read(100, 1) == [7]
         proxy.flip(byte, bit)
         with contextlib.suppress(InstrumentError):
-            assert link.read(100, 1) == [7]
-        assert link.read(100, 1) == [7], "the next request opens a new connection"
+            assert link.read(100, 1) == [7], f"bit {bit}"
+        assert link.read(100, 1) == [7], f"no new connection opened after bit {bit}"
         link.close()
+
+
+@pytest.mark.parametrize("bits", bits_of_a_byte(by_default=1))
+@pytest.mark.parametrize("byte", mostly_thorough(range(9), [0, 3, 5, 7, 8]))
+def test_a_flipped_bit_in_a_modbus_header_is_an_error_of_the_link(
+    byte: int, bits: list[int]
+) -> None:
+    at_once(flip_in_modbus, byte, bits)
 
 
 def raising(*_: object, **__: object) -> Any:

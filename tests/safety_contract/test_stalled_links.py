@@ -15,11 +15,11 @@ import signal
 
 import pytest
 from benches import declare_soft_contact
+from tiers import mostly_nightly
 
-pytestmark = [
-    pytest.mark.thorough,
-    pytest.mark.stages("festo", because="a line that two drives share is held up by either"),
-]
+pytestmark = pytest.mark.stages(
+    "festo", because="a line that two drives share is held up by either"
+)
 PARKED_mm = 5.0
 PRESSED_mm = 12.0
 SILENT = 'kind = "silence"\n'
@@ -61,6 +61,18 @@ PAUSES = {
     "sweep: z, one late answer": (SWEEP, "stage_z", "FC3 100", LATER, LATE),
 }
 """The same, of what ends by itself; here drives and links wait as `rig simulate` writes it."""
+EACH_LINK = (
+    "slip: daq, a block in the slide",
+    "slip: x, its stop",
+    "slip: z, one look",
+    "slip: force, its frames",
+    "sweep: generator, an amplitude",
+    "sweep: daq, a record",
+    "slip: daq, a pause",
+    "sweep: z, one late answer",
+)
+"""One request of each link, for each fate; the walk over the others, which mostly waits, is
+nightly."""
 
 
 @pytest.fixture
@@ -91,7 +103,7 @@ def serve(rig):
         yield start
 
 
-@pytest.mark.parametrize("what", [*STALLS, *PAUSES])
+@pytest.mark.parametrize("what", mostly_nightly([*STALLS, *PAUSES], EACH_LINK))
 def test_no_link_that_falls_silent_starves_another_drive_or_keeps_anything_pressed(
     rig, serve, what
 ):

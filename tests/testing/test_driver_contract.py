@@ -52,12 +52,6 @@ def passed(ended: subprocess.CompletedProcess[str]) -> int:
 
 
 @pytest.mark.thorough
-def test_one_line_puts_an_instrument_of_every_role_through_its_experiment(tmp_path: Path) -> None:
-    ended = contract(installed(tmp_path / "site"), "-k", "whole_experiment")
-    assert passed(ended) == len(CORES)
-
-
-@pytest.mark.thorough
 @pytest.mark.parametrize("role", CORES)
 def test_an_instrument_of_every_role_fulfils_its_contract(tmp_path: Path, role: str) -> None:
     assert passed(contract(installed(tmp_path / "site"), "-k", f"test_{role}")) >= FEWEST
