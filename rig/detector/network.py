@@ -7,11 +7,11 @@ were trained and by which command. ``rig train`` writes such a file.
 from __future__ import annotations
 
 from importlib.resources import files
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, model_validator
+from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
 from rig.core.settings import Settings
 
@@ -19,6 +19,9 @@ Reals = NDArray[np.float64]
 
 OUTPUTS = ("slip", "roll")
 FILE = "rig.json"
+
+
+MODEL_TRIALS = "trials of the skin model"
 
 
 class Network(Settings):
@@ -43,8 +46,17 @@ class Network(Settings):
     refused."""
     trained_by: str
     """Command and program version of the training."""
-    trained_on: str = "trials of the skin model"
+    trained_on: str = MODEL_TRIALS
     """Number and source of the trials on which it was trained."""
+
+    @model_serializer(mode="wrap")
+    def _as_before(self, serialize: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Leave out what networks of before do not state, so that their fingerprint, which is in
+        the names of processed files, stays."""
+        plain: dict[str, Any] = serialize(self)
+        if self.trained_on == MODEL_TRIALS:
+            del plain["trained_on"]
+        return plain
 
     @model_validator(mode="after")
     def _fits(self) -> Self:
