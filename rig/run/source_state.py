@@ -1,4 +1,7 @@
-"""The source that this program runs from: its commit, and whether files differ from it."""
+"""The source that this program runs from: its commit, and whether files differ from it.
+
+The build of a wheel runs this file alone (hatch_build.py), so it imports nothing of this project.
+"""
 
 from __future__ import annotations
 
@@ -6,12 +9,26 @@ import subprocess
 from functools import cache
 from pathlib import Path
 
+BUILT_FROM = Path(__file__).resolve().parents[1] / "commit.txt"
+"""File that a build has added to the package: the commit that it was built from."""
+
 
 @cache
 def source_state() -> str:
-    """Return the commit hash, with ``+dirty`` if tracked files differ; empty outside a git
-    repository."""
-    folder = Path(__file__).resolve().parents[2]
+    """Return the commit hash, with ``+dirty`` if tracked files differ: of the repository that this
+    program runs from, else the one it was built from. Empty where neither is known."""
+    commit = commit_of(Path(__file__).resolve().parents[2])
+    if commit:
+        return commit
+    try:
+        return BUILT_FROM.read_text(encoding="utf-8").strip()
+    except OSError:
+        return ""
+
+
+def commit_of(folder: Path) -> str:
+    """Return the commit of a repository's folder, with ``+dirty`` if tracked files differ; empty
+    for any other folder."""
     if not (folder / ".git").exists():
         return ""
     try:
