@@ -16,6 +16,7 @@ import recorded_trials as trials
 from packages import install, on_path
 from tiers import mostly_thorough
 
+from rig.detector.detector import DETECTOR_VERSION
 from rig.files.processed.reader import ProcessedFile
 
 LAB = "[rig.detectors]\nlab-level = lab.level:Level\n"
@@ -220,4 +221,4 @@ def test_another_package_s_detector_of_our_name_does_not_replace_ours(rig: Any) 
     installed(rig, entries="[rig.detectors]\npaper-hp = lab.level:Level\n")
     done = rig.run("detect", recorded(rig).name)
     assert done.code == 0, done.stderr
-    assert ".paper-hp-1-" in done.stdout
+    assert f".paper-hp-{DETECTOR_VERSION}-" in done.stdout
