@@ -7,7 +7,7 @@ from itertools import pairwise
 from pydantic import Field, model_validator
 
 from procedures.path_trial.path import Course, moves_along
-from procedures.pressed.settings import PressedSettings
+from procedures.pressed.grip import GripSettings
 
 LEAST_SHARE = 0.1
 """Smallest share of the normal force that a course may ask for: with less, the object is no longer
@@ -16,7 +16,7 @@ LEAST_TIME_S = 0.001
 """Shortest time from one corner to the next; the servo's ticks are longer."""
 
 
-class PathTrialSettings(PressedSettings):
+class PathTrialSettings(GripSettings):
     """Settings of a path trial."""
 
     path_times_s: tuple[float, ...] = ()
@@ -67,8 +67,8 @@ class PathTrialSettings(PressedSettings):
 
     @property
     def largest_held_N(self) -> float:  # noqa: N802 - the unit keeps its capital
-        """Largest set point of the course, in N."""
-        return self.largest_share * self.normal_force_N
+        """Largest set point of the course, in N, with every step of the grip."""
+        return self.largest_share * self.normal_force_N + self.most_raised_N
 
     @property
     def path(self) -> Course:

@@ -97,6 +97,14 @@ class PolledStage:
         self.links.ask(self.role, "target", lambda: self.stage.start_move(position_mm, speed_mm_s))
 
 
+@dataclass
+class SentMove:
+    """When a move was sent and acknowledged, on the run's clock; None while it has not been."""
+
+    sent_s: float | None = None
+    acknowledged_s: float | None = None
+
+
 class PressingStage(PolledStage):
     """The z stage of a trial, whose position decides the force; it is always polled."""
 
@@ -108,9 +116,12 @@ class PressingStage(PolledStage):
         """Delay of the latest target to the stage beyond the usual delay."""
         self._link_s = link_s
 
-    def start_move(self, position_mm: float, speed_mm_s: float) -> None:
+    def start_move(
+        self, position_mm: float, speed_mm_s: float, sent: SentMove | None = None
+    ) -> None:
         """Ask for a move to a position that the stage's limits allow, LimitError else; the speed is
-        brought within the stage's limits. TripError for a position below the latest contact."""
+        brought within the stage's limits. TripError for a position below the latest contact. What
+        becomes of the move is noted in `sent`."""
         refuse_deeper(position_mm, self._deepest_mm)
         reach = self.stage.reach()
         require("position under the force", position_mm, reach["position"])
@@ -120,7 +131,11 @@ class PressingStage(PolledStage):
 
         def move() -> None:
             begun_s = self.clock.now()
+            if sent is not None:
+                sent.sent_s = begun_s
             self.stage.start_move(position_mm, speed_mm_s)
+            if sent is not None:
+                sent.acknowledged_s = self.clock.now()
             # The target came in the middle of the time beyond the usual, which is in the delay.
             beyond_s = max(0.0, self.clock.now() - begun_s - self._link_s)
             self.target_late_s = begun_s - asked_s + beyond_s / 2

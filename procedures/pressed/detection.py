@@ -32,9 +32,6 @@ if TYPE_CHECKING:
     from rig.detector.events import SlipEvent
     from rig.run.context import Run
 
-SLIP = "incipient slip"
-"""Kind of the events that are alarms."""
-
 
 def live_detector(name: str, rate_Hz: float) -> Detector | None:
     """Return the detector of this name, ready for rows at this rate; None for ``none``."""

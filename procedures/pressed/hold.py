@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from procedures.pressed.axes import SentMove
 from procedures.pressed.torque_watch import SUSPECT
 from rig.core.errors import InstrumentError
 
@@ -25,9 +27,27 @@ LOST_SHARE, LOST_STEPS = 0.5, 3
 the other, the force is lost: no motion of a trial changes it so much. The servo would press on at
 its full rate if the sensor were at fault."""
 
+FOLLOWED_SHARE = 0.25
+"""Share of a squeeze by which the force has to rise above the former set point to have followed."""
+FOLLOW_WAY, FOLLOW_SHARE = 2.5, 0.3
+"""Way of z, in ways that a squeeze needs, and share of the held force that a slip may take from it
+meanwhile: where z has gone so far after a squeeze and the force has not followed, the sensor is
+suspect. Without this bound the servo would press on with a sensor that shows the old force: it
+takes the set point for one that is always missing."""
+
 CHANGED_SHARE = 0.25
 """Share of the held force by which it has to have changed where the torque has: a motion changes
 both by less."""
+
+
+@dataclass(frozen=True)
+class _Squeeze:
+    """A squeeze that the force has not followed yet."""
+
+    force_N: float
+    """Force that shows that it has."""
+    deepest_mm: float
+    """Position of z by which it has to."""
 
 
 class ForceHold:
@@ -54,6 +74,9 @@ class ForceHold:
         self._torque, self._torque_asked = torque, False
         self._reached_N = servo.settings.target_N
         """Force that has been reached: less than the set point while that is being raised."""
+        self._stepped_s = 0.0
+        """Time on the run's clock of the latest step."""
+        self._squeezed: _Squeeze | None = None
         self._lost = 0
         """Number of successive steps in which the force was lost."""
 
@@ -78,6 +101,21 @@ class ForceHold:
         self._servo.hold_at(force_N, largest_speed_mm_s)
         self._reached_N = min(self._reached_N, force_N)
 
+    def squeeze(self, force_N: float, largest_speed_mm_s: float) -> SentMove:
+        """Raise the held force and send z on its way at once, not with the next step; return what
+        becomes of that move. The servo does the rest."""
+        servo, z = self._servo, self._z
+        before_N = servo.settings.target_N
+        rise_N = force_N - before_N
+        self.hold_at(force_N, largest_speed_mm_s)
+        stiffness_N_mm = servo.settings.stiffness_N_mm
+        way_mm = (FOLLOW_WAY * rise_N + FOLLOW_SHARE * before_N) / stiffness_N_mm
+        self._squeezed = _Squeeze(before_N + FOLLOWED_SHARE * rise_N, z.commanded_mm + way_mm)
+        step = servo.lead(rise_N, z.clock.now() - self._stepped_s)
+        sent = SentMove()
+        z.start_move(z.commanded_mm + step.increment_mm, step.speed_mm_s, sent)
+        return sent
+
     def step(self, force_N: float, torque_too: bool) -> None:
         """Give z a new target, and read its torque if it is due and `torque_too`.
 
@@ -99,10 +137,12 @@ class ForceHold:
             self._record.held_back += 1
             return
         self._refuse_lost(force_N)
+        self._refuse_unfollowed(force_N)
         self._compare_torque(force_N)
         passed = self._ticks.begun - self._stepped_at
         step = self._servo.step(force_N, passed, self._z.target_late_s, force.older_s)
         self._stepped_at = self._ticks.begun
+        self._stepped_s = self._z.clock.now()
         self._z.start_move(self._z.commanded_mm + step.increment_mm, step.speed_mm_s)
         if torque_too and self._torque.is_due():
             self._z.ask_torque(self._torque)
@@ -126,4 +166,19 @@ class ForceHold:
                 "hold the force",
                 f"it reads {force_N:.2g} N where z held {self._reached_N:.3g} N",
                 f"look whether the object has given way; otherwise {SUSPECT}",
+            )
+
+    def _refuse_unfollowed(self, force_N: float) -> None:
+        """Raise InstrumentError where z has squeezed and the force has not followed."""
+        squeezed = self._squeezed
+        if squeezed is None or force_N >= squeezed.force_N:
+            self._squeezed = None
+        elif self._z.commanded_mm > squeezed.deepest_mm:
+            self._z.stage.stop()
+            raise InstrumentError(
+                "force_sensor",
+                "squeeze",
+                f"it reads {force_N:.2g} N at {self._z.commanded_mm:.3f} mm, where a squeeze to "
+                f"{self._servo.settings.target_N:.3g} N has taken z: the force has not followed",
+                SUSPECT,
             )

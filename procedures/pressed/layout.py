@@ -123,3 +123,16 @@ RECORDED = (
     Column("detections", "", "What it found during the trial, as JSON", "text"),
 )
 """Columns on the quality of the record."""
+
+GRIP = (
+    Column("alarms", "", "Slips detected in the motion"),
+    Column("first_alarm", "s", "First of them, since the record began"),
+    Column("squeezes", "", "Alarms upon which the grip raised the force"),
+    Column("unanswered_alarms", "", "Alarms upon which it did not"),
+    Column("squeeze_decided", "s", "From the first alarm's sample to the decision"),
+    Column("squeeze_sent", "s", "From the first alarm's sample to the command to z"),
+    Column("squeeze_acknowledged", "s", "From the first alarm's sample to z's answer"),
+    Column("squeeze_risen", "s", "From the first alarm's sample to F_n + 10 % of the step"),
+    Column("squeeze_record", "", "Every squeeze, as JSON", "text"),
+)
+"""Columns on the grip that answers alarms."""

@@ -32,7 +32,8 @@ from abc import abstractmethod
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from procedures.pressed.layout import ASKED, CALIBRATED, HELD, RECORDED, TOUCHED
+from procedures.pressed.grip import GripSettings, grip_reading
+from procedures.pressed.layout import ASKED, CALIBRATED, GRIP, HELD, RECORDED, TOUCHED
 from procedures.pressed.settings import (
     PressedSettings,
     arm_pressed,
@@ -217,6 +218,8 @@ class PressedProcedure(TrialProcedure):
         trial.lift()
         reading = reading_of(run, record) | trial.record_load_rates()
         reading |= {"motion_from_s": record.motion_from_s, "motion_to_s": record.motion_to_s}
+        if isinstance(self.settings, GripSettings):
+            reading |= grip_reading(record)
         own = self.reading(motion_record(record))
         run.check_stop()  # computing takes a while: still alive
         return reading | plain(own, {column.key for column in self.columns}, self.name)
@@ -241,7 +244,8 @@ def layout_of(procedure: type[PressedProcedure]) -> Layout:
     """Return the layout of a procedure: the columns of every trial and its own, a plot over the
     trials for each of its numbers, and signals, forces and positions over time. ValueError for a
     column that every trial has already."""
-    common = (*ASKED, *HELD, *TOUCHED, *CALIBRATED, *MOTION, *RECORDED)
+    grip = GRIP if issubclass(procedure.Settings, GripSettings) else ()
+    common = (*ASKED, *HELD, *TOUCHED, *CALIBRATED, *grip, *MOTION, *RECORDED)
     names = {column.name for column in common}
     if taken := [column.name for column in procedure.columns if column.name in names]:
         raise ValueError(
@@ -250,7 +254,16 @@ def layout_of(procedure: type[PressedProcedure]) -> Layout:
     return Layout(
         definition=f"NXrig_{getattr(procedure, 'name', 'pressed').replace('-', '_')}",
         version="1",
-        columns=(*ASKED, *HELD, *procedure.columns, *TOUCHED, *CALIBRATED, *MOTION, *RECORDED),
+        columns=(
+            *ASKED,
+            *HELD,
+            *procedure.columns,
+            *TOUCHED,
+            *CALIBRATED,
+            *grip,
+            *MOTION,
+            *RECORDED,
+        ),
         plots=tuple(
             Plot(f"{column.name}_by_trial", column.name, ("trial",), title=column.meaning)
             for column in procedure.columns

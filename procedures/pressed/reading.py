@@ -15,11 +15,12 @@ from procedures.pressed.contact import ForceZero
 from procedures.pressed.earlier_runs import EarlierPress
 from procedures.pressed.layout import TOUCHED
 from procedures.pressed.settings import AFTER_S, PressedSettings, point_name
+from procedures.pressed.squeeze import Squeeze
 from rig.analysis.trial.clock_offset import clock_offset
 from rig.analysis.trial.touch_down import TouchDownError, TouchRecord
 from rig.analysis.trial.touch_gain import touch_gain
 from rig.bench.settings import STRIPS
-from rig.files.journal.detections import Detection, to_text
+from rig.files.journal.detections import SLIP, Detection, to_text
 from rig.run.press_references import TouchGain
 
 if TYPE_CHECKING:
@@ -45,6 +46,8 @@ OLDEST_LOOK = 5
 the next: 0.05 s at the usual 100 looks a second. What moves at 6 mm/s goes 0.3 mm meanwhile."""
 HELD_BACK = 0.5
 """Share of the ticks without a new target for z beyond which there is a warning."""
+SQUEEZED_S = 0.1
+"""Time after a squeeze in which the force is on its way to the new set point and is not judged."""
 AT_REST_S = 0.2
 """Beginning of a record, before contact: the strips' zero is its mean."""
 CLOCKS_SEEN_S, CLOCKS_SEARCHED_S = 0.1, 0.2
@@ -100,6 +103,20 @@ class TrialRecord:
     loops: list[LoopStatistics] = field(default_factory=list)
     detections: list[Detection] = field(default_factory=list)
     """What the detector has found."""
+    squeezes: list[Squeeze] = field(default_factory=list)
+    """Rises of the set point by the grip (`procedures.pressed.grip`)."""
+    unanswered: list[float] = field(default_factory=list)
+    """Times in s, since the record began, of alarms that the grip did not answer."""
+
+    @property
+    def alarms(self) -> list[Detection]:
+        """Slips that were detected in the motion, as far as it has come."""
+        to_s = math.inf if self.moves else self.motion_to_s
+        return [
+            one
+            for one in self.detections
+            if one.kind == SLIP and self.motion_from_s <= one.time_s <= to_s
+        ]
 
     @property
     def point(self) -> str:
@@ -177,6 +194,11 @@ def reading_of(run: Run, record: TrialRecord) -> Reading:
     held = (t >= record.motion_from_s) & (t <= record.motion_to_s)
     wanted_N = record.set_force_N(t, settings.normal_force_N)
     error = 100 * (_smoothed(force[:, 0], record.force_rate_S_s) / wanted_N - 1)
+    judged = held.copy()
+    for squeeze in record.squeezes:
+        judged &= (t < squeeze.decided_s) | (t > squeeze.decided_s + SQUEEZED_S)
+    if not judged.any():
+        judged = held
     ticks = sum(loop.ticks for loop in record.loops)
     late = sum(loop.late for loop in record.loops)
     missed = sum(loop.missed for loop in record.loops)
@@ -188,8 +210,8 @@ def reading_of(run: Run, record: TrialRecord) -> Reading:
         "stiffness_N_mm": record.stiffness_N_mm,
         "overshoot_percent": max(0.0, float(error[t < record.motion_from_s].max())),
         "mean_normal_force_N": float(force[held, 0].mean()),
-        "force_error_rms_percent": float(np.sqrt(np.mean(error[held] ** 2))),
-        "force_error_peak_percent": float(np.abs(error[held]).max()),
+        "force_error_rms_percent": float(np.sqrt(np.mean(error[judged] ** 2))),
+        "force_error_peak_percent": float(np.abs(error[judged]).max()),
         "samples": record.rows,
         "frames": record.frames,
         "tick_Hz": record.tick_Hz,

@@ -109,8 +109,9 @@ class PressedSettings(BaseSettings):
     allows."""
     rate_S_s: float = Field(default=10e3, ge=10e3, le=50e3)
     """Sampling rate of the strips; a whole multiple of 1000."""
-    block_s: float = Field(default=0.02, ge=0.001, le=0.2)
-    """Length of a DAQ read block; upper bound on the delay of live data."""
+    block_s: float | None = Field(default=None, ge=0.001, le=0.2)
+    """Length of a DAQ read block; upper bound on the delay of live data. Default: 20 ms, or 2 ms
+    where a grip answers what is detected."""
     range_V: float = Field(default=1.25, gt=0)
     """Input range of the strips' channels, bipolar."""
     object: str = ""
@@ -154,9 +155,19 @@ class PressedSettings(BaseSettings):
         return self.object
 
     @property
+    def usual_block_s(self) -> float:
+        """Length of a DAQ read block where none is asked for."""
+        return 0.02
+
+    @property
+    def read_block_s(self) -> float:
+        """Length of a DAQ read block."""
+        return self.usual_block_s if self.block_s is None else self.block_s
+
+    @property
     def block_samples(self) -> int:
         """Number of samples in a block of the DAQ."""
-        return round(self.rate_S_s * self.block_s)
+        return round(self.rate_S_s * self.read_block_s)
 
     @property
     def acquisition(self) -> Acquisition:

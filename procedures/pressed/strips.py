@@ -63,7 +63,7 @@ class StripRecorder:
         self._samples.start(self._settings.acquisition)
         self._record.begun_s = self._run.clock.now()
         self._record.filter_delay_s = self._decimator.delay_s
-        self._next_s = self._record.begun_s + self._settings.block_s + LINK_ROOM_S
+        self._next_s = self._record.begun_s + self._settings.read_block_s + LINK_ROOM_S
 
     @property
     def next_s(self) -> float:
@@ -73,7 +73,7 @@ class StripRecorder:
 
     def ask_block(self) -> None:
         """Ask for the block that may be there, to be judged as soon as it is."""
-        block_s = self._settings.block_s
+        block_s = self._settings.read_block_s
         late = max(0, math.floor((self._run.clock.now() - self._next_s) / block_s))  # blocks
         self._next_s += (1 + late) * block_s
         if self._block_due():
@@ -125,7 +125,7 @@ class StripRecorder:
 
     def _read_blocks(self, interval_s: float) -> None:
         """Read the blocks that may be there, of many a few."""
-        coming = interval_s / self._settings.block_s
+        coming = interval_s / self._settings.read_block_s
         for _ in range(max(BLOCKS_A_POLL, math.ceil(CATCHING_UP * coming))):
             if not (self._block_due() and self._read_block()):
                 return

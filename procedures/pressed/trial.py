@@ -21,10 +21,10 @@ import math
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from procedures.pressed.axes import ArrivalWatch, PolledStage, PressingStage
+from procedures.pressed.axes import ArrivalWatch, PolledStage, PressingStage, SentMove
 from procedures.pressed.contact import SETTLED_S, come_close, tare_in_free_air
-from procedures.pressed.detection import SLIP
 from procedures.pressed.earlier_runs import EarlierPress
+from procedures.pressed.grip import Grip
 from procedures.pressed.hold import ForceHold
 from procedures.pressed.links import TrialLinks
 from procedures.pressed.press import Press
@@ -37,6 +37,7 @@ from procedures.pressed.way_down import TRAVEL_mm_s, held_speed_bound
 from rig.bench.limits import require
 from rig.control.force_servo import ForceServo, settings_from
 from rig.core.errors import InstrumentError
+from rig.files.journal.detections import SLIP
 
 if TYPE_CHECKING:
     from procedures.pressed.reading import TrialRecord
@@ -44,6 +45,7 @@ if TYPE_CHECKING:
     from procedures.pressed.settings import PressedSettings
     from rig.control.force_servo import ContactShift
     from rig.control.tick_loop import Tick
+    from rig.files.journal.detections import Detection
     from rig.run.context import Run
     from rig.run.points import Reading
 
@@ -78,6 +80,10 @@ class PressedTrial:
         self.recorder = TickRecorder(run, record, self.links, (self.z, self.x), poll_rate_Hz)
         self._ticks = TrialTicks(run, self.links, self.recorder, record.loops, rates.tick_s)
         self._hold: ForceHold | None = None
+        self.grip = Grip(run, record, self._squeeze)
+        self._ticks.on_detection = self._answer
+        self._squeezed_N = 0.0
+        """By how much the grip has raised the set point."""
         if series.torque is None:
             series.torque = TorqueWatch(run)
         self.torque = series.torque
@@ -152,9 +158,11 @@ class PressedTrial:
         self._ticks.wait()
         self.record.motion_from_s = self.since_s()
         self._held().begin_motion(expected)
+        self.grip.begin(self._held().set_force_N)
 
     def end_motion(self) -> None:
-        """Note that the motion is over."""
+        """Note that the motion is over; alarms from now on raise no force."""
+        self.grip.end()
         self.record.motion_to_s = self.since_s()
 
     def move_x(self, to_mm: float, speed_mm_s: float) -> None:
@@ -241,12 +249,14 @@ class PressedTrial:
         return True
 
     def hold_at(self, force_N: float) -> None:
-        """Change the normal force that is held, from the next tick on.
+        """Change the normal force that is held, from the next tick on; what the grip has added
+        stays added.
 
         ValueError for a force that is not above 0 N and below `largest_force_N`, and LimitError
         where z cannot go slowly enough to brake within what is left to that limit. The reading's
         errors of the force are those from the set point of their time.
         """
+        force_N += self._squeezed_N
         if not 0 < force_N < self.settings.largest_force_N:
             raise ValueError(
                 f"a held force of {force_N:g} N is not between 0 and largest_force_N "
@@ -258,6 +268,21 @@ class PressedTrial:
         bound.require("stage_z", self.z.stage.reach()["speed"].low)
         self._held().hold_at(force_N, bound.speed_mm_s)
         self.record.set_points.append((self.since_s(), force_N))
+
+    def _answer(self, one: Detection) -> None:
+        if self._hold is not None:
+            self.grip.answer(one, self._hold.set_force_N)
+
+    def _squeeze(self, rise_N: float) -> SentMove:
+        """Raise the held force by so many N and send z on its way at once."""
+        force_N = self._held().set_force_N + rise_N
+        largest_N = self.settings.largest_force_N
+        bound = held_speed_bound(self.run.bench, largest_N, force_N)
+        bound.require("stage_z", self.z.stage.reach()["speed"].low)
+        sent = self._held().squeeze(force_N, bound.speed_mm_s)
+        self._squeezed_N += rise_N
+        self.record.set_points.append((self.since_s(), force_N))
+        return sent
 
     def since_s(self) -> float:
         """Return the time since the record began."""

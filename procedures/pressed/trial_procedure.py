@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from procedures.pressed.contact import contact_range_mm
+from procedures.pressed.grip_summary import grip_summary
 from procedures.pressed.layout import STREAMS
 from procedures.pressed.rates import ServoRates, rates_for, warn_of_slow_links
 from procedures.pressed.settings import (
@@ -97,9 +98,9 @@ class TrialProcedure(Procedure):
         return PressedSeries(rates, scales)
 
     def summarise(self, readings: Sequence[Reading]) -> Mapping[str, Any]:
-        """Return how many trials are valid, and the means and standard deviations of the
-        `summary_keys` over the valid ones."""
-        return summary_of(readings, self.summary_keys)
+        """Return how many trials are valid, the means and standard deviations of the `summary_keys`
+        over the valid ones, and what the grip did."""
+        return summary_of(readings, self.summary_keys) | grip_summary(readings)
 
     def put_in(self, readings: Sequence[Reading], summary: Mapping[str, Any]) -> Mapping[str, Any]:
         """Return the friction of the simulated skin, beside what was recovered of it."""

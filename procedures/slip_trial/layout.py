@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from procedures.pressed.layout import ASKED, CALIBRATED, HELD, RECORDED, TOUCHED
+from procedures.pressed.layout import ASKED, CALIBRATED, GRIP, HELD, RECORDED, TOUCHED
 from rig.files.journal.layout import Column, Layout, Plot, Trace
 
 LAYOUT = Layout(
@@ -22,6 +22,13 @@ LAYOUT = Layout(
         *CALIBRATED,
         Column("ramp_error_rms", "N", "Error of the tangential ramp, rms"),
         Column("ramp_to", "s", "End of the ramp, since the record's begin"),
+        *GRIP,
+        Column("outcome", "", "Of a weight: held, averted or lost", "text"),
+        Column("load", "N", "Weight that the contact had to hold"),
+        Column("slid", "mm", "Largest way of the weight since the first alarm or the ramp's end"),
+        Column("force_used", "N", "Mean normal force at the end of the motion"),
+        Column("least_force", "N", "Least that holds the weight, by the largest F_t/F_n shown"),
+        Column("least_force_true", "N", "SIMULATED truth: the same by the static coefficient"),
         Column("slide_from", "s", "Begin of the slide, since the record's"),
         Column("slide_to", "s", "End of the slide, since the record's"),
         *RECORDED,

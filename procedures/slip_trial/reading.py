@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from procedures.pressed import reading as pressed_reading
+from procedures.pressed.grip import grip_reading
 from procedures.pressed.reading import TrialRecord
 from rig.analysis.trial.friction import FrictionError, friction
 
@@ -18,6 +20,17 @@ if TYPE_CHECKING:
     from rig.run.context import Run
     from rig.run.points import Reading
 
+USED_S = 0.1
+"""Last stretch of a motion, whose mean normal force is the force used."""
+PRESSED_SHARE = 0.5
+"""Share of the normal force above which F_t/F_n is a coefficient and not noise."""
+WEIGHT_KEYS = (
+    "load_N",
+    "slid_mm",
+    "force_used_N",
+    "least_force_N",
+    "least_force_true_N",
+)
 FRICTION_COLUMNS = (
     "static_friction",
     "static_friction_error",
@@ -32,6 +45,13 @@ class SlipTrialRecord(TrialRecord):
 
     ramp_to_s: float | None = None
     """Time until which the tangential force followed its ramp, if there was one."""
+    slid_from_mm: float = 0.0
+    """Way along x from which a weight's way counts: of the first alarm, else of the latest moment
+    at which the force followed its ramp."""
+    slid_mm: float = 0.0
+    """Largest way of a weight from there."""
+    lost: bool = False
+    """Whether a weight has gone further than `lost_mm`, or x to the end of its way."""
 
 
 def reading_of(run: Run, record: SlipTrialRecord) -> Reading:
@@ -48,8 +68,38 @@ def reading_of(run: Run, record: SlipTrialRecord) -> Reading:
     }
     reading |= _ramp(settings, record, t, force)
     reading |= _friction(run, record, t[held], force[held])
+    reading |= grip_reading(record) | _weight(settings, record, reading, t[held], force[held])
     run.check_stop()  # Computing takes a while, so a sign of life is due.
     return reading
+
+
+def _weight(
+    settings: SlipTrialSettings,
+    record: SlipTrialRecord,
+    reading: Reading,
+    t: npt.NDArray[np.float64],
+    force: npt.NDArray[np.float64],
+) -> Reading:
+    """Return what became of a weight, the force used, and the least that would have held it: by the
+    largest F_t/F_n that the contact has shown in this trial and, on a simulated bench, by the
+    World's static coefficient."""
+    load_N = settings.hold_at_N
+    if load_N is None or not len(t):
+        return dict.fromkeys(WEIGHT_KEYS, None) | {"outcome": ""}
+    outcome = "lost" if record.lost else "averted" if record.squeezes else "held"
+    used_N = float(force[t >= t[-1] - USED_S, 0].mean())
+    pressed = force[:, 0] > PRESSED_SHARE * settings.normal_force_N
+    shown = float(np.max(np.abs(force[pressed, 1]) / force[pressed, 0], initial=0.0))
+    truth = json.loads(str(reading.get("simulated_truth") or "{}"))
+    static = truth.get("static_coefficient")
+    return {
+        "outcome": outcome,
+        "load_N": load_N,
+        "slid_mm": record.slid_mm,
+        "force_used_N": used_N,
+        "least_force_N": load_N / shown if shown else None,
+        "least_force_true_N": load_N / static if static else None,
+    }
 
 
 def _ramp(

@@ -7,7 +7,8 @@ from typing import Literal
 from pydantic import Field, model_validator
 from pydantic.config import JsonDict
 
-from procedures.pressed.settings import DELAY_S, PressedSettings
+from procedures.pressed.grip import GripSettings
+from procedures.pressed.settings import DELAY_S
 
 UNREHEARSED_mm = 0.0175
 """Travel within delay and tick up to which the servo holds the force in an unrehearsed slide,
@@ -25,7 +26,7 @@ RAMPS_ONLY: JsonDict = {"only_with": {"loading": "ramp"}}
 """Of a field that has an effect on ramps only; as an option it is refused for a slide."""
 
 
-class SlipTrialSettings(PressedSettings):
+class SlipTrialSettings(GripSettings):
     """Settings of a slip trial."""
 
     loading: Literal["slide", "ramp"] = "slide"
@@ -38,6 +39,14 @@ class SlipTrialSettings(PressedSettings):
     """Rate of the tangential force in a ramp."""
     ramp_to_N: float = Field(default=10.0, gt=0, json_schema_extra=RAMPS_ONLY)
     """Tangential force at which a ramp ends if nothing has slipped."""
+    hold_at_N: float | None = Field(default=None, gt=0, json_schema_extra=RAMPS_ONLY)
+    """Tangential force that a ramp holds from there on, as a weight does; by default it ends
+    instead, at --ramp-to."""
+    hold_for_s: float = Field(default=1.0, gt=0, le=60, json_schema_extra=RAMPS_ONLY)
+    """Time for which --hold-at is held, from the moment at which the ramp arrives there."""
+    lost_mm: float = Field(default=0.5, gt=0, json_schema_extra=RAMPS_ONLY)
+    """Way of the skin, from the first alarm or else from the end of the ramp, beyond which the
+    weight of --hold-at is lost."""
     direction: Literal["+x", "-x"] = "+x"
     """Direction of the slide."""
     start_mm: float = 10.0
@@ -47,6 +56,16 @@ class SlipTrialSettings(PressedSettings):
 
     @model_validator(mode="after")
     def _ramp_fits(self) -> SlipTrialSettings:
+        if self.hold_at_N is not None:
+            if self.hold_at_N >= self.largest_force_N:
+                raise ValueError(
+                    f"hold_at_N {self.hold_at_N:g} N is not below largest_force_N "
+                    f"{self.largest_force_N:g} N"
+                )
+            if self.lost_mm >= self.distance_mm:
+                raise ValueError(
+                    f"lost_mm {self.lost_mm:g} mm is not below distance_mm {self.distance_mm:g} mm"
+                )
         if self.loading == "ramp" and self.ramp_to_N >= self.largest_force_N:
             raise ValueError(
                 f"ramp_to_N {self.ramp_to_N:g} N is not below largest_force_N "
@@ -59,6 +78,8 @@ class SlipTrialSettings(PressedSettings):
         """Longest time that a slide or a ramp may take."""
         ramps_s = 2 * self.speed_mm_s / self.acceleration_mm_s2
         rise_s = self.ramp_to_N / self.ramp_N_s if self.loading == "ramp" else 0.0
+        if self.hold_at_N is not None:
+            rise_s = self.hold_at_N / self.ramp_N_s + self.hold_for_s
         return rise_s + self.distance_mm / self.speed_mm_s + ramps_s + 1.0
 
     @property
@@ -67,6 +88,8 @@ class SlipTrialSettings(PressedSettings):
         way_s = self.distance_mm / self.speed_mm_s + self.speed_mm_s / self.acceleration_mm_s2
         if self.loading == "slide":
             return way_s + SEEN_S
+        if self.hold_at_N is not None:
+            return self.hold_at_N / self.ramp_N_s + self.hold_for_s + SEEN_S
         slips_N = min(self.ramp_to_N, FRICTION * self.normal_force_N)
         on_mm = SLID_ON_mm if slips_N < self.ramp_to_N else 0.0
         return slips_N / self.ramp_N_s + min(on_mm / self.speed_mm_s, way_s) + SEEN_S

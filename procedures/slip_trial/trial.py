@@ -12,7 +12,7 @@ from procedures.pressed.settings import AFTER_S
 from procedures.pressed.trial import PressedTrial
 from procedures.slip_trial.reading import SlipTrialRecord, reading_of
 from procedures.slip_trial.settings import SLID_ON_mm
-from rig.control.force_ramp import ForceRamp
+from rig.control.force_ramp import ForceRamp, SLOWEST_mm_s
 from rig.control.force_servo import ContactShift
 
 if TYPE_CHECKING:
@@ -61,11 +61,16 @@ class SlipTrialRun(PressedTrial):
         settings, series, x = self.settings, self.series, self.x
         x.commanded_mm, x.in_motion = settings.end_mm, True
         arrival = ArrivalWatch(x, series.rates.tick_Hz)
-        pull = self._ramp(arrival) if settings.loading == "ramp" else self._steadily(arrival)
+        if settings.loading == "slide":
+            pull = self._steadily(arrival)
+        elif settings.hold_at_N is None:
+            pull = self._ramp(arrival)
+        else:
+            pull = self._weight(settings.hold_at_N)
         self.begin_motion(series.shift)
         self.run_ticks(settings.longest_slide_s, pull)
         self.end_motion()
-        if series.shift is None:
+        if series.shift is None and not self.record.squeezes:
             series.shift = self.contact_shift
         x.stage.stop()
         self.hold(AFTER_S)
@@ -111,6 +116,49 @@ class SlipTrialRun(PressedTrial):
                 return travel_mm - slipped_mm <= SLID_ON_mm and arrival.under_way(tick)
             slipped_mm = travel_mm
             return ramp.wanted_N(since_s) < settings.ramp_to_N and arrival.under_way(tick)
+
+        return pull
+
+    def _weight(self, load_N: float) -> Callable[[Tick], bool]:
+        """Begin to lower a weight; the returned tick loads the contact with it and holds F_n, until
+        it was held for long enough or is lost."""
+        settings, along, force, x = self.settings, self.settings.along, self.recorder.force, self.x
+        record = self.record
+        ramp = ForceRamp(
+            settings.ramp_N_s,
+            settings.speed_mm_s,
+            self.series.rates.tick_s,
+            self.delay_s,
+            holds_N=load_N,
+        )
+        first_mm, first_N, begin_s = x.latest.position_mm, force.tangential_N, 0.0
+        from_mm: float | None = None
+        held_s = load_N / settings.ramp_N_s + settings.hold_for_s
+        speed_mm_s = 0.0
+
+        def pull(tick: Tick) -> bool:
+            nonlocal begin_s, speed_mm_s, from_mm
+            self.hold_tick(tick)
+            if tick.number == 0:
+                begin_s = tick.began_s
+            polled, since_s = x.latest, tick.began_s - begin_s
+            travel_mm = along * (polled.position_mm - first_mm)
+            force_N = along * (force.tangential_N - first_N)
+            polled_s, measured_s = polled.at_s - begin_s, force.measured_s - begin_s
+            asked_mm_s = ramp.step(since_s, polled_s, travel_mm, measured_s, force_N)
+            if asked_mm_s != speed_mm_s:
+                speed_mm_s = asked_mm_s
+                to_mm = settings.end_mm if speed_mm_s > 0 else settings.start_mm
+                if abs(speed_mm_s) < SLOWEST_mm_s:
+                    to_mm = polled.position_mm
+                x.start_move(to_mm, max(abs(speed_mm_s), SLOWEST_mm_s))
+            if from_mm is None and ramp.follows:
+                record.ramp_to_s, record.slid_from_mm = self.since_s(), travel_mm
+            if from_mm is None and record.alarms:
+                from_mm = record.slid_from_mm = travel_mm
+            record.slid_mm = max(record.slid_mm, travel_mm - record.slid_from_mm)
+            record.lost = record.slid_mm > settings.lost_mm or travel_mm >= settings.distance_mm
+            return not record.lost and since_s < held_s
 
         return pull
 

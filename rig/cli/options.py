@@ -60,7 +60,7 @@ def parameters(model: type[Settings]) -> list[inspect.Parameter]:
             inspect.Parameter.KEYWORD_ONLY,
             default=None,
             annotation=Annotated[
-                list[str] | None,
+                bool | None if info.annotation is bool else list[str] | None,
                 typer.Option(
                     option_name(field),
                     *_short(info),
@@ -82,14 +82,19 @@ def _metavar(field: str, info: FieldInfo) -> str:
     return unit_of(field) or "VALUE"
 
 
-def texts_of(model: type[Settings], given: Mapping[str, list[str] | None]) -> dict[str, str]:
-    """Return one text for each option that was given. A list that is given in several parts is one
-    list; of any other option that is given twice the last one holds, as is usual in a shell."""
+def texts_of(model: type[Settings], given: Mapping[str, list[str] | bool | None]) -> dict[str, str]:
+    """Return one text for each option that was given, "true" for a switch. A list that is given in
+    several parts is one list; of any other option that is given twice the last one holds, as is
+    usual in a shell."""
     return {
-        field: ",".join(parts) if _is_list(model.model_fields[field]) else parts[-1]
-        for field, parts in given.items()
-        if parts
+        field: _text_of(model.model_fields[field], parts) for field, parts in given.items() if parts
     }
+
+
+def _text_of(info: FieldInfo, parts: list[str] | Literal[True]) -> str:
+    if parts is True:
+        return "true"
+    return ",".join(parts) if _is_list(info) else parts[-1]
 
 
 def _is_list(info: FieldInfo) -> bool:
@@ -118,11 +123,12 @@ def settings_from(model: type[Settings], given: Mapping[str, str | None]) -> Set
     for field in values:
         option, info = f"{option_name(field)} {given[field]}", model.model_fields[field]
         for other, value in _needs(info):
-            if getattr(settings, other) != value:
+            is_now = str(getattr(settings, other))
+            if is_now != value:
+                so = "" if value == "True" else f", and {option_name(other)} is {is_now}"
                 raise ConfigurationError(
-                    f"{option} has an effect with {option_name(other)} {value} only, and "
-                    f"{option_name(other)} is {getattr(settings, other)}",
-                    f"leave it out, or add {option_name(other)} {value}",
+                    f"{option} has an effect with {_as_given(other, value)} only{so}",
+                    f"leave it out, or add {_as_given(other, value)}",
                 )
         if (other := _excluded_by(info)) in values:
             raise ConfigurationError(
@@ -163,6 +169,11 @@ def _needs(info: FieldInfo) -> list[tuple[str, str]]:
     )
 
 
+def _as_given(field: str, value: str) -> str:
+    """Return an option with its value as a person gives it: a switch has none."""
+    return option_name(field) if value == "True" else f"{option_name(field)} {value}"
+
+
 def _excluded_by(info: FieldInfo) -> str:
     """Return the field beside which another has no effect, stated there as
     ``json_schema_extra={"not_with": "frequencies_Hz"}``; "" if there is none."""
@@ -174,12 +185,12 @@ def _help(field: str, info: FieldInfo, said: str) -> str:
     """Return what an option is for, with what it needs, its default and its range."""
     words = " ".join(said.split())
     for other, value in _needs(info):
-        words = f"{words} With {option_name(other)} {value} only."
+        words = f"{words} With {_as_given(other, value)} only."
     if other := _excluded_by(info):
         words = f"{words} Not beside {option_name(other)}."
     default = info.get_default(call_default_factory=True)
     facts = []
-    if default is not None and default not in ("", ()):
+    if default is not None and default is not False and default not in ("", ()):
         if isinstance(default, tuple):
             shown = f"{len(default)} values, {default[0]:g} to {default[-1]:g}"
         else:

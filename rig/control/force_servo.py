@@ -250,6 +250,24 @@ class ForceServo:
         speed_mm_s = min(FASTEST_N_s / self.settings.stiffness_N_mm, largest_speed_mm_s)
         self.settings = replace(self.settings, target_N=target_N, speed_mm_s=speed_mm_s)
 
+    def lead(self, rise_N: float, after_s: float) -> ServoStep:
+        """Returns a move to command at once, between two steps, after the set point was raised by
+        `rise_N` (`hold_at`); the next step continues from it.
+
+        `after_s` is the time since the latest step. The move is at most what a step may command.
+
+        >>> servo = ForceServo(settings_from(4.0, stiffness_N_mm=100.0, tick_s=0.01, delay_s=0.005))
+        >>> _ = servo.step(force_N=4.0)
+        >>> servo.hold_at(4.8)
+        >>> round(servo.lead(0.8, after_s=0.004).increment_mm * 1000, 1)  # 0.8 N on 100 N/mm
+        8.0
+        """
+        own = self.settings
+        reach_mm = own.speed_mm_s * own.tick_s
+        increment_mm = max(-reach_mm, min(rise_N / own.stiffness_N_mm, reach_mm))
+        self._axis.command_between(increment_mm, own.speed_mm_s, after_s)
+        return ServoStep(increment_mm, own.speed_mm_s)
+
     @property
     def commanded_mm(self) -> float:
         """Sum of all commanded increments, in mm."""
@@ -329,8 +347,9 @@ class _AxisAccount:
         self._past: deque[float] = deque([0.0] * (past + 1), maxlen=past + 1)
         self._commanded = False
         self._speed = settings.speed_mm_s
-        self._before = 0.0, self._speed
-        """Target and speed before the latest command."""
+        self._orders: list[tuple[float, float, float]] = []
+        """Commands since the latest step, oldest first: when after it, in s, target and speed. The
+        first is the one that was valid before."""
 
     def seen_mm(self, ticks: int, late_s: float, older_s: float) -> float:
         """Advances by `ticks` and returns the position at which the present force was felt.
@@ -338,22 +357,31 @@ class _AxisAccount:
         The latest target arrived `late_s` too late; the force is `older_s` older than usual.
         """
         if self._commanded:
-            late = round(late_s / self._dt)
-            # Until the late target arrived the axis followed the previous one.
+            # Until a late target arrived the axis followed the previous one.
+            begins = [0, *(round((at_s + late_s) / self._dt) for at_s, _, _ in self._orders[1:])]
             for cycle in range(ticks * self._cycles):
-                self._cycle(*(self._before if cycle < late else (self.target_mm, self._speed)))
+                latest = max(n for n, begin in enumerate(begins) if begin <= cycle)
+                self._cycle(*self._orders[latest][1:])
         return self._past[-1 - self._delay - round(older_s / self._dt)]
 
     def command(self, increment_mm: float, speed_mm_s: float) -> None:
         """Sets a new target, from now on, and the speed to approach it."""
-        self._before = self.target_mm, self._speed
+        self._orders = [(0.0, self.target_mm, self._speed)]
+        self.command_between(increment_mm, speed_mm_s, 0.0)
+        self._commanded = True
+
+    def command_between(self, increment_mm: float, speed_mm_s: float, after_s: float) -> None:
+        """Sets a new target `after_s` after the latest `command`."""
         self.target_mm += increment_mm
         self._speed = speed_mm_s
-        self._commanded = True
+        self._orders.append((after_s, self.target_mm, speed_mm_s))
 
     def correct(self, difference_mm: float) -> None:
         """Shifts the current target."""
         self.target_mm += difference_mm
+        if self._orders:
+            at_s, target_mm, speed_mm_s = self._orders[-1]
+            self._orders[-1] = at_s, target_mm + difference_mm, speed_mm_s
 
     def _cycle(self, target_mm: float, speed_mm_s: float) -> None:
         dt, acceleration = self._dt, self._settings.acceleration_mm_s2

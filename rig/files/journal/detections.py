@@ -16,6 +16,8 @@ from rig.detector.events import SHOWN_AS
 if TYPE_CHECKING:
     from rig.detector.events import EventKind, SlipEvent
 
+SLIP = "incipient slip"
+"""Kind of the detections that are alarms."""
 EVENT_CODES = {
     "predictive": "early-warning",
     "incipient slip": "slip-detected",

@@ -1,0 +1,51 @@
+"""What a run says of its grip at the end: squeezes, what became of weights, latency."""
+
+from __future__ import annotations
+
+import statistics
+from collections import Counter
+from collections.abc import Sequence
+from typing import Any
+
+from rig.core.units import counted
+from rig.run.points import Reading
+
+OUTCOMES = ("held", "averted", "lost")
+
+
+def grip_summary(readings: Sequence[Reading]) -> dict[str, Any]:
+    """Return the sentences on re-gripping, as a list under ``grip``; nothing where no trial had
+    alarms to answer or a weight to hold."""
+    sentences = []
+    squeezed = [r for r in readings if r.get("squeezes")]
+    if squeezed:
+        times = int(sum(float(r["squeezes"] or 0) for r in squeezed))
+        sentences.append(
+            f"Grip: {counted(times, 'squeeze')} in {len(squeezed)} of "
+            f"{counted(len(readings), 'trial')}."
+        )
+    latencies_ms = [1e3 * float(s) for r in squeezed if (s := r.get("squeeze_risen_s")) is not None]
+    if latencies_ms:
+        sentences.append(
+            "From the alarm's sample to F_n + 10 % of the step: "
+            f"{statistics.median(latencies_ms):.1f} ms (median of {len(latencies_ms)}), "
+            f"at most {max(latencies_ms):.1f} ms."
+        )
+    outcomes = Counter(str(r["outcome"]) for r in readings if r.get("outcome"))
+    if outcomes:
+        said = ", ".join(f"{name} {outcomes[name]}" for name in OUTCOMES)
+        sentences.append(f"Weights: {said}.")
+    used = [
+        (float(used_N), float(least_N))
+        for r in readings
+        if r.get("outcome") in ("held", "averted")
+        and (used_N := r.get("force_used_N"))
+        and (least_N := r.get("least_force_N"))
+    ]
+    if used:
+        ratio = statistics.median(force / least for force, least in used)
+        sentences.append(
+            f"Force used over the least that would have held: {ratio:.2f} (median of {len(used)}; "
+            "the least by the largest F_t/F_n of each trial)."
+        )
+    return {"grip": sentences} if sentences else {}

@@ -1,0 +1,46 @@
+"""A grip that answers alarms, with a force sensor that is wrong: what it presses with stays
+bounded."""
+
+from __future__ import annotations
+
+import pytest
+
+WEIGHT = (
+    "--regrip", "--loading", "ramp", "--hold-at", "3N", "--speed", "2mm/s", "--distance", "2mm",
+)  # fmt: skip
+LARGEST_SET_N = 8.0
+"""Set point after all steps: 4 N and five times 20 % of it."""
+
+
+def largest_N(rig):  # noqa: N802 - the unit keeps its capital
+    """The largest force that the stages have truly pressed with."""
+    (force_N,) = [entry["value"] for entry in rig.log() if entry["what"] == "largest-force"]
+    return force_N
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize(
+    "fault",
+    [
+        'kind = "dead-noisy"',
+        'kind = "dead-noisy"\nnoise_N = 2.0',
+        'kind = "one-axis-stuck"\naxis = "z"',
+        'kind = "frozen"\nfor_s = 60.0',
+        'kind = "wrong-scale"\nfactor = 0.6',
+    ],
+    ids=["dead", "noisy", "stuck", "frozen", "reads too little"],
+)
+def test_a_sensor_that_fails_under_a_weight_does_not_make_the_grip_press_on(rig, fault):
+    """From shortly before the first alarm on; the detector sees the slip all the same."""
+    plan = rig.fault(
+        f'[[fault]]\ndevice = "force_sensor"\n{fault}\nmove = 4\nof = "stage_z"\nafter_s = 2.45\n'
+    )
+    world = rig.world("[watch]\nforce_limit_N = 100.0\n")
+    ended = rig.run(
+        "slip-trial", "--json", "--no-figures", "--world-log", str(rig.world_log), "--fault", plan,
+        "--world", world, *WEIGHT,
+    )  # fmt: skip
+    assert ended.code in (3, 4, 5), ended.stderr
+    assert largest_N(rig) < 15.0
+    touched = [e["what"] for e in rig.log() if e["what"] in ("touch-down", "lift-off")]
+    assert touched[-1] == "lift-off"
