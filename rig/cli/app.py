@@ -36,6 +36,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "jog": ("rig.cli.jog", "jog"),
     "score": ("rig.cli.score", "score"),
     "train": ("rig.cli.train", "train"),
+    "regrip-study": ("rig.cli.regrip_study", "regrip_study"),
     "page": ("rig.cli.page", "page"),
     "monitor": ("rig.cli.monitor", "monitor"),
     "make-safe": ("rig.cli.make_safe", "make_safe"),

@@ -23,13 +23,15 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from rig.core.cache import Cache
 from rig.core.errors import ConfigurationError
 from rig.core.settings import option_name
 from rig.evaluation.wire.kinds import Limit, WireKind, WireTrial, drawn, needs_limit
 from rig.evaluation.wire.record import WireRecord, pack, read_record, unpack
+
+Read = TypeVar("Read")
 
 FORMAT = 2
 """Raised when what is stored changes its meaning."""
@@ -93,7 +95,7 @@ _FAILED = b"failed: "
 
 
 @dataclass
-class _Bench:
+class TrialCommands:
     """Runs commands, and ends those that are under way."""
 
     running: set[subprocess.Popen[str]] = field(default_factory=set)
@@ -149,7 +151,7 @@ def make_trials(
     Trials that need the way to slip come after the slide of their seed. An interruption ends the
     commands under way; what was made before is in the cache.
     """
-    bench, total = _Bench(), len(kinds) * len(seeds)
+    bench, total = TrialCommands(), len(kinds) * len(seeds)
     slides: dict[int, MadeTrial] = {}
     number = made = 0
     with ThreadPoolExecutor(jobs) as pool:
@@ -211,10 +213,27 @@ def _trial_of(kind: WireKind, seed: int, slide: MadeTrial | None) -> tuple[WireT
     return drawn(kind, seed, Limit(slide.record.way_mm)), ""
 
 
-def _make(trial: WireTrial, cache: Cache, bench: _Bench) -> MadeTrial:
+def _make(trial: WireTrial, cache: Cache, bench: TrialCommands) -> MadeTrial:
     """Make a trial and store its record, or why there is none."""
+    record, reason, lasting = make_one(trial, bench, read_record)
+    # A command that was killed or whose disk was full says nothing of the trial: made again later.
+    if record is not None:
+        cache.put(key_of(trial), pack(record))
+    elif lasting:
+        cache.put(key_of(trial), _FAILED + reason.encode())
+    return MadeTrial(trial, record, reason)
+
+
+def make_one(
+    trial: WireTrial, bench: TrialCommands, read: Callable[[Path], Read]
+) -> tuple[Read | None, str, bool]:
+    """Make a trial by a command of its own and return what `read` reads from its run file; if there
+    is nothing, the reason, and whether the same trial would fail again.
+
+    KeyboardInterrupt once `bench` has ended.
+    """
     with tempfile.TemporaryDirectory(prefix="rig-score-") as folder:
-        # Absolute and new, so that no bench file of the user's is in it (see _Bench.run).
+        # Absolute and new, so that no bench file of the user's is in it (see TrialCommands.run).
         folder = str(Path(folder).resolve())
         world = Path(folder) / "world.toml"
         world.write_text(_toml(trial.world), encoding="utf-8")
@@ -229,16 +248,11 @@ def _make(trial: WireTrial, cache: Cache, bench: _Bench) -> MadeTrial:
             raise KeyboardInterrupt
         try:
             file = json.loads(out)["file"] if code in (0, 5) else None
-            record = read_record(Path(file)) if file else None
-            reason = "" if record else _reason(code, out, err)
+            found = read(Path(file)) if file else None
+            reason = "" if found is not None else _reason(code, out, err)
         except (ValueError, KeyError) as error:
-            record, reason = None, str(error)[:REASON_CHARACTERS]
-    # A command that was killed or whose disk was full says nothing of the trial: made again later.
-    if record is not None:
-        cache.put(key_of(trial), pack(record))
-    elif code in (3, 4):
-        cache.put(key_of(trial), _FAILED + reason.encode())
-    return MadeTrial(trial, record, reason)
+            found, reason = None, str(error)[:REASON_CHARACTERS]
+    return found, reason, code in (3, 4)
 
 
 def _reason(code: int, out: str, err: str) -> str:
@@ -263,8 +277,12 @@ def rig_command() -> Path:
 
 
 def _options(settings: dict[str, Any]) -> list[str]:
-    """Return settings as the options of a command: negative numbers need the form with =."""
-    return [f"{option_name(name)}={_text(value)}" for name, value in settings.items()]
+    """Return settings as the options of a command: negative numbers need the form with =, and a
+    switch has no value."""
+    return [
+        option_name(name) if value is True else f"{option_name(name)}={_text(value)}"
+        for name, value in settings.items()
+    ]
 
 
 def _text(value: Any) -> str:

@@ -1,0 +1,121 @@
+"""``rig regrip-study``: parses the command, calls `rig.evaluation.wire.regrip_study`, prints."""
+
+from __future__ import annotations
+
+import json
+import math
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from rig.cli.outcome import reported, say
+from rig.core.errors import ConfigurationError
+from rig.detector import DEFAULT_DETECTOR
+
+if TYPE_CHECKING:
+    from rig.evaluation.scoring.tables import ScoredNumber
+    from rig.evaluation.wire.regrip_study import StudyRow
+
+SEEDS = "1000000:1000010"
+
+
+def regrip_study(
+    seeds: Annotated[
+        str, typer.Option(help="Seeds of the benches, END excluded.", metavar="FIRST:END")
+    ] = SEEDS,
+    shares: Annotated[
+        str,
+        typer.Option(
+            help="Weights as shares of the holding force, above 1 drops, below holds.",
+            metavar="LIST",
+        ),
+    ] = "0.8,1.05,1.1,1.3",
+    strategies: Annotated[
+        str,
+        typer.Option(
+            help="none, always (squeeze when the motion begins), and names of detectors.",
+            metavar="LIST",
+        ),
+    ] = f"none,always,{DEFAULT_DETECTOR}",
+    as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")] = False,
+    debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
+) -> None:
+    """Drop weights with and without a grip that answers alarms, in pairs at the same seeds.
+
+    Every trial is a command of its own on a simulated bench of its own. Trials are stored: an
+    interrupted study continues where it was.
+    """
+    with reported(debug, as_json):
+        from rig.cli.score import WireProgress
+        from rig.core.cache import user_cache
+        from rig.evaluation.scoring.seeds import seed_range
+        from rig.evaluation.wire.regrip_study import RegripStudy, as_object, table
+
+        chosen = _strategies(strategies)
+        progress = WireProgress("regrip-study", 1)
+        weights = []
+        try:
+            study = RegripStudy(user_cache(), progress)
+            for weight in study.weights(seed_range(seeds).seeds(), _shares(shares), chosen):
+                weights.append(weight)
+                if weight.failed:
+                    say(f"seed {weight.seed}, {weight.share:g}, {weight.strategy}: {weight.failed}")
+        except (KeyboardInterrupt, SystemExit):
+            say(f"interrupted after {progress.number} trials; the same command continues")
+            raise
+        if as_json:
+            print(json.dumps(as_object(weights)))  # noqa: T201 - data
+        else:
+            for line in lines_of(table(weights)):
+                print(line)  # noqa: T201 - data
+
+
+def lines_of(rows: list[StudyRow]) -> list[str]:
+    """Return a table as aligned lines."""
+    lines = [
+        "SIMULATED. Weights are shares of the holding force of the same bench; saved: not lost; "
+        "force: over the least that holds, median of those saved; 95 % by Wilson.",
+        f"{'weight':>7} {'strategy':<16}{'n':>4}  {'saved':<18}{'squeezed':<18}{'squeezes':>8} "
+        f"{'force':>6} {'risen (ms)':>10}",
+    ]
+    for row in rows:
+        force, risen = (
+            "-" if math.isnan(value) else f"{value:.{digits}f}"
+            for value, digits in ((row.force_over_least, 2), (row.risen_ms, 1))
+        )
+        lines.append(
+            f"{row.weights:>7} {row.strategy:<16}{row.n:>4}  {_share(row.saved):<18}"
+            f"{_share(row.squeezed):<18}{row.squeezes:>8} {force:>6} {risen:>10}"
+        )
+    return lines
+
+
+def _share(found: ScoredNumber) -> str:
+    if math.isnan(found.value):
+        return "-"
+    return f"{found.value:.2f} ({found.low:.2f}-{found.high:.2f})"
+
+
+def _shares(text: str) -> list[float]:
+    try:
+        shares = [float(part) for part in text.split(",")]
+    except ValueError:
+        shares = []
+    if not shares or not all(0.1 <= share <= 2 for share in shares):
+        raise ConfigurationError(
+            f"--shares {text}: not a list of shares from 0.1 to 2", "for example 0.8,1.05,1.1,1.3"
+        )
+    return shares
+
+
+def _strategies(text: str) -> list[str]:
+    from rig.detector.registered import detector_names
+    from rig.evaluation.wire.regrip_study import ALWAYS, NONE
+
+    known = (NONE, ALWAYS, *detector_names())
+    chosen = [part.strip() for part in text.split(",")]
+    if unknown := [name for name in chosen if name not in known]:
+        raise ConfigurationError(
+            f"--strategies: {unknown[0]!r} is unknown", f"choose from {', '.join(known)}"
+        )
+    return chosen
