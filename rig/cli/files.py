@@ -132,6 +132,22 @@ def show(
                     shown(said if all_settings or as_json else _without_defaults(said, run.header))
             if draws:
                 _draw(path, figures_to, pdf, say if as_json else _print)
+        if draws and len(files) == 2:
+            _draw_beside(files, figures_to, pdf, say if as_json else _print)
+
+
+def _draw_beside(
+    files: list[Path], folder: Path | None, pdf: bool, shown: Callable[[str], None]
+) -> None:
+    """Draw two slip trials with a grip or a weight beside each other, where they are that."""
+    from rig.figures.grip import draw_pair
+    from rig.files.file_kind import kind_of
+    from rig.files.processed.reader import is_processed
+
+    if any(kind_of(path) == "journal" or is_processed(path) for path in files):
+        return
+    for drawn in draw_pair(files, folder, pdf):
+        shown(f"figure: {drawn}")
 
 
 def verify(files: Files, debug: Debug = False) -> None:
