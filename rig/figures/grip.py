@@ -133,8 +133,8 @@ def _draw_column(panels: Sequence[Axes], run: RunFile, number: int, point: str) 
     way.set_xlabel("Time since the motion's begin (s)")
     for axes in panels:
         for n, one in enumerate(squeezes):
-            label = "squeeze" if n == 0 and axes is pressing else None
-            axes.axvline(one["decided_s"] - begin_s, color="C4", linewidth=0.7, label=label)
+            named = "squeeze" if n == 0 and axes is pressing else None
+            axes.axvline(one["decided_s"] - begin_s, color="C4", linewidth=0.7, label=named)
     shown = (t >= -BEFORE_S) & (t <= end_s - begin_s + AFTER_S)
     way.set_xlim(-BEFORE_S, end_s - begin_s + AFTER_S)
     force_N = force.values("F_n")[shown]

@@ -1,0 +1,114 @@
+"""The study of drops: pairs at the same seeds, its table, and what is made again."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from rig.cli.regrip_study import lines_of
+from rig.evaluation.wire import regrip_study
+from rig.evaluation.wire.kinds import WireTrial
+from rig.evaluation.wire.regrip_study import RegripStudy, Weight, as_object, table
+
+
+class Stored:
+    """A cache in memory."""
+
+    def __init__(self) -> None:
+        self.kept: dict[str, bytes] = {}
+
+    def get(self, key: str) -> bytes | None:
+        return self.kept.get(key)
+
+    def put(self, key: str, content: bytes) -> None:
+        self.kept[key] = content
+
+
+@pytest.fixture
+def made(monkeypatch: pytest.MonkeyPatch) -> list[WireTrial]:
+    """Trials that were made, by a bench that holds 3 N and whose grip saves every weight."""
+    trials: list[WireTrial] = []
+
+    def make(trial: WireTrial, bench: Any, read: Callable[[Path], Any]) -> tuple[Any, str, bool]:
+        trials.append(trial)
+        if read is regrip_study.read_holding:
+            return 3.0, "", False
+        drops, grips = trial.settings["hold_at_N"] > 3.0, "regrip" in trial.settings
+        outcome = "held" if not drops else "averted" if grips else "lost"
+        return (
+            {
+                "outcome": outcome,
+                "squeezes": int(grips and drops),
+                "force_used_N": 1.2 * trial.settings["normal_force_N"],
+                "risen_s": 0.005 if grips and drops else None,
+            },
+            "",
+            False,
+        )
+
+    monkeypatch.setattr(regrip_study, "make_one", make)
+    return trials
+
+
+def weights(cache: Stored, strategies: tuple[str, ...] = ("none", "paper-hp")) -> list[Weight]:
+    study = RegripStudy(cache, lambda number, total, made: None)
+    return list(study.weights(range(1_000_000, 1_000_003), [0.8, 1.1], strategies))
+
+
+def test_strategies_meet_the_same_bench_and_the_same_weight(made: list[WireTrial]) -> None:
+    weights(Stored(), ("none", "always", "paper-hp"))
+    assert len(made) == 3 * (1 + 2 * 3)
+    for first in range(0, len(made), 7):
+        ramp, *hung = made[first : first + 7]
+        assert "hold_at_N" not in ramp.settings
+        assert {json.dumps(trial.world) for trial in (ramp, *hung)} == {json.dumps(ramp.world)}
+        loads = [trial.settings["hold_at_N"] for trial in hung]
+        assert loads == pytest.approx([2.4] * 3 + [3.3] * 3)
+        none, always, alarmed = (trial.settings for trial in hung[:3])
+        assert "regrip" not in none
+        assert (always["regrip_on"], always["regrip_times"]) == ("motion", 2)
+        assert (alarmed["detector"], alarmed["regrip_times"]) == ("paper-hp", 5)
+
+
+def test_what_was_made_is_not_made_again(made: list[WireTrial]) -> None:
+    cache = Stored()
+    first = weights(cache)
+    number = len(made)
+    assert weights(cache) == first
+    assert len(made) == number
+
+
+def test_the_table_has_shares_with_intervals_and_counts_false_squeezes(
+    made: list[WireTrial],
+) -> None:
+    found = weights(Stored())
+    rows = {(row.weights, row.strategy): row for row in table(found)}
+    assert set(rows) == {
+        (share, strategy)
+        for share in ("0.8", "1.1", "drops", "holds")
+        for strategy in ("none", "paper-hp")
+    }
+    assert rows["1.1", "none"].saved.value == 0.0
+    saved = rows["drops", "paper-hp"].saved
+    assert (saved.value, saved.of) == (1.0, 3)
+    assert saved.low == pytest.approx(0.44, abs=0.01), "Wilson's, of 3 of 3"
+    assert rows["holds", "paper-hp"].squeezes == 0
+    assert rows["drops", "paper-hp"].force_over_least == pytest.approx(1.2 / 1.1)
+    assert rows["drops", "paper-hp"].risen_ms == pytest.approx(5.0)
+    said = "\n".join(lines_of(table(found)))
+    assert "SIMULATED" in said
+    assert "1.00 (0.44-1.00)" in said
+    assert json.dumps(as_object(found), allow_nan=False)
+
+
+def test_a_bench_that_cannot_be_made_is_said_and_counted(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(
+        regrip_study, "make_one", lambda trial, bench, read: (None, "exit code 3: stuck", True)
+    )
+    found = weights(Stored())
+    assert {one.failed for one in found} == {"exit code 3: stuck"}
+    assert {(row.n, row.failed) for row in table(found)} == {(0, 3)}
