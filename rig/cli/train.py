@@ -68,10 +68,23 @@ def train(
         Path | None,
         typer.Option(help="JSON file with the ranges of the front end of the model's trials."),
     ] = None,
-    units: Annotated[int, typer.Option(help="Units of the hidden layer.", min=1, max=256)] = 16,
+    everything: Annotated[
+        bool,
+        typer.Option(
+            "--all",
+            help="Learn from all trials and hold none out, once the other options are chosen.",
+        ),
+    ] = False,
+    members: Annotated[
+        int,
+        typer.Option(
+            help="Number of networks that are trained apart and averaged into one.", min=1, max=16
+        ),
+    ] = 2,
+    units: Annotated[int, typer.Option(help="Hidden units of each of them.", min=1, max=64)] = 16,
     epochs: Annotated[
         int, typer.Option(help="Number of passes over all rows.", min=1, max=1000)
-    ] = 30,
+    ] = 10,
     seed: Annotated[
         int, typer.Option(help="Seed of the initial weights and of the order of the rows.", min=0)
     ] = 0,
@@ -103,15 +116,18 @@ def train(
             files=files,
             population=read_settings(LESSON_POPULATION, population),
             front_end=read_settings(LESSON_FRONT_END, front_end),
+            everything=everything,
             jobs=jobs,
         )
-        numbers = f"--units {units} --epochs {epochs} --seed {seed}"
+        numbers = f"--members {members} --units {units} --epochs {epochs} --seed {seed}"
         command = " ".join(["rig train", *sources.words(population, front_end), numbers])
-        network, held_out = _trained(sources, units, epochs, seed, command)
+        network, held_out = _trained(sources, members, units, epochs, seed, command)
         text = json.dumps(network.model_dump(mode="json"), indent=1) + "\n"
         write_text(out, text)
-        _judge(network, held_out)
-        typer.echo(f"saved {out}: network of {units} units, trained on {network.trained_on}")
+        if held_out:
+            _judge(network, held_out)
+        size = f"{len(network.hidden)} units"
+        typer.echo(f"saved {out}: network of {size}, trained on {network.trained_on}")
 
 
 @dataclass(frozen=True)
@@ -126,6 +142,8 @@ class Sources:
     """List of run files."""
     population: PopulationSettings
     front_end: StripFrontEndSettings
+    everything: bool
+    """True if nothing is held out."""
     jobs: int
     counted: dict[str, int] = field(default_factory=dict)
     """Number of trials by source, as far as they have been read."""
@@ -136,7 +154,8 @@ class Sources:
             "--seeds": self.seeds, "--wire": self.wire, "--files": self.files,
             "--population": population, "--front-end": front_end,
         }  # fmt: skip
-        return [f"{option} {value}" for option, value in given.items() if value is not None]
+        words = [f"{option} {value}" for option, value in given.items() if value is not None]
+        return [*words, "--all"] if self.everything else words
 
     def said(self) -> str:
         """Returns how many trials of each source there were, in words."""
@@ -235,7 +254,7 @@ def _tuning_seeds(option: str, text: str | None) -> SeedRange | None:
 
 
 def _trained(
-    sources: Sources, units: int, epochs: int, seed: int, command: str
+    sources: Sources, members: int, units: int, epochs: int, seed: int, command: str
 ) -> tuple[Network, list[Lesson]]:
     """Returns the network, and the lessons that were held out."""
     import numpy as np
@@ -245,20 +264,20 @@ def _trained(
     from rig.detector.kernel import INPUTS
     from rig.detector.network import Network
     from rig.evaluation.lessons import Teacher
-    from rig.evaluation.training import TrainingRows, learn
+    from rig.evaluation.training import TrainingRows, learn_together
 
     teacher = Teacher()
     learnt: list[TrainingRows] = []
     held_out: list[Lesson] = []
     for lesson in sources.lessons():
-        if lesson.held_out:
+        if lesson.held_out and not sources.everything:
             held_out.append(lesson)
             continue
         try:
             learnt.append(teacher.rows_of(lesson))
         except ValueError as error:
             raise ConfigurationError(f"{lesson.name}: {error}") from error
-    if not learnt or not held_out:
+    if not learnt or not (held_out or sources.everything):
         raise ConfigurationError(
             f"{sources.said() or 'no trials'}: too few to learn from some and be judged on others",
             "take at least five seeds, or files of two samples",
@@ -276,7 +295,7 @@ def _trained(
         if (epoch + 1) * 10 // epochs != epoch * 10 // epochs:
             say(f"train: epoch {epoch + 1} of {epochs}, loss {loss:.5f}")
 
-    hidden, output = learn(rows, units=units, epochs=epochs, seed=seed, on_epoch=show)
+    hidden, output = learn_together(rows, members, units, epochs, seed, show)
     seeds = [one for one in (sources.seeds, sources.wire) if one is not None]
     network = Network(
         name=f"rig-{DETECTOR_VERSION}",

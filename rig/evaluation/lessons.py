@@ -73,6 +73,8 @@ FAULTS: tuple[dict[str, Range], ...] = (
 """What is different in front ends with a fault; a third has none."""
 AS_IT_IS = {"noise_mV": Range(low=0.0, high=0.0), "mains_mV": Range(low=0.0, high=0.0)}
 """What a recording that has been through a front end already is not given again."""
+BENCH_WEIGHT = 2.0
+"""Weight of a trial of the bench, which is what the detector will meet, beside one of the model."""
 HELD_OUT_EVERY = 5
 """One seed out of this many is held out."""
 
@@ -99,6 +101,8 @@ class Lesson:
     """End of a roll, NaN if it lasts to the end of the record."""
     first: bool = True
     """False for a trial that is heard through a further front end."""
+    weight: float = 1.0
+    """Weight of its rows."""
 
 
 def held_out(seed: int) -> bool:
@@ -158,6 +162,7 @@ def bench_lessons(made: MadeTrial, hearings: int) -> Iterator[Lesson]:
         slips_s=np.array(record.slips_s, dtype=np.float64).reshape(-1, 2),
         rolls=rolls,
         motion_end_s=motion_end_s,
+        weight=BENCH_WEIGHT,
     )
     yield first
     base = LESSON_FRONT_END.model_copy(update=AS_IT_IS)
@@ -198,7 +203,7 @@ class Teacher:
             resampler = StreamingResampler(lesson.rate_Hz, NETWORK_RATE_Hz, 2)
             volts, ratio = resampler.add(volts), resampler.ratio
         shown = IncipientSlipDetector(self._settings, NETWORK_RATE_Hz).network_inputs(volts)
-        return rows_of(
+        rows = rows_of(
             TrainingTrial(
                 inputs=shown.inputs,
                 # Rows at which the answer could be given, as in a score.
@@ -210,6 +215,7 @@ class Teacher:
                 lift_off_s=lesson.truth.lift_off_s,
             )
         )
+        return replace(rows, weight=lesson.weight * rows.weight)
 
 
 def judged(

@@ -95,10 +95,30 @@ def rows_of(lesson: TrainingTrial) -> TrainingRows:
     return TrainingRows(lesson.inputs.astype(np.float32), right, weight)
 
 
+def learn_together(
+    rows: TrainingRows,
+    members: int,
+    units: int,
+    epochs: int,
+    seed: int,
+    on_epoch: Callable[[int, float], None] | None = None,
+) -> tuple[Reals, Reals]:
+    """Returns the weights of `members` networks that were trained apart, as one network.
+
+    Its log odds are the mean of theirs, so that what one of them has learnt by chance counts less.
+    It has `members` times `units` hidden units.
+    """
+    parts = [learn(rows, units, epochs, seed + member, on_epoch) for member in range(members)]
+    hidden = np.vstack([one for one, _ in parts])
+    spread = [one[:, :-1] / members for _, one in parts]
+    bias = np.mean([one[:, -1] for _, one in parts], axis=0)
+    return hidden, np.column_stack([*spread, bias])
+
+
 def learn(
     rows: TrainingRows,
-    units: int = 24,
-    epochs: int = 30,
+    units: int = 16,
+    epochs: int = 10,
     seed: int = 0,
     on_epoch: Callable[[int, float], None] | None = None,
 ) -> tuple[Reals, Reals]:

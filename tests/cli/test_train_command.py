@@ -55,14 +55,17 @@ def test_a_network_is_trained_on_run_files_alone_and_says_so(tmp_path: Path, lis
     said = run("--out", out, "--files", listing, "--epochs", "3", "--units", "4")
     network = Network.model_validate_json(out.read_bytes())
     assert network.inputs == INPUTS
-    assert len(network.hidden) == 4
+    assert len(network.hidden) == 2 * 4
     assert network.trained_on == "5 trials of run files"
-    assert f"--files {listing} --units 4 --epochs 3" in network.trained_by
+    assert f"--files {listing} --members 2 --units 4 --epochs 3" in network.trained_by
     assert (network.first_seed, network.last_seed) == (0, -1)
     # Sample b was held out: a slip and a roll.
     assert "slip, in time: " in said
     assert "/1 (" in said
     assert "roll, false alarm: " in said
+    said = run("--out", tmp_path / "all.json", "--files", listing, "--epochs", "1", "--all")
+    assert "held out" not in said
+    assert "--all" in Network.model_validate_json((tmp_path / "all.json").read_bytes()).trained_by
     assert run("--out", tmp_path / "b.json", "--files", listing, "--epochs", "3", "--units", "4")
     again = json.loads((tmp_path / "b.json").read_text())
     assert again == json.loads(out.read_text())

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from rig.evaluation.training import TrainingRows, TrainingTrial, learn, rows_of
+from rig.evaluation.training import TrainingRows, TrainingTrial, learn, learn_together, rows_of
 
 NEVER = float("nan")
 NONE = np.zeros((0, 2))
@@ -98,6 +98,19 @@ def test_the_seed_decides_everything():
     assert (one[0] == other[0]).all()
     assert (one[1] == other[1]).all()
     assert (learn(rows, units=4, epochs=2, seed=4)[0] != one[0]).any()
+
+
+def test_networks_that_are_averaged_answer_with_the_mean_of_their_log_odds():
+    rows = plain_problem()
+
+    def odds(hidden: np.ndarray, output: np.ndarray) -> np.ndarray:
+        total = rows.inputs @ hidden[:, :-1].T + hidden[:, -1]
+        return (total / (1 + np.abs(total))) @ output[:, :-1].T + output[:, -1]
+
+    apart = [odds(*learn(rows, units=3, epochs=1, seed=seed)) for seed in (5, 6)]
+    together = odds(*learn_together(rows, members=2, units=3, epochs=1, seed=5))
+    assert together == pytest.approx((apart[0] + apart[1]) / 2, abs=1e-4)
+    assert np.abs(apart[0] - apart[1]).max() > 0.1
 
 
 def test_rows_that_do_not_count_teach_nothing():
