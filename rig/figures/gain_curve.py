@@ -10,16 +10,32 @@ from typing import TYPE_CHECKING
 
 import matplotlib as mpl
 import numpy as np
-from matplotlib.figure import Figure
+from matplotlib.transforms import offset_copy
 
 from rig.analysis.film.circuit import READING_NAMES, READINGS
-from rig.analysis.film.model import FIRST_ORDER_SLOPE, SLOPE_BAND_HZ
+from rig.analysis.film.model import FIRST_ORDER_SLOPE
 from rig.analysis.response.complex_response import DB_PER_RELATIVE
-from rig.figures.style import STYLE, decades, set_margins
+from rig.figures.style import (
+    BLACK,
+    BLUE,
+    GREEN,
+    GREY,
+    ORANGE,
+    SMALLEST_PT,
+    STYLE,
+    VERMILLION,
+    column_figure,
+    decades,
+    legend_above,
+    letter,
+    set_heading,
+    set_margins,
+)
 from rig.physics.pvdf import SKIN_STRIP, CircuitSettings
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
     from rig.analysis.film.gain_curve import ResponseCurve, SweepAnalysis
     from rig.analysis.film.linearity import LoadLinearity
@@ -28,36 +44,45 @@ if TYPE_CHECKING:
 ERROR_BARS = 2.0
 """Half length of an error bar in standard errors."""
 CURVE_POINTS = 2000
-DROP_LABEL_SHARE = 0.18
-"""Height of a notch's label with its line, as a fraction of the axes' height."""
+LEGEND_SHARE = 0.2
+"""Room for a legend below the curves, as a share of their span."""
+DROP_LABEL_SHARE = 0.28
+"""Height of a notch's lowered label with its line, as a fraction of the axes' height."""
+LABEL_PT, LOWERED_PT = 10.0, 30.0
+"""Distances of labels from the bottoms of notches; the lower one clears a label of two lines."""
+LABEL_RATIO = 6.0
+"""Ratio of the frequencies of two notches below which their labels would touch."""
 _EXPLAINED = {
     "printed": "eq. (4) as printed (adds Ω and S)",
     "ohmic": "eq. (4) with units corrected (1/A4 for A4)",
     "circuit": "circuit analysis of the circuit as drawn",
 }
-_COLOURS = {"printed": "C3", "ohmic": "C2", "circuit": "C1"}
+_LINES = {"printed": (VERMILLION, "-"), "ohmic": (GREEN, "--"), "circuit": (ORANGE, "-.")}
+"""Colours and dashes of the three readings of eq. (4)."""
 
 
-def draw_gain(curve: ResponseCurve, analysis: SweepAnalysis, title: str = "") -> Figure:
+def draw_gain(
+    curve: ResponseCurve, analysis: SweepAnalysis, title: str = "", *details: str
+) -> Figure:
     """Draw Figure 5: measured gain, fitted curve, notches, the line of eq. (2), and residuals
     below."""
     with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(7.2, 6.2))
+        figure = column_figure(104)
         gain, residual = figure.subplots(2, 1, sharex=True, gridspec_kw={"height_ratios": [3.4, 1]})
         _points(gain, curve.frequencies, curve.gains_dB, curve.gain_errors_dB, "measured")
         f = _fine(curve, analysis)
         model = analysis.fit.model
-        gain.plot(f, _dB(model.response(f)), color="C1", linewidth=1, label=_fitted(analysis))
-        if analysis.plain is not None:
-            _plain_line(gain, curve, analysis.plain.level_dB)
+        gain.plot(f, _dB(model.response(f)), color=VERMILLION, label=_fitted(analysis))
+        _first_order_line(gain, curve, analysis)
         _mark_drops(gain, analysis)
         gain.set_ylabel("Gain (dB re 1 V/N)")
-        gain.legend(loc="upper left", frameon=False)
+        legend = legend_above(gain, columns=1)
         _residuals(residual, curve, analysis)
         _frequency_axis(residual, curve.frequencies)
-        set_margins(figure, top=0.5)
-        if title:
-            figure.suptitle(title, fontsize=9, parse_math=False)
+        letter((gain, residual))
+        top = set_heading(figure, title, *details)
+        set_margins(figure, top=top + legend, gap_mm=4.0)
+        figure.align_ylabels((gain, residual))
     return figure
 
 
@@ -66,11 +91,12 @@ def draw_readings(
     analysis: SweepAnalysis,
     given: CircuitSettings = SKIN_STRIP,
     title: str = "",
+    *details: str,
 ) -> Figure:
     """Draw Figure 7: three predictions from eq. (4) with the circuit ``given``, absolute and
     shifted."""
     with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(7.2, 6.6))
+        figure = column_figure(140)
         plain, shifted = figure.subplots(2, 1, sharex=True)
         f = _fine(curve, analysis)
         for axes in (plain, shifted):
@@ -79,27 +105,30 @@ def draw_readings(
         for name, reading in READINGS.items():
             offset = analysis.circuit.offsets[name].value
             computed = _dB(reading(f, given))
-            line = {"color": _COLOURS[name], "linewidth": 1}
-            plain.plot(f, computed, label=_EXPLAINED[name], **line)
+            colour, dashes = _LINES[name]
+            plain.plot(f, computed, dashes, color=colour, label=_EXPLAINED[name])
             label = f"{READING_NAMES[name]}, {_signed(-offset, 1)} dB"
-            shifted.plot(f, computed - offset, label=label, **line)
+            shifted.plot(f, computed - offset, dashes, color=colour, label=label)
         _mark_corners(shifted, analysis)
-        plain.set_title("Predictions from eq. (4), absolute", fontsize=9)
-        shifted.set_title("Predictions from eq. (4), shifted to match the measurement", fontsize=9)
-        plain.legend(loc="lower right", frameon=False, fontsize=8)
-        shifted.legend(loc="upper left", frameon=False)
+        plain.set_title("predictions from eq. (4), absolute", loc="left")
+        shifted.set_title("the same, shifted to match the measurement", loc="left")
+        # Below the lowest curve there is nothing, above the shifted ones to the left neither.
+        low, high = plain.get_ylim()
+        plain.set_ylim(low - LEGEND_SHARE * (high - low), high)
+        plain.legend(loc="lower right")
+        shifted.legend(loc="upper left")
         _frequency_axis(shifted, curve.frequencies)
-        set_margins(figure, top=0.68, between=0.14)
-        if title:
-            figure.suptitle(title, fontsize=9, parse_math=False)
+        letter((plain, shifted))
+        top = set_heading(figure, title, *details)
+        set_margins(figure, top=top + 0.14, gap_mm=5.0)
     return figure
 
 
-def draw_linearity(linearity: LoadLinearity, title: str = "") -> Figure:
+def draw_linearity(linearity: LoadLinearity, title: str = "", *details: str) -> Figure:
     """Draw the change of gain per decade of load at each frequency; it is zero for a linear film
     (data2)."""
     with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(7.2, 3.4), layout="constrained")
+        figure = column_figure(76)
         axes = figure.subplots()
         _points(
             axes,
@@ -109,14 +138,14 @@ def draw_linearity(linearity: LoadLinearity, title: str = "") -> Figure:
             "each frequency",
         )
         mean = linearity.slope
-        axes.axhline(mean.value, color="C1", linewidth=1, label=f"mean: {mean} of load")
-        axes.axhspan(mean.low, mean.high, color="C1", alpha=0.25, linewidth=0)
-        axes.axhline(0, color="0.3", linestyle="--", linewidth=0.9, label="linear film")
-        axes.set_ylabel("Change of gain per decade of load (dB)")
-        figure.legend(loc="outside lower center", ncols=2, frameon=False)
+        axes.axhline(mean.value, color=VERMILLION, label=f"mean: {mean} of load")
+        axes.axhspan(mean.low, mean.high, color=VERMILLION, alpha=0.25, linewidth=0)
+        axes.axhline(0, color=GREY, linestyle="--", linewidth=0.9, label="linear film")
+        axes.set_ylabel("Change of gain (dB/decade of load)")
+        legend = legend_above(axes, columns=1)
         _frequency_axis(axes, linearity.frequencies)
-        if title:
-            figure.suptitle(title, fontsize=9, parse_math=False)
+        top = set_heading(figure, title, *details)
+        set_margins(figure, top=top + legend, left=0.6)
     return figure
 
 
@@ -127,9 +156,9 @@ def _points(axes: Axes, frequencies: Reals, values: Reals, errors: Reals, what: 
         values,
         ERROR_BARS * errors,
         fmt=".",
-        markersize=3,
-        elinewidth=0.6,
-        color="C0",
+        markersize=2.5,
+        elinewidth=0.5,
+        color=BLUE,
         label=f"{what}, ± {ERROR_BARS:g} standard errors",
         zorder=3,
     )
@@ -139,46 +168,62 @@ def _fitted(analysis: SweepAnalysis) -> str:
     b, corner = analysis.level, analysis.corner.value
     pole = f"corner {corner:.0f} Hz" if np.isfinite(corner) else "no corner"
     drops = f"{len(analysis.drops)} notch{'es' * (len(analysis.drops) != 1)}"
+    found = f"fit: b = {_signed(b.value, 2)} dB, {pole}, {drops}"
     if analysis.slopes is None:
-        return f"fit: b = {_signed(b.value, 2)} dB, {pole}, {drops}"
+        return found
     low, high = analysis.slopes.band_Hz
-    slope = f"slope {low:g} to {high:g} Hz {analysis.slopes.slope.value:.2f} dB/decade"
-    return f"fit: b = {_signed(b.value, 2)} dB, {pole}, {drops},\n{slope}"
+    slope = f"{analysis.slopes.slope.value:.2f} dB/decade"
+    return f"{found},\nslope {low:g} to {high:g} Hz {slope}"
 
 
-def _plain_line(axes: Axes, curve: ResponseCurve, level_dB: float) -> None:
-    ends = np.array([curve.frequencies[0], min(SLOPE_BAND_HZ[1], curve.frequencies[-1])])
+def _first_order_line(axes: Axes, curve: ResponseCurve, analysis: SweepAnalysis) -> None:
+    """Draw eq. (2) with the fitted level b, up to the corner: it holds below that. A line through
+    all points up to 2 kHz would lie above them, because the corner bends them down."""
+    level_dB, corner_Hz = analysis.level.value, analysis.corner.value
+    # NaN where there is no corner: fmin leaves it out.
+    ends = np.array([curve.frequencies[0], np.fmin(corner_Hz, curve.frequencies[-1])])
     axes.plot(
         ends,
         FIRST_ORDER_SLOPE * np.log10(ends) + level_dB,
         "--",
-        color="0.3",
-        linewidth=0.9,
-        label=f"20 dB/decade line fitted without corner\n(paper, eq. 2): {_signed(level_dB, 2)} dB",
+        color=BLACK,
+        linewidth=0.8,
+        label=f"eq. (2): 20 dB/decade, b = {_signed(level_dB, 2)} dB",
         zorder=4,
     )
 
 
 def _mark_drops(axes: Axes, analysis: SweepAnalysis) -> None:
-    """Write frequency and depth under each notch, with room for them above the axis."""
+    """Write frequency and depth under each notch, with room for them above the axis; lower where
+    they would touch those of the notch before."""
     if not analysis.drops:
         return
     lowest = float(_dB(analysis.fit.model.response(_bottoms(analysis))).min())
     low, high = axes.get_ylim()
-    axes.set_ylim(min(low, (lowest - DROP_LABEL_SHARE * high) / (1 - DROP_LABEL_SHARE)), high)
-    for drop in analysis.drops:
+    share = DROP_LABEL_SHARE
+    axes.set_ylim(min(low, (lowest - share * high) / (1 - share)), high)
+    before_Hz, before_dB, lowered = 0.0, 0.0, False
+    for drop in sorted(analysis.drops, key=lambda drop: drop.frequency.value):
         at = drop.frequency.value
         bottom = float(_dB(analysis.fit.model.response(np.array([at])))[0])
+        lowered = at < LABEL_RATIO * before_Hz and not lowered
+        below = offset_copy(
+            axes.transData,
+            axes.get_figure(root=True),
+            y=-LOWERED_PT if lowered else -LABEL_PT,
+            units="points",
+        )
         axes.annotate(
             f"{_hertz(at)}\n{drop.depth.value:.1f} dB",
             (at, bottom),
-            (0, -24),
-            textcoords="offset points",
+            (at, min(bottom, before_dB) if lowered else bottom),
+            textcoords=below,
             ha="center",
             va="top",
-            fontsize=8,
-            arrowprops={"arrowstyle": "-", "linewidth": 0.5, "color": "0.4"},
+            fontsize=SMALLEST_PT,
+            arrowprops={"arrowstyle": "-", "linewidth": 0.5, "color": GREY},
         )
+        before_Hz, before_dB = at, bottom
 
 
 def _residuals(axes: Axes, curve: ResponseCurve, analysis: SweepAnalysis) -> None:
@@ -186,11 +231,11 @@ def _residuals(axes: Axes, curve: ResponseCurve, analysis: SweepAnalysis) -> Non
     error = DB_PER_RELATIVE * np.sqrt(
         np.square(curve.gain_errors_dB / DB_PER_RELATIVE) + analysis.fit.gain_error**2
     )
-    axes.plot(curve.frequencies, (curve.gains_dB - _dB(expected)) / error, ".", markersize=3)
-    axes.axhspan(-2, 2, color="0.5", alpha=0.12, linewidth=0)
+    axes.plot(curve.frequencies, (curve.gains_dB - _dB(expected)) / error, ".", markersize=2.5)
+    axes.axhspan(-2, 2, color=GREY, alpha=0.15, linewidth=0)
     largest = np.abs((curve.gains_dB - _dB(expected)) / error).max()
     axes.set_ylim(-max(4.0, 1.1 * largest), max(4.0, 1.1 * largest))
-    axes.set_ylabel("Residual\n(standard errors)")
+    axes.set_ylabel("Residual (s.e.)")
 
 
 def _mark_corners(axes: Axes, analysis: SweepAnalysis) -> None:
@@ -198,11 +243,11 @@ def _mark_corners(axes: Axes, analysis: SweepAnalysis) -> None:
     bottom, top = axes.get_ylim()
     for value, name, place in (
         (analysis.corner.value, "corner, measured:", "right"),
-        (analysis.circuit.film_corner_Hz, "corner of\n$R_{PV}C_{PV}$:", "left"),
+        (analysis.circuit.film_corner_Hz, "$R_{PV}C_{PV}$:", "left"),
     ):
         if not np.isfinite(value):
             continue
-        axes.axvline(value, color="0.3", linestyle=":", linewidth=0.9)
+        axes.axvline(value, color=GREY, linestyle=":", linewidth=0.9)
         axes.annotate(
             f"{name}\n{_hertz(value)}",
             (value, bottom),
@@ -210,7 +255,7 @@ def _mark_corners(axes: Axes, analysis: SweepAnalysis) -> None:
             textcoords="offset points",
             ha=place,
             va="bottom",
-            fontsize=8,
+            fontsize=SMALLEST_PT,
         )
     axes.set_ylim(bottom, top)
 

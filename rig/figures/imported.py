@@ -10,12 +10,23 @@ from typing import TYPE_CHECKING
 
 import matplotlib as mpl
 import numpy as np
-from matplotlib.figure import Figure
 
 from rig.figures.pressed import seconds
-from rig.figures.style import STYLE, legend_above, set_margins
+from rig.figures.style import (
+    BLUE,
+    ORANGE,
+    SKY,
+    STYLE,
+    VERMILLION,
+    column_figure,
+    legend_above,
+    letter,
+    set_heading,
+    set_margins,
+)
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
     from numpy.typing import NDArray
 
     from rig.files.runfile.reader import RunFile
@@ -34,29 +45,31 @@ def draw_recording(run: RunFile) -> Figure:
     factor, unit = (1e3, "mV") if small else (1.0, "V")
     panels = 2 if force is None else 3
     with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(7.2, 1.0 + 1.9 * panels))
+        figure = column_figure(24 + 34 * panels)
         axes = list(figure.subplots(panels, 1, sharex=True))
         t = seconds(signals)
-        axes[0].plot(*thinned(t, factor * volts["v_d"]), linewidth=0.8, label="$v_d = v_1 - v_2$")
-        for colour, name, label in (("C1", "v_1", "$v_1$"), ("C2", "v_2", "$v_2$")):
+        axes[0].plot(
+            *thinned(t, factor * volts["v_d"]), linewidth=0.7, color=BLUE, label="$v_d = v_1 - v_2$"
+        )
+        for colour, name, label in ((ORANGE, "v_1", "$v_1$"), (SKY, "v_2", "$v_2$")):
             axes[1].plot(
                 *thinned(t, factor * volts[name]), linewidth=0.6, color=colour, label=label
             )
         for panel in axes[:2]:
             panel.set_ylabel(f"Signal ({unit})")
         if force is not None:
-            for name, label in (("F_n", "$F_n$"), ("F_t", "$F_t$")):
+            for colour, name, label in ((BLUE, "F_n", "$F_n$"), (VERMILLION, "F_t", "$F_t$")):
                 if name in force.counts:
                     values = force.values(name)
-                    axes[2].plot(*thinned(t, values), linewidth=0.8, label=label)
+                    axes[2].plot(*thinned(t, values), color=colour, label=label)
             axes[2].set_ylabel("Force (N)")
         axes[-1].set_xlabel("Time since the recording's start (s)")
         for panel in axes:
             legend_above(panel)
-        figure.suptitle(
-            f"{run.header.marked(run.header.title)}\n{run.path.name}", fontsize=9, parse_math=False
-        )
-        set_margins(figure, top=0.72, between=0.22)
+        letter(axes)
+        top = set_heading(figure, run.header.marked(run.header.title), run.path.name)
+        set_margins(figure, top=top + 0.14, gap_mm=4.0)
+        figure.align_ylabels(axes)
     return figure
 
 

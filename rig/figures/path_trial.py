@@ -5,12 +5,31 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import matplotlib as mpl
-from matplotlib.figure import Figure
 
-from rig.figures.pressed import a_figure_a_trial, from_touch_on, heading, seconds, shade
-from rig.figures.style import STYLE, legend_above, set_margins
+from rig.figures.pressed import (
+    a_figure_a_trial,
+    draw_difference,
+    draw_forces,
+    draw_strips,
+    from_touch_on,
+    heading,
+    seconds,
+    shade,
+)
+from rig.figures.slip_instants import ROWS_LEFT, Detections, draw_rows, instants_of, mark
+from rig.figures.style import (
+    BLUE,
+    GREY,
+    STYLE,
+    column_figure,
+    legend_above,
+    letter,
+    set_margins,
+)
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from rig.files.runfile.reader import RunFile
 
 
@@ -19,39 +38,43 @@ def draw_trials(run: RunFile) -> dict[str, Figure]:
     return a_figure_a_trial(run, draw_trial)
 
 
-def draw_trial(run: RunFile, number: int, point: str) -> Figure:
-    """Draw v_d, the strips, the forces and the position of x over time, with the motion shaded."""
+def draw_trial(run: RunFile, number: int, point: str, detected: Detections) -> Figure:
+    """Draw v_d, the strips, the forces and the position of x over time, with the motion shaded, and
+    the slips, true (simulated bench) and `detected`."""
     series = {w.stream: w for w in run.waveforms(point)}
     signals, force, position = series["signals"], series["force"], series["position"]
     begin, end = (float(run.column(name)[number]) for name in ("motion_from", "motion_to"))
     with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(7.2, 7.6))
-        panels = figure.subplots(
-            4, 1, sharex=True, gridspec_kw={"height_ratios": [1.6, 1.6, 1.6, 1.2]}
+        figure = column_figure(150)
+        # The empty row is for what the accounts of the slips rest on.
+        heights = [1.6, 1.4, 1.4, 1.2, 0.02, 1.4]
+        every = figure.subplots(
+            len(heights), 1, sharex=True, gridspec_kw={"height_ratios": heights}
         )
-        difference, strips, newtons, way = panels
+        every[4].remove()
+        panels = [*every[:4], every[5]]
+        difference, strips, newtons, way, rows = panels
         t = seconds(signals)
-        difference.plot(t, 1e3 * signals.values("v_d"), linewidth=0.8, label="$v_d = v_1 - v_2$")
-        difference.set_ylabel("$v_d$ (mV)")
-        for colour, name, label in (("C1", "v_1", "$v_1$"), ("C2", "v_2", "$v_2$")):
-            strips.plot(t, 1e3 * signals.values(name), linewidth=0.7, color=colour, label=label)
-        strips.set_ylabel("Strips (mV)")
+        draw_difference(difference, t, signals)
+        draw_strips(strips, t, signals)
         t, pressing = seconds(force), force.values("F_n")
-        newtons.plot(t, pressing, linewidth=0.8, label="$F_n$")
-        newtons.plot(t, force.values("F_t"), linewidth=0.8, label="$F_t$")
-        newtons.set_ylabel("Force (N)")
+        draw_forces(newtons, t, force)
         ticks = series["ticks"].values("elapsed")
-        way.plot(ticks, position.values("x"), linewidth=0.9, label="$x$ measured")
+        way.plot(ticks, position.values("x"), color=BLUE, label="$x$ measured")
         commanded = position.values("x_commanded")
-        way.plot(
-            ticks, commanded, "--", linewidth=0.7, color="0.4", label="$x$, target of the move"
-        )
+        way.plot(ticks, commanded, "--", color=GREY, label="$x$, target of the move")
         way.set_ylabel("$x$ (mm)")
-        way.set_xlabel("Time since the record's start (s)")
+        rows.set_xlabel("Time since the record's start (s)")
         shade(panels, begin, end, "the motion")
         for axes in panels:
             legend_above(axes)
         from_touch_on(way, t, pressing, float(run.column("set_normal_force")[number]))
-        lines = heading(figure, run, number, point)
-        set_margins(figure, top=0.72 + 0.18 * (lines - 2), between=0.22)
+        instants = instants_of(run, number, series, detected)
+        draw_rows(rows, instants, way.get_xlim())
+        mark((difference,), instants)
+        letter(panels)
+        set_margins(
+            figure, top=heading(figure, run, number, point) + 0.14, gap_mm=4.0, left=ROWS_LEFT
+        )
+        figure.align_ylabels(panels[:-1])
     return figure

@@ -6,24 +6,37 @@ from typing import TYPE_CHECKING
 
 import matplotlib as mpl
 import numpy as np
-from matplotlib.figure import Figure
 
 from rig.detector.events import SHOWN_AS, EventKind, unjudged_s
 from rig.figures.pressed import TRIALS_SHOWN
-from rig.figures.style import STYLE, legend_above, set_margins
+from rig.figures.style import (
+    BLUE,
+    GREEN,
+    GREY,
+    ORANGE,
+    PURPLE,
+    STYLE,
+    VERMILLION,
+    column_figure,
+    legend_above,
+    letter,
+    set_heading,
+    set_margins,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
     from numpy.typing import NDArray
 
     from rig.files.processed.reader import ProcessedFile
     from rig.files.processed.values import DetectedTrial
 
 MARKS: dict[EventKind, tuple[str, str]] = {
-    "predictive": ("C1", ":"),
-    "incipient slip": ("C3", "-"),
-    "roll": ("C2", "--"),
-    "rejected": ("0.6", ":"),
+    "predictive": (ORANGE, ":"),
+    "incipient slip": (VERMILLION, "-"),
+    "roll": (GREEN, "--"),
+    "rejected": (GREY, ":"),
 }
 """Colour and line of each kind of event. Time that cannot be judged is shaded."""
 AROUND_S = 0.5
@@ -42,15 +55,15 @@ def draw_trial(processed: ProcessedFile, trial: DetectedTrial) -> Figure:
     """Draw both signals around the events, or over the whole trial if it has none, and the
     confidence of each event below."""
     with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(7.2, 5.6))
+        figure = column_figure(96)
         signal, low, confidence = figure.subplots(
             3, 1, sharex=True, gridspec_kw={"height_ratios": [2.0, 1.6, 1.0]}
         )
         t, v_d = _with_gaps(trial, trial.v_d)
-        signal.plot(t, 1e3 * v_d, linewidth=0.6, color="C0", label="$v_d = v_1 - v_2$")
+        signal.plot(t, 1e3 * v_d, linewidth=0.6, color=BLUE, label="$v_d = v_1 - v_2$")
         signal.set_ylabel("Signal (mV)")
         t, predictive = _with_gaps(trial, trial.predictive)
-        low.plot(t, 1e3 * predictive, linewidth=0.8, color="C4", label="low-passed $v_d$")
+        low.plot(t, 1e3 * predictive, linewidth=0.8, color=PURPLE, label="low-passed $v_d$")
         low.set_ylabel("Predictive (mV)")
         _mark_events((signal, low), confidence, trial)
         confidence.set_ylim(0.0, 1.05)
@@ -60,17 +73,17 @@ def draw_trial(processed: ProcessedFile, trial: DetectedTrial) -> Figure:
             times = [event.time_s for event in trial.events]
             end = min(float(trial.time_s[-1]), max(times) + AROUND_S)
             signal.set_xlim(max(0.0, min(times) - AROUND_S), end)
-        for axes in (signal, low):
-            legend_above(axes)
+        legend = legend_above(signal, columns=2)
+        legend_above(low)
         mark = f"{processed.source.mark} " if processed.source.mark else ""
-        figure.suptitle(
-            f"{mark}slip detection, {trial.id}\n"
-            f"detector {processed.detector.name} {processed.version}: {_in_words(trial)}\n"
-            f"{processed.path.name}",
-            fontsize=9,
-            parse_math=False,
+        letter((signal, low, confidence))
+        top = set_heading(
+            figure,
+            f"{mark}slip detection, {trial.id}: {_in_words(trial)}",
+            f"detector {processed.detector.name} {processed.version}, {processed.path.name}",
         )
-        set_margins(figure, top=0.9, between=0.22)
+        set_margins(figure, top=top + legend, gap_mm=4.0)
+        figure.align_ylabels((signal, low, confidence))
     return figure
 
 

@@ -6,14 +6,22 @@ from typing import TYPE_CHECKING
 
 import matplotlib as mpl
 import numpy as np
-from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from rig.figures.pressed import circumstances
-from rig.figures.style import STYLE, legend_above, set_margins
+from rig.figures.circumstances import circumstances
+from rig.figures.style import (
+    PALETTE,
+    STYLE,
+    column_figure,
+    legend_above,
+    letter,
+    set_heading,
+    set_margins,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
     from numpy.typing import NDArray
 
     from rig.files.runfile.reader import RunFile
@@ -41,29 +49,41 @@ def draw_series(run: RunFile) -> dict[str, Figure]:
     known = set(run.columns())
     shown = [(label, columns) for label, columns in PANELS if columns[0][0] in known]
     with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(7.2, 1.2 + 1.9 * len(shown)))
+        figure = column_figure(26 + 29 * len(shown))
         panels = figure.subplots(
-            len(shown), 2, squeeze=False, sharey="row", gridspec_kw={"width_ratios": [3.0, 1.0]}
+            len(shown),
+            2,
+            squeeze=False,
+            sharex="col",
+            sharey="row",
+            gridspec_kw={"width_ratios": [2.6, 1.0]},
         )
         for (over_trials, distribution), (label, columns) in zip(panels, shown, strict=True):
             for number, (column, name) in enumerate(columns):
                 values = np.array(run.column(column), dtype=float)
                 values *= 1e3 if column.startswith(IN_MILLI) else 1.0
-                _plot(over_trials, distribution, values, invalid, f"C{number}", name)
+                _plot(over_trials, distribution, values, invalid, PALETTE[number], name)
             over_trials.set_ylabel(label)
             over_trials.xaxis.set_major_locator(MaxNLocator(integer=True))
-            legend_above(over_trials)
+            legend_above(over_trials, columns=1)
         panels[-1][0].set_xlabel("Trial")
         panels[-1][1].set_xlabel("Valid trials")
+        panels[-1][1].xaxis.set_major_locator(MaxNLocator(3, integer=True))
         of = f"{int((~invalid).sum())} of {len(invalid)} trials valid"
         kind = run.header.procedure.removesuffix("-trial")
         title = run.header.marked(f"{kind} series, {of}, {run.settings['normal_force_N']:g} N")
-        figure.suptitle(
-            f"{title}\n{circumstances(run)}\n{run.path.name}", fontsize=9, parse_math=False
-        )
-        set_margins(figure, top=0.9, between=0.35)
-        figure.subplots_adjust(wspace=0.08)
+        letter(over_trials for over_trials, _ in panels)
+        top = set_heading(figure, title, circumstances(run), run.path.name, _note(invalid))
+        set_margins(figure, top=top + 0.22, gap_mm=8.0)
+        figure.subplots_adjust(wspace=0.1)
+        figure.align_ylabels([over_trials for over_trials, _ in panels])
     return {"": figure}
+
+
+def _note(invalid: NDArray[np.bool_]) -> str:
+    """Return what the numbers in the legends are, and the open circles if there are any."""
+    numbers = "numbers: mean ± standard deviation of the valid trials"
+    return f"{numbers}; open circles: invalid trials" if invalid.any() else numbers
 
 
 def _plot(
@@ -79,7 +99,7 @@ def _plot(
         distribution.hist(
             values[valid], bins="auto", orientation="horizontal", color=colour, alpha=0.5
         )
-    over_trials.plot(trials[valid], values[valid], "o", markersize=3.5, color=colour, label=name)
+    over_trials.plot(trials[valid], values[valid], "o", markersize=2.5, color=colour, label=name)
     over_trials.plot(
-        trials[doubtful], values[doubtful], "o", markersize=4, color=colour, fillstyle="none"
+        trials[doubtful], values[doubtful], "o", markersize=3, color=colour, fillstyle="none"
     )

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.text import Text
 
 from rig.analysis.film.gain_curve import ResponseCurve, analyse
 from rig.analysis.film.model import FilmModel, Notch
@@ -49,13 +50,35 @@ def test_the_gain_figure_names_level_corner_slope_and_every_drop(film):
         "corner 20",
         "2 notches",
         "slope 2 to 2000 Hz 19.5",
-        "20 dB/decade line fitted without corner\n(paper, eq. 2)",
+        "eq. (2): 20 dB/decade, b = −72.0",
     ):
         assert expected in written
     for drop in film[1].drops:
         assert f"{drop.depth.value:.1f} dB" in written
     assert "Gain (dB re 1 V/N)" in written
     assert "Frequency (Hz)" in written
+
+
+def test_eq_2_is_drawn_up_to_the_corner_with_the_level_of_the_fit(film):
+    curve, analysis = film
+    axes = draw_gain(curve, analysis).axes[0]
+    line = next(line for line in axes.get_lines() if "eq. (2)" in str(line.get_label()))
+    hertz, drawn = line.get_data()
+    assert hertz[-1] == pytest.approx(analysis.corner.value)
+    slow = curve.frequencies < 50
+    at = 20 * np.log10(curve.frequencies[slow]) + drawn[0] - 20 * np.log10(hertz[0])
+    assert np.abs(at - curve.gains_dB[slow]).mean() < 0.05
+
+
+def test_the_labels_of_neighbouring_drops_do_not_touch():
+    near = FilmModel(-72.0, 1 / 2000, (Notch(900.0, 8.0, 15.0), Notch(2400.0, 8.0, 15.0)))
+    figure = draw_gain(*measured(near))
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    renderer = canvas.get_renderer()
+    # Of an annotation itself the extent includes its arrow.
+    first, second = (Text.get_window_extent(label, renderer) for label in figure.axes[0].texts)
+    assert not first.overlaps(second)
 
 
 def test_the_labels_of_drops_lie_inside_the_axes():

@@ -17,7 +17,7 @@ PROCESSED = SimpleNamespace(
     title="SIMULATED Slips detected: slide",
     version="1",
     source=SimpleNamespace(mark="SIMULATED"),
-    settings=SimpleNamespace(logic="paper-hp"),
+    detector=SimpleNamespace(name="paper-hp"),
     path=Path("r001.paper-hp-1-0123.h5"),
 )
 

@@ -26,7 +26,12 @@ def run_of(frequencies, loads=(1.0,), deviation=0.002):
     return SimpleNamespace(
         column=columns.__getitem__,
         settings={"load_tolerance_percent": 1.0, "load_N": 1.0, "preload_N": 25.0},
-        header=SimpleNamespace(bench_toml='film.name = "f1"', marked="SIMULATED {}".format),
+        header=SimpleNamespace(
+            bench_toml='name = "b"\nfilm.name = "f1"',
+            marked="SIMULATED {}".format,
+            sample=SimpleNamespace(name="s1"),
+            start_time="2026-11-25T10:00:00+00:00",
+        ),
         path=Path("run.h5"),
     )
 
@@ -59,6 +64,8 @@ def test_loads_are_distinguished_by_colour_and_legend():
     figure = draw_measured(run_of((20, 200, 2000), loads=(0.5, 1.0, 2.0)))
     gain, _, load = figure.axes
     assert legend(gain)[-3:] == ["0.5 N peak load", "1 N peak load", "2 N peak load"]
+    sizes = [line.get_markersize() for line in load.get_lines()]
+    assert sizes == sorted(sizes, reverse=True), "a later load hides an earlier one"
     assert len({line.get_color() for line in load.get_lines()}) == 3
 
 
@@ -72,7 +79,7 @@ def test_a_single_point_has_no_reference_and_no_picture_of_its_noise():
 def test_the_load_is_shown_as_its_error_with_the_tolerance():
     load = draw_measured(run_of((20, 200), deviation=0.004)).axes[2]
     np.testing.assert_allclose(load.get_lines()[0].get_ydata(), 0.4)
-    assert "± 1 % allowed" in load.get_ylabel()
+    assert "± 1 % allowed" in load.get_title(loc="left")
     assert load.get_ylim() == pytest.approx((-1.3, 1.3))
 
 
@@ -83,6 +90,24 @@ def test_a_sweep_stopped_above_the_reference_draws_without_a_word():
     assert legend(figure.axes[0]) == ["1 N peak load"]
 
 
-def test_the_title_names_the_film_and_the_conditions():
-    title = draw_measured(run_of((100, 1000))).get_suptitle()
-    assert title == 'SIMULATED sweep of film "f1", 1 N peak, 25 N preload\nrun.h5'
+def test_the_title_names_the_film_and_the_load_and_the_lines_below_it_the_rest():
+    figure = draw_measured(run_of((100, 1000)))
+    assert figure.get_suptitle() == "SIMULATED sweep of film f1, 1 N peak load"
+    (below,) = figure.texts[1:] if figure.texts[0] is figure._suptitle else figure.texts
+    assert below.get_text() == "25 N preload, sample s1, bench b, 2026-11-25 10:00\nrun.h5"
+
+
+def test_the_line_of_eq_2_lies_on_the_points_where_it_holds():
+    """A corner at 1454 Hz and a notch at 400 Hz bend the curve down; the line must not follow."""
+    f = np.geomspace(2, 20000, 60)
+    run = run_of(f)
+    gain = run.column("gain")
+    gain -= 10 * np.log10(1 + (f / 1454) ** 2) + 15 * np.exp(-(np.log(f / 400) ** 2) / 0.02)
+    axes = draw_measured(run).axes[0]
+    line = next(line for line in axes.get_lines() if "eq. (2)" in str(line.get_label()))
+    hertz, drawn = line.get_data()
+    assert hertz[-1] <= 1000
+    slow = f < 100
+    np.testing.assert_allclose(
+        np.interp(np.log10(f[slow]), np.log10(hertz), drawn), gain[slow], atol=0.05
+    )

@@ -1,0 +1,163 @@
+"""When a trial slipped, by three accounts that are told apart."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
+
+import pytest
+from legible import words
+from matplotlib.figure import Figure
+from recorded import FAST_SLIDE, ROLL, unpack
+
+from rig.detector.events import SlipEvent
+from rig.detector.registered import chosen_detector
+from rig.figures.slip_instants import (
+    DETECTED,
+    MEASURED,
+    TRUE,
+    Detections,
+    RidgeSlip,
+    SlipInstants,
+    TrueSlips,
+    detections_of,
+    draw_rows,
+    instants_of,
+    mark,
+    true_slips,
+)
+from rig.figures.slip_trial import draw_trial
+from rig.files.journal.detections import Detection, to_text
+from rig.files.runfile.reader import RunFile
+from rig.processing.detection import DetectionJob, DetectionResult, detect_file
+
+TRIAL = "trial-001"
+TRUTH = {
+    "ridge": 3, "record_begun_us": 1_000_000, "slide_us": 2_000_000,
+    "first_slip_us": [None, 2_100_000, 2_150_000, 2_050_000, None],
+    "whole_slip_us": [None, 2_200_000, 2_300_000, None, None], "gross_slip_us": 9_000_000,
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return unpack(tmp_path_factory.mktemp("runs"))
+
+
+def test_the_worlds_account_has_the_neighbours_and_nothing_after_the_record() -> None:
+    found = true_slips({"simulated_truth": json.dumps(TRUTH)}, record_s=3.0)
+    assert found is not None
+    rounded = [(s.ridge, round(s.first_node_s or 0, 6), s.whole_s) for s in found.ridges]
+    assert rounded == [(2, 1.1, 1.2), (3, 1.15, 1.3), (4, 1.05, None)]
+    assert found.gross_s is None
+    assert found.whole_s == pytest.approx(1.3)
+    assert true_slips({}, record_s=3.0) is None, "a real bench has no true slips"
+
+
+def test_measured_detected_and_true_slips_of_a_slide_lie_where_its_file_has_them(
+    folder: Path,
+) -> None:
+    with RunFile.open(folder / FAST_SLIDE) as run:
+        series = {w.stream: w for w in run.waveforms(TRIAL)}
+        slide = float(run.column("slide_from")[0]), float(run.column("slide_to")[0])
+        found = instants_of(run, 0, series, detections_of(run)[TRIAL], slide)
+    assert found.true is not None
+    whole_s, gross_s = found.true.whole_s, found.true.gross_s
+    assert whole_s is not None
+    assert gross_s is not None
+    assert found.detected.detector.startswith("paper-hp ")
+    assert found.detected.detector.endswith(" (default)"), "this file is of before live detection"
+    # The detector sees the ridge with the strips slip; F_t is largest at gross slip.
+    assert found.detected.slip_s == pytest.approx(whole_s, abs=0.02)
+    assert found.measured_s == pytest.approx(gross_s, abs=0.03)
+
+
+def test_a_processed_file_is_believed_before_the_default_detector(
+    folder: Path, tmp_path: Path
+) -> None:
+    run_file = tmp_path / FAST_SLIDE
+    run_file.write_bytes((folder / FAST_SLIDE).read_bytes())
+    result = detect_file(DetectionJob(run_file, chosen_detector("paper-literal")))
+    assert isinstance(result, DetectionResult)
+    with RunFile.open(run_file) as run:
+        found = detections_of(run)[TRIAL]
+    assert found.detector.startswith("paper-literal ")
+    assert found.detector.endswith(" (processed file)")
+
+
+def test_a_file_whose_strips_cannot_be_judged_says_why_and_is_drawn_all_the_same(
+    folder: Path,
+) -> None:
+    why = Detections(why_not="strips of another rate")
+    with RunFile.open(folder / FAST_SLIDE) as run:
+        figure = draw_trial(run, 0, TRIAL, why)
+    assert "detected: strips of another rate" in words(figure)
+
+
+def test_what_the_trial_itself_recorded_is_shown_as_live() -> None:
+    found = to_text([Detection("incipient slip", 1250, 1.25, 1.26, 0.7)])
+    columns = {"detector": ["paper-hp", "paper-hp"], "detections": [found, "[]"]}
+    run = SimpleNamespace(
+        path=Path("nowhere/run.h5"), columns=lambda: list(columns), column=columns.__getitem__,
+        point_ids=lambda: ["trial-001", "trial-002"],
+    )  # fmt: skip
+    first, second = detections_of(cast("RunFile", run)).values()
+    assert (first.detector, first.slip_s) == ("paper-hp (live)", 1.25)
+    assert (second.detector, second.slip_s) == ("paper-hp (live)", None)
+
+
+def rows_of(instants: SlipInstants) -> list[str]:
+    axes = Figure().subplots()
+    draw_rows(axes, instants, (1.0, 1.3))
+    return [text.get_text() for text in (*axes.get_yticklabels(), *axes.texts)]
+
+
+def test_each_account_has_a_row_and_a_real_bench_no_true_ones() -> None:
+    slip = SlipEvent("incipient slip", 1250, 1.25, 0.7)
+    detected = Detections("paper-hp 1 (default)", (slip,))
+    true = TrueSlips(3, (RidgeSlip(2, 1.1, 1.2), RidgeSlip(3, 1.15, None)), 1.4)
+    assert rows_of(SlipInstants(true, 1.35, detected)) == [
+        "true, ridge 2", "true, ridge 3", "true, gross", "measured", "detected",
+        "1.200 s", "never whole", "1.400 s →", "1.350 s →", "1.250 s",
+    ]  # fmt: skip
+    assert rows_of(SlipInstants(None, 0.9, Detections(why_not="no strips"))) == [
+        "measured", "detected", "← 0.900 s",
+    ]  # fmt: skip
+    assert rows_of(SlipInstants(measurable=False, detected=Detections("x"))) == ["detected", "none"]
+
+
+def test_the_lines_of_the_accounts_differ_in_colour_and_dashes() -> None:
+    axes = Figure().subplots()
+    slip = SlipEvent("incipient slip", 1250, 1.25, 0.7)
+    true = TrueSlips(3, (RidgeSlip(3, 1.15, 1.24),), None)
+    mark((axes,), SlipInstants(true, 1.35, Detections("x", (slip,))))
+    assert [(line.get_xdata()[0], line.get_color()) for line in axes.lines] == [
+        (1.24, TRUE), (1.35, MEASURED), (1.25, DETECTED),
+    ]  # fmt: skip
+    assert len({str(line._dash_pattern) for line in axes.lines}) == 3
+
+
+def test_the_slip_is_enlarged_with_p_a_the_neighbours_slip_and_p_b(folder: Path) -> None:
+    with RunFile.open(folder / FAST_SLIDE) as run:
+        figure = draw_trial(run, 0, TRIAL, detections_of(run)[TRIAL])
+        true = true_slips(run.readings()[0], 60.0)
+        begin_s = float(run.column("slide_from")[0])
+    assert true is not None
+    zoom = next(axes for axes in figure.axes if "enlarged" in axes.get_title(loc="left"))
+    first, last = zoom.get_xlim()
+    assert last - first == pytest.approx(0.3)
+    assert first <= begin_s, "P_A is seen from its begin"
+    written = {text.get_text(): text for text in zoom.texts}
+    assert {"$P_A$ (slow pattern)", "$P_B$", "ridge 2 slips\n(true)"} <= set(written)
+    neighbour = next(slip.whole_s for slip in true.ridges if slip.ridge == 2)
+    assert written["ridge 2 slips\n(true)"].xy[0] == pytest.approx(neighbour)
+    p_a, p_b = (written[name].xy[0] for name in ("$P_A$ (slow pattern)", "$P_B$"))
+    assert p_a < p_b
+    assert p_b == pytest.approx(true.whole_s, abs=0.02)
+
+
+def test_a_roll_shows_warnings_and_no_slip(folder: Path) -> None:
+    with RunFile.open(folder / ROLL) as run:
+        assert detections_of(run)[TRIAL].slip_s is None
