@@ -120,6 +120,11 @@ class LiveDetector(ABC):
         """Says that the recording has ended; what the detector reports of it follows."""
 
     @abstractmethod
+    def settle(self, at_most_s: float) -> None:
+        """Waits until all that was handed over is judged, or the detector is dropped; no longer
+        than this."""
+
+    @abstractmethod
     def close(self) -> None:
         """Ends it. May be called twice."""
 
@@ -204,6 +209,9 @@ class _Direct(LiveDetector):
     def finish(self) -> None:
         self._ask(self._detector.finish)
 
+    def settle(self, at_most_s: float) -> None:
+        pass
+
     def close(self) -> None:
         self.in_use = False
 
@@ -286,6 +294,11 @@ class _InChild(LiveDetector):
     def finish(self) -> None:
         self._send(FINISH, 0, self._rows)
 
+    def settle(self, at_most_s: float) -> None:
+        latest = self._numbers - 1
+        with self._news:
+            self._news.wait_for(lambda: self._answered >= latest or not self.in_use, at_most_s)
+
     def close(self) -> None:
         self.in_use = False
         self._kill()
@@ -311,8 +324,7 @@ class _InChild(LiveDetector):
         except OSError:
             pass  # it has ended; the reader finds out how
         if self._patient:
-            with self._news:
-                self._news.wait_for(lambda: self._answered >= number or not self.in_use, PATIENCE_S)
+            self.settle(PATIENCE_S)
 
     def _first_answer(self) -> Identity:
         """Returns the identity of the detector that is ready. Raises RigError where it is not."""

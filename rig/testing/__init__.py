@@ -1,4 +1,4 @@
-"""The contract of the roles as a test kit for drivers, in any package.
+"""The contracts of drivers and detectors as a test kit, for any package.
 
 A test module of a driver's package needs two lines beside its imports::
 
@@ -9,6 +9,8 @@ A test module of a driver's package needs two lines beside its imports::
 pytest then runs every check of the contract against the driver, which talks over its real link to
 its own simulator, in whatever role. Only a driver with a simulator that needs more than its core
 has a subclass of `Case` and `contract_of`.
+
+A detector's package has one line: ``test_contract = detector_contract("lab-jump")``.
 
 The kit is used inside a pytest run and nowhere else: it knows no driver and no simulator of its
 own, and nothing of the program imports it.
@@ -28,6 +30,7 @@ __all__ = [
     "Case",
     "Service",
     "contract_of",
+    "detector_contract",
     "driver_contract",
 ]
 
@@ -82,5 +85,21 @@ def contract_of(*cases: Case, further_deals: Collection[int] = ()) -> ContractTe
     @pytest.mark.parametrize(("case", "check"), each)
     def contract(case: Case, check: Callable[[Case], None]) -> None:
         check(case)
+
+    return contract
+
+
+def detector_contract(name: str) -> ContractTest:
+    """Return a pytest test that puts the installed detector `name` through what every detector has
+    to fulfil (`rig.testing.detectors`), with one parameter set for each check."""
+    import pytest
+
+    from rig.testing.detectors import checks_of
+
+    each = [pytest.param(check, id=what) for what, check in checks_of(name).items()]
+
+    @pytest.mark.parametrize("check", each)
+    def contract(check: Callable[[], None]) -> None:
+        check()
 
     return contract

@@ -1,0 +1,70 @@
+"""docs/add-a-detector.md, followed literally."""
+
+from __future__ import annotations
+
+import csv
+import re
+import subprocess
+import sys
+from typing import Any
+
+import pytest
+from page import Page
+
+from rig.detector.contract import Detector
+from rig.detector.events import EVENT_KINDS
+from rig.files.processed.reader import ProcessedFile
+from rig.testing.detectors import checks_of
+
+PAGE = "add-a-detector.md"
+
+
+@pytest.mark.thorough
+def test_the_detector_runs_as_the_page_says(rig: Any) -> None:
+    page = Page(PAGE, rig)
+    assert page.strange_commands() == []
+    page.make()
+    ended = page.run_rig()
+    assert len(ended) == 4
+    for command, done in ended.items():
+        assert done.code == 0, (command, done.stderr)
+    listed, _, _, scored = ended.values()
+    assert re.search(r"lab-jump +1 +lab-jump 1\.0 +Reports a slip where v_d jumps", listed.stdout)
+    (made,) = rig.results.rglob("*.lab-jump-1-*.h5")
+    with ProcessedFile.open(made) as processed:
+        kinds = {event.kind for _, event in processed.events()}
+        assert processed.detector.settings.model_dump()["sigmas"] == 12.0
+    assert kinds <= set(EVENT_KINDS)
+    with (rig.results / "score/trials.csv").open() as table:
+        named = {row["detector"] for row in csv.DictReader(table)}
+    assert {"lab-jump", "paper-hp"} <= named
+    assert "lab-jump" in scored.stdout
+
+
+@pytest.mark.thorough
+def test_the_page_s_own_test_and_its_live_example_pass(rig: Any) -> None:
+    page = Page(PAGE, rig)
+    page.make()
+    tested = page.run_test()
+    assert tested.returncode == 0, tested.stdout + tested.stderr
+    assert f"{len(checks_of('paper-hp')) + 1} passed" in tested.stdout
+    shown = subprocess.run(
+        [sys.executable, str(page.package / "live.py")],
+        env=rig.env,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert shown.stdout.split() == ["incipient", "slip", "400", "kept", "up"]
+
+
+def test_the_page_s_tables_name_what_there_is(rig: Any) -> None:
+    text = Page(PAGE, rig).text
+    table = text[text.index("| member |") : text.index("In `judge`")]
+    named = set(re.findall(r"^\| (`[^|]*`) \|", table, re.MULTILINE))
+    for cell in named:
+        for member in re.findall(r"`(\w+)", cell):
+            assert hasattr(Detector, member), member
+    assert len(named) >= 9
+    for kind in EVENT_KINDS:
+        assert f"`{kind}`" in text
