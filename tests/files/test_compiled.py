@@ -115,6 +115,20 @@ def test_what_the_run_was_is_in_the_file(file: Path) -> None:
             opened.column("gian")
 
 
+def test_a_setting_with_a_unit_is_a_number_also_where_it_was_left_out(tmp_path: Path) -> None:
+    settings = {"tick_Hz": None, "loads_N": [], "servo": {"rate_S_s": 500}, "object": ""}
+    units = {"tick_Hz": "Hz", "loads_N": "N", "servo.rate_S_s": "1/s"}
+    journal = run.write_run(tmp_path / "a.rigj", settings=settings, setting_units=units)
+    with RunFile.open(compile_run(journal)) as opened:
+        assert opened.settings == settings
+        parameters = opened.entry["parameters"]
+        assert np.isnan(parameters["tick_Hz"][()])
+        assert parameters["tick_Hz"].attrs["units"] == "Hz"
+        assert parameters["loads_N"].shape == (0,)
+        assert parameters["servo/rate_S_s"][()] == 500
+        assert parameters["object"][()] == b""
+
+
 def test_a_calibration_record_is_an_nxcalibration_with_its_matrix(file: Path) -> None:
     with h5py.File(file) as opened:
         part = opened["entry/instrument/calibrations/force"]

@@ -66,6 +66,7 @@ def bench_toml(
     stages = {} if options.stages == "festo" else {"stages": options.stages}
     changed = world.model_dump(mode="json", exclude_unset=True, by_alias=True)
     whole = world.model_dump(mode="json", exclude_none=True, by_alias=True)
+    whole |= _film_of(options, world)
     simulation = {"seed": options.seed, **stages, **changed}
     lines = "".join(f"{key} = {toml_value(value)}\n" for key, value in simulation.items())
     resolved = "".join(f"{key} = {toml_value(value)}\n" for key, value in whole.items())
@@ -84,6 +85,19 @@ contact_to_mm = {13.6 if options.fixture == HEAD else 13.0}
 {_head_lines(options)}
 {tables(options, endpoints)}
 {_own_table(endpoints, "force_sensor")}{_interlock_tables(interlocks)}"""
+
+
+def _film_of(options: Options, world: WorldSettings) -> dict[str, Any]:
+    """Return the vibrator and the film as the seed has drawn them; nothing for a bench with the
+    skin. Each drop has a table of its own, because a list would reach the run file as text."""
+    if options.fixture != "film-clamp":
+        return {}
+    from drivers.simulated.world.world import mounted_film
+
+    mechanics, circuit = mounted_film(world, options.seed)
+    vibrator = mechanics.model_dump(mode="json", exclude_none=True)
+    drops = {f"drop_{number}": drop for number, drop in enumerate(vibrator.pop("drops"), 1)}
+    return {"mounted_film": {"vibrator": vibrator | drops, "circuit": circuit.model_dump()}}
 
 
 def _own_table(endpoints: Endpoints, role: str) -> str:

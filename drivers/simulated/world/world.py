@@ -110,6 +110,23 @@ def read_world(path: str | None, kind: type[W] = WorldSettings) -> W:  # type: i
         raise ConfigurationError.from_validation(error, path) from error
 
 
+def mounted_film(
+    settings: WorldSettings, seed: int
+) -> tuple[vibrator.VibratorSettings, pvdf.CircuitSettings]:
+    """Return the vibrator with its load cell and drops, and the film with its amplifier, as the
+    World has them: drawn by the seed, or the nominal ones."""
+    mechanics, circuit = (
+        vibrator.drawn_film(seed)
+        if settings.film == "drawn"
+        else (vibrator.VibratorSettings(), pvdf.SWEEP_FILM)
+    )
+    sensitivity = {"cell_sensitivity_V_N": settings.load_cell_sensitivity_V_N}
+    return (
+        mechanics.model_copy(update=sensitivity),
+        circuit.model_copy(update={"gain": settings.film_gain}),
+    )
+
+
 class World:
     """One bench's physics; implements the instruments' ports."""
 
@@ -128,17 +145,8 @@ class World:
         self._point_key = (0, 0)
         self._acquisitions_of_point = 0
         self._acquisition_keys: dict[int, tuple[int, int, int]] = {}
-        mechanics, circuit = (
-            vibrator.drawn_film(seed)
-            if settings.film == "drawn"
-            else (vibrator.VibratorSettings(), pvdf.SWEEP_FILM)
-        )
-        circuit = circuit.model_copy(update={"gain": settings.film_gain})
-        mechanics = mechanics.model_copy(
-            update={"cell_sensitivity_V_N": settings.load_cell_sensitivity_V_N}
-        )
-        self._mechanics, self._circuit = mechanics, circuit
-        self._line = DrivenLine(vibrator.vibrator_line(mechanics, circuit))
+        self._mechanics, self._circuit = mounted_film(settings, seed)
+        self._line = DrivenLine(vibrator.vibrator_line(self._mechanics, self._circuit))
         self._clamp: ClampedFilm | None = None
         self._skin: SkinContact | None = None
         self._strip_input = FrontEndSettings()

@@ -6,6 +6,7 @@ together they take a third of a second.
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping, Sequence
 from functools import cache
@@ -157,16 +158,29 @@ def share_scale(made: h5py.Group, name: str) -> None:
 def write_values(
     made: h5py.Group, values: Mapping[str, Any], units: Mapping[str, str], prefix: str = ""
 ) -> None:
-    """Write nested values as nested groups. `units` maps dotted names to their units."""
+    """Write nested values as nested groups. `units` maps dotted names to their units; what has a
+    unit is a number: NaN where it was left out, and an empty list is an empty array."""
     names = UniqueNames(*made)
     for key, value in values.items():
         name, dotted = names.name(key), f"{prefix}{key}"
         if isinstance(value, Mapping):
             write_values(group(made, name, "NXparameters"), value, units, f"{dotted}.")
             continue
-        field = made.create_dataset(name, data=_field_value(value))
-        if dotted in units:
+        quantity = dotted in units
+        field = made.create_dataset(name, data=_number(value) if quantity else _field_value(value))
+        if quantity:
             field.attrs["units"] = plain_text(units[dotted])
+
+
+def _number(value: Any) -> Any:
+    """Return the value of a quantity, which is a number also where there is none."""
+    if value is None:
+        return math.nan
+    if isinstance(value, (list, tuple)) and not value:
+        import numpy as np
+
+        return np.empty(0, np.float64)
+    return _field_value(value)
 
 
 def _field_value(value: Any) -> Any:
