@@ -64,6 +64,8 @@ def test_a_bench_file_states_the_whole_world_and_what_makes_it_again(fixture: Fi
     world = world_settings(options)
     simulation = written(options, world)
     whole = simulation.pop("world")
+    film = whole.pop("mounted_film", {})
+    assert (film.keys() == {"vibrator", "circuit"}) == (fixture == "film-clamp")
     assert whole == world.model_dump(mode="json", exclude_none=True)
     assert simulation.pop("seed") == 4
     again = type(world).model_validate(simulation)
