@@ -1,20 +1,21 @@
-"""The detector of incipient slip in a trial under way: signals in, detections out.
+"""The detector of incipient slip beside the trials of a run: signals in, detections out.
 
 The same code judges run files (`rig detect`): it gets the same rows, so it finds the same events to
-the bit. It runs where the strips' blocks are read, in real time in the thread of the DAQ's link: no
-tick of the servo waits for it. What a detector raises ends the detection and nothing else.
+the bit. A detector of this project runs where the strips' blocks are read, in real time in the
+thread of the DAQ's link; one of another package in a process of its own (`rig.processing.live`). No
+tick of the servo waits for either. One that fails ends the detection and nothing else.
 """
 
 from __future__ import annotations
 
 import threading
-from collections import deque
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from rig.analysis.trial.decimation import RATE_Hz
-from rig.detector.registered import chosen_detector
+from rig.detector.registered import chosen_detector, is_own
 from rig.files.journal.detections import (
     EVENT_CODES,
     NO_DETECTOR,
@@ -22,89 +23,98 @@ from rig.files.journal.detections import (
     Detection,
     detection_of,
 )
+from rig.processing.live import LiveDetector, start
 
 if TYPE_CHECKING:
     import numpy.typing as npt
 
     from procedures.pressed.reading import TrialRecord
     from rig.core.clock import Clock
-    from rig.detector.contract import Detector
     from rig.detector.events import SlipEvent
     from rig.run.context import Run
 
-
-def live_detector(name: str, rate_Hz: float) -> Detector | None:
-    """Return the detector of this name, ready for rows at this rate; None for ``none``."""
-    if name == NO_DETECTOR:
-        return None
-    return chosen_detector(name).make(rate_Hz)
+JOIN_S = 0.1
+"""Interval of the signs of life while a detector starts."""
 
 
 def compile_detector(name: str) -> None:
-    """Have the detector judge a row, so that nothing of it is compiled later."""
-    if (detector := live_detector(name, RATE_Hz)) is not None:
-        detector.add(np.zeros((1, 2)))
+    """Have a detector of this project judge a row, so that nothing of it is compiled later. Code of
+    other packages is not imported here."""
+    if name != NO_DETECTOR and is_own(name):
+        chosen_detector(name).make(RATE_Hz).add(np.zeros((1, 2)))
 
 
 class LiveDetection:
-    """The detector of one trial.
+    """The detector beside the trials of a run.
 
-    `judge` and `finish` are called where the strips' blocks are read, everything else by the
-    procedure's thread.
+    `begin`, `judge` and `finish` are called where the strips' blocks are read, one at a time;
+    everything else by the procedure's thread.
     """
 
-    def __init__(self, name: str, rate_Hz: float, clock: Clock):
-        self.name, self._clock = name, clock
-        self._detector = live_detector(name, rate_Hz)
-        self._rows = 0
-        self._found: deque[tuple[SlipEvent, float]] = deque()
-        """Events that `news` has not returned, and when on the run's clock each was known."""
+    def __init__(self, name: str, clock: Clock):
+        """Starts the detector, which may take seconds. Raises RigError if it cannot be used."""
+        self.name = name
         self.woken = threading.Event()
-        """Set while `news` has something to return."""
-        self._failure: Exception | None = None
+        """Set while `news` or `failure` has something to return."""
+        self._rows = 0
+        self._live: LiveDetector | None = None
+        if name != NO_DETECTOR:
+            patient = clock.is_virtual
+            self._live = start(name, RATE_Hz, patient=patient, woken=self.woken.set)
+
+    def begin(self) -> None:
+        """Begin a record: the rows count from 0 again."""
+        self._rows = 0
+        if self._live is not None:
+            self._live.begin()
+            self._live.take()  # what came too late for the record before
 
     def judge(self, volts: npt.NDArray[np.float64]) -> None:
         """Judge the next rows (n, 2) of v_1 and v_2 in V. Raises nothing."""
         first, self._rows = self._rows, self._rows + len(volts)
-        if self._detector is None or not len(volts):
-            return
-        try:
-            self._note(self._detector.add(volts, first_sample=first))
-        except Exception as failure:  # noqa: BLE001 - a detector must not end a trial
-            self._end(failure)
+        if self._live is not None and len(volts):
+            self._live.add(volts, first)
 
     def finish(self) -> None:
-        """Take what the detector reports at the end of a record. Raises nothing."""
-        if self._detector is None:
-            return
-        try:
-            self._note(self._detector.finish())
-        except Exception as failure:  # noqa: BLE001 - as above
-            self._end(failure)
+        """End the record: what the detector reports at its end follows. Raises nothing."""
+        if self._live is not None:
+            self._live.finish()
 
-    def news(self) -> list[tuple[SlipEvent, float]]:
-        """Return the events since the last call, each with the time on the run's clock at which it
-        was known."""
+    def news(self) -> list[SlipEvent]:
+        """Return the events since the last call."""
         self.woken.clear()
-        events = []
-        while self._found:
-            events.append(self._found.popleft())
-        return events
+        return [] if self._live is None else [one.event for one in self._live.take()]
 
-    def failure(self) -> Exception | None:
-        """Return, once, what the detector has raised."""
-        failure, self._failure = self._failure, None
-        return failure
+    def failure(self) -> str | None:
+        """Return, once, why the detector is not used any more; None while it is."""
+        return None if self._live is None else self._live.dropped()
 
-    def _note(self, events: list[SlipEvent]) -> None:
-        if events:
-            now_s = self._clock.now()
-            self._found.extend((event, now_s) for event in events)
-            self.woken.set()
 
-    def _end(self, failure: Exception) -> None:
-        self._detector, self._failure = None, failure
-        self.woken.set()
+def start_detection(run: Run) -> LiveDetection:
+    """Start the detector of a run's settings, with signs of life meanwhile. Raises RigError if it
+    cannot be used."""
+    found: list[LiveDetection] = []
+    failed: list[BaseException] = []
+
+    def begin() -> None:
+        try:
+            found.append(LiveDetection(run.settings.detector, run.clock))
+        except BaseException as failure:  # noqa: BLE001 - raised below
+            failed.append(failure)
+
+    _with_signs_of_life(begin, run.check_stop)
+    if failed:
+        raise failed[0]
+    return found[0]
+
+
+def _with_signs_of_life(work: Callable[[], None], beat: Callable[[], None]) -> None:
+    """Do the work in a thread of its own, and call `beat` until it is done."""
+    thread = threading.Thread(target=work, name="start of the detector", daemon=True)
+    thread.start()
+    while thread.is_alive():
+        thread.join(JOIN_S)
+        beat()
 
 
 class DetectionRecord:
@@ -118,9 +128,8 @@ class DetectionRecord:
         detection, record, run = self._detection, self._record, self._run
         if not detection.woken.is_set():
             return []
-        found = [
-            detection_of(event, known_s - record.begun_s) for event, known_s in detection.news()
-        ]
+        known_s = run.clock.now() - record.begun_s
+        found = [detection_of(event, known_s) for event in detection.news()]
         for one in found:
             run.event(
                 "info",
@@ -133,8 +142,7 @@ class DetectionRecord:
             run.event(
                 "warning",
                 SILENT_CODE,
-                f"trial {record.number}: the detector {detection.name} failed "
-                f"({type(failure).__name__}: {failure}): no slip is detected in the rest of this "
-                "trial; the trial continues",
+                f"trial {record.number}: {failure}: no slip is detected from here on; the trial "
+                "continues",
             )
         return found

@@ -12,16 +12,16 @@ import math
 from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING
 
-from procedures.pressed.detection import DetectionRecord, LiveDetection
+from procedures.pressed.detection import DetectionRecord
 from procedures.pressed.force import TrialForce
 from procedures.pressed.positions import AxisRows, LookWatch, PositionRecorder
-from procedures.pressed.reading import DECIMATED_Hz
 from procedures.pressed.strips import StripRecorder
 from rig.core.errors import RigError
 from rig.instruments.roles import CountsMisreadings
 
 if TYPE_CHECKING:
     from procedures.pressed.axes import PolledAxis, PolledStage
+    from procedures.pressed.detection import LiveDetection
     from procedures.pressed.links import TrialLinks
     from procedures.pressed.reading import TrialRecord
     from rig.control.tick_loop import Tick
@@ -79,14 +79,15 @@ class TickRecorder:
         links: TrialLinks,
         stages: tuple[PolledStage, PolledStage],
         poll_rate_Hz: float,
+        detection: LiveDetection,
     ):
         self._run, self._record, self._links = run, record, links
         self._axes: list[PolledAxis] = [*stages]
         """Axes in the order in which they are polled."""
         self.force = TrialForce(run, record)
-        self._detection = LiveDetection(run.settings.detector, DECIMATED_Hz, run.clock)
-        self._strips = StripRecorder(run, record, links, self._detection)
-        self._found = DetectionRecord(run, record, self._detection)
+        self._detection = detection
+        self._strips = StripRecorder(run, record, links, detection)
+        self._found = DetectionRecord(run, record, detection)
         self._positions = PositionRecorder(run, record, *stages)
         self._schedule = PollSchedule(poll_rate_Hz)
         self._watch = LookWatch(record)

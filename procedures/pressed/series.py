@@ -11,6 +11,7 @@ from rig.bench.settings import STRIPS
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from procedures.pressed.detection import LiveDetection
     from procedures.pressed.rates import ServoRates
     from procedures.pressed.torque_watch import TorqueWatch
     from rig.run.context import Run
@@ -33,6 +34,8 @@ class PressedSeries:
     """Load rate by volt of each calibrated strip."""
     contact_mm: float | None = None
     """Position of z at which the object was felt last."""
+    detection: LiveDetection | None = None
+    """The detector beside the trials; None before the first arming."""
     torque: TorqueWatch | None = None
     """Torque of z in this run; None before the first trial."""
     way_is_clear: bool = False

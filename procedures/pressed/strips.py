@@ -60,6 +60,7 @@ class StripRecorder:
 
     def start(self) -> None:
         """Begin to sample: the record's times are from here."""
+        self._detection.begin()
         self._samples.start(self._settings.acquisition)
         self._record.begun_s = self._run.clock.now()
         self._record.filter_delay_s = self._decimator.delay_s

@@ -77,7 +77,11 @@ class PressedTrial:
         self.z = PressingStage(run, bench.stage_z, self.links, rates.link_s)
         self.x = PolledStage(run, "stage_x", bench.stage_x, self.links)
         poll_rate_Hz = min(rates.poll_rate_Hz, most_polls_Hz)
-        self.recorder = TickRecorder(run, record, self.links, (self.z, self.x), poll_rate_Hz)
+        assert series.detection is not None, "the series is begun when the run is armed"
+        stages = (self.z, self.x)
+        self.recorder = TickRecorder(
+            run, record, self.links, stages, poll_rate_Hz, series.detection
+        )
         self._ticks = TrialTicks(run, self.links, self.recorder, record.loops, rates.tick_s)
         self._hold: ForceHold | None = None
         self.grip = Grip(run, record, self._squeeze)
@@ -220,6 +224,7 @@ class PressedTrial:
 
     def _tell_slips(self) -> None:
         """Show the slips that were detected: only now, since a terminal may make the run wait."""
+        self.recorder.detected()  # what a detector in another process has found since
         for one in self.record.detections:
             if one.kind == SLIP:
                 self.run.tell(

@@ -80,6 +80,7 @@ class TrialProcedure(Procedure):
     def start_series(self, run: Run) -> None:
         """Make the series at the first arming; it lasts through holds and trips."""
         # Imported by import_ahead(), and not at the top: numpy would slow `rig --help`.
+        from procedures.pressed.detection import start_detection
         from procedures.pressed.series import load_scales_for
 
         if self._series is None:
@@ -88,7 +89,10 @@ class TrialProcedure(Procedure):
             settings = self.settings
             bound = held_speed_bound(run.bench, settings.largest_force_N, settings.normal_force_N)
             run.event("info", "servo", f"z follows the force at up to {bound.in_words()}")
-            self._series = self.new_series(rates, load_scales_for(run))
+            series = self.new_series(rates, load_scales_for(run))
+            # Before anything is switched on: a detector of another package takes seconds to start.
+            series.detection = start_detection(run)
+            self._series = series
         self._series.way_is_clear = False  # during a hold something may have been put in the way
 
     def new_series(self, rates: ServoRates, scales: dict[str, LoadScale]) -> PressedSeries:

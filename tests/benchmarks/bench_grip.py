@@ -72,7 +72,7 @@ def test_the_detectors_share_of_a_tick():
     heading("LiveDetection.judge, blocks of 2 rows (2 ms), paper-hp and rig")
     rows = 1e-4 * np.random.default_rng(1).standard_normal((20_000, 2))
     for name in ("paper-hp", "rig"):
-        live = LiveDetection(name, 1000.0, WallClock())
+        live = LiveDetection(name, WallClock())
         live.judge(rows[:2])
         took_us = []
         for first in range(2, len(rows), 2):

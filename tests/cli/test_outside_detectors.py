@@ -17,7 +17,9 @@ from packages import install, on_path
 from tiers import mostly_thorough
 
 from rig.detector.detector import DETECTOR_VERSION
+from rig.files.journal.detections import from_text
 from rig.files.processed.reader import ProcessedFile
+from rig.files.runfile.reader import RunFile
 
 LAB = "[rig.detectors]\nlab-level = lab.level:Level\n"
 LEVEL = '''"""A level detector."""
@@ -222,3 +224,20 @@ def test_another_package_s_detector_of_our_name_does_not_replace_ours(rig: Any) 
     done = rig.run("detect", recorded(rig).name)
     assert done.code == 0, done.stderr
     assert f".paper-hp-{DETECTOR_VERSION}-" in done.stdout
+
+
+@pytest.mark.thorough
+def test_it_runs_beside_a_trial_and_the_grip_answers_it(rig: Any) -> None:
+    installed(rig)
+    done = rig.run(
+        "slip-trial", "--json", "--no-figures", "--detector", "lab-level", "--regrip",
+        "--distance", "0.4mm", "--rest", "100ms", "--force-error-peak", "100",
+    )  # fmt: skip
+    assert done.code in (0, 5), done.stderr
+    assert "Slip detected at " in done.stderr
+    with RunFile.open(rig.folder / done.object["file"]) as run:
+        (reading,) = run.readings()
+    (live,) = from_text(reading["detections"])
+    assert (reading["detector"], reading["squeezes"]) == ("lab-level", 1.0)
+    judged = rig.run("detect", "--detector", "lab-level", done.object["file"])
+    assert f"first at {live.time_s:.3f} s" in judged.stdout or f"{live.time_s:.3f}" in judged.stdout

@@ -23,6 +23,7 @@ class Journal:
 
     def __init__(self) -> None:
         self.events: list[tuple[Any, ...]] = []
+        self.clock = WallClock()
 
     def event(self, *event: Any) -> None:
         self.events.append(event)
@@ -41,7 +42,7 @@ def test_blocks_of_any_length_give_the_events_of_the_whole_record(name: str) -> 
     whole = chosen_detector(name).make(trials.RATE_HZ)
     expected = [(e.kind, e.sample, e.confidence, e.reason) for e in whole.add(volts)]
     expected += [(e.kind, e.sample, e.confidence, e.reason) for e in whole.finish()]
-    live = LiveDetection(name, trials.RATE_HZ, WallClock())
+    live = LiveDetection(name, WallClock())
     cuts = np.cumsum(np.random.default_rng(5).integers(0, 9, 1000))
     for rows in np.split(volts, cuts[cuts < len(volts)]):
         live.judge(rows)
@@ -57,7 +58,7 @@ def test_blocks_of_any_length_give_the_events_of_the_whole_record(name: str) -> 
 
 
 def test_a_detector_that_raises_ends_with_a_warning_and_blocks_continue() -> None:
-    live = LiveDetection("paper-hp", trials.RATE_HZ, WallClock())
+    live = LiveDetection("paper-hp", WallClock())
     volts = trials.slipping()
     live.judge(volts[:700])
     live.judge(np.full((5, 2), np.nan))
@@ -67,13 +68,13 @@ def test_a_detector_that_raises_ends_with_a_warning_and_blocks_continue() -> Non
     assert record.detections == []
     ((level, code, words),) = journal.events
     assert (level, code) == ("warning", SILENT_CODE)
-    assert "the detector paper-hp failed (ValueError: v_1 is nan V" in words
+    assert "detector paper-hp failed (ValueError: v_1 is nan V" in words
     assert "the trial continues" in words
     assert recorded(live)[1].events == [], "said once"
 
 
 def test_without_a_detector_nothing_is_found() -> None:
-    live = LiveDetection("none", trials.RATE_HZ, WallClock())
+    live = LiveDetection("none", WallClock())
     live.judge(trials.slipping())
     live.finish()
     assert not live.woken.is_set()
