@@ -15,8 +15,23 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
 
-from rig.figures.pressed import a_figure_a_trial, heading, seconds
-from rig.figures.style import STYLE, legend_above, save, set_margins
+from rig.figures.pressed import TRIALS_SHOWN, heading, seconds
+from rig.figures.style import (
+    BLUE,
+    COLUMN_MM,
+    GREEN,
+    GREY,
+    MM_PER_INCH,
+    PURPLE,
+    STYLE,
+    VERMILLION,
+    column_figure,
+    legend_above,
+    letter,
+    save,
+    set_heading,
+    set_margins,
+)
 from rig.files.journal.detections import SLIP, from_text
 
 if TYPE_CHECKING:
@@ -27,11 +42,16 @@ if TYPE_CHECKING:
 BEFORE_S, AFTER_S = 0.1, 0.1
 """Time shown before the motion and after it."""
 HEIGHTS = (1.6, 1.4, 1.4, 1.2)
+HEIGHT_MM = 130.0
 
 
 def draw_trials(run: RunFile) -> dict[str, Figure]:
     """Draw one figure per trial of a run whose grip could squeeze, or that held a weight."""
-    return a_figure_a_trial(run, draw_trial) if has_grip(run) else {}
+    points = run.point_ids()[:TRIALS_SHOWN] if has_grip(run) else []
+    return {
+        "" if number == 0 else f"-{point}": draw_trial(run, number, point)
+        for number, point in enumerate(points)
+    }
 
 
 def has_grip(run: RunFile) -> bool:
@@ -44,20 +64,21 @@ def has_grip(run: RunFile) -> bool:
 def draw_trial(run: RunFile, number: int, point: str) -> Figure:
     """Draw v_d with P_A and P_B, F_n with its set point and the squeezes, F_t, and the way slid."""
     with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(7.2, 7.6))
+        figure = column_figure(HEIGHT_MM)
         panels = figure.subplots(4, 1, sharex=True, gridspec_kw={"height_ratios": HEIGHTS})
         _draw_column(panels, run, number, point)
         for axes in panels:
             legend_above(axes)
-        lines = heading(figure, run, number, point)
-        set_margins(figure, top=0.72 + 0.18 * (lines - 2), between=0.22)
+        letter(panels)
+        set_margins(figure, top=heading(figure, run, number, point) + 0.14, gap_mm=4.0)
+        figure.align_ylabels(panels)
     return figure
 
 
 def draw_beside(without: RunFile, with_: RunFile) -> Figure:
     """Draw the first trials of two runs beside each other, on the same axes."""
     with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(11.0, 7.6))
+        figure = Figure(figsize=(2 * COLUMN_MM / MM_PER_INCH, HEIGHT_MM / MM_PER_INCH))
         panels = figure.subplots(
             4, 2, sharex="col", sharey="row", gridspec_kw={"height_ratios": HEIGHTS}
         )
@@ -69,9 +90,9 @@ def draw_beside(without: RunFile, with_: RunFile) -> Figure:
             row[1].set_ylabel("")
             for axes in row:
                 legend_above(axes)
-        titles = [run.header.marked(f"{run.path.name}") for run in (without, with_)]
-        figure.suptitle("\n".join(titles), fontsize=9, parse_math=False)
-        set_margins(figure, top=0.75, between=0.25)
+        title = without.header.marked("A weight without and with re-grip")
+        names = (f"left: {without.path.name}", f"right: {with_.path.name}")
+        set_margins(figure, top=set_heading(figure, title, *names) + 0.14, gap_mm=4.0)
     return figure
 
 
@@ -98,35 +119,35 @@ def _draw_column(panels: Sequence[Axes], run: RunFile, number: int, point: str) 
     difference, pressing, dragging, way = panels
     t = seconds(series["signals"]) - begin_s
     v_d = 1e3 * series["signals"].values("v_d")
-    difference.plot(t, v_d, linewidth=0.7, label="$v_d$")
+    difference.plot(t, v_d, linewidth=0.7, color=BLUE, label="$v_d$")
     difference.set_ylabel("$v_d$ (mV)")
     detections = from_text(str(reading.get("detections") or ""))
     found = [one for one in detections if one.time_s >= begin_s]
     for kind, label, marker in (("predictive", "$P_A$", "^"), (SLIP, "$P_B$, alarm", "v")):
         at = [one.sample for one in found if one.kind == kind and one.sample < len(v_d)]
         if at:
-            difference.plot(t[at], v_d[at], marker, color="C3", markersize=5, label=label)
+            difference.plot(t[at], v_d[at], marker, color=VERMILLION, markersize=4, label=label)
     force = series["force"]
     t = seconds(force) - begin_s
     squeezes = json.loads(str(reading.get("squeeze_record") or "[]"))
-    pressing.plot(t, force.values("F_n"), linewidth=0.8, label="$F_n$")
+    pressing.plot(t, force.values("F_n"), color=BLUE, label="$F_n$")
     set_N = float(reading["set_normal_force_N"])
     steps_s = [-BEFORE_S, *(one["decided_s"] - begin_s for one in squeezes), end_s - begin_s]
     levels_N = [set_N, *(one["to_N"] for one in squeezes)]
     pressing.step(
-        steps_s, [*levels_N, levels_N[-1]], where="post", color="0.4", linewidth=0.7,
+        steps_s, [*levels_N, levels_N[-1]], where="post", color=GREY, linewidth=0.7,
         linestyle="--", label="set point",
     )  # fmt: skip
     pressing.set_ylabel("$F_n$ (N)")
-    dragging.plot(t, force.values("F_t"), linewidth=0.8, color="C1", label="$F_t$")
+    dragging.plot(t, force.values("F_t"), color=VERMILLION, label="$F_t$")
     if (load_N := reading.get("load_N")) is not None and np.isfinite(float(load_N)):
         sign = np.sign(force.values("F_t")[np.argmax(np.abs(force.values("F_t")))])
-        dragging.axhline(sign * float(load_N), color="0.4", linewidth=0.7, label="weight")
+        dragging.axhline(sign * float(load_N), color=GREY, linewidth=0.7, label="weight")
     dragging.set_ylabel("$F_t$ (N)")
     ticks = series["ticks"].values("elapsed") - begin_s
     x_mm = series["position"].values("x")
     at_rest = float(np.interp(0.0, ticks, x_mm))
-    way.plot(ticks, np.abs(x_mm - at_rest), linewidth=0.9, color="C2", label="way of x")
+    way.plot(ticks, np.abs(x_mm - at_rest), color=GREEN, label="way of x")
     if outcome := str(reading.get("outcome") or ""):
         way.plot([], [], " ", label=f"outcome: {outcome}")
     way.set_ylabel("Way (mm)")
@@ -134,7 +155,7 @@ def _draw_column(panels: Sequence[Axes], run: RunFile, number: int, point: str) 
     for axes in panels:
         for n, one in enumerate(squeezes):
             named = "squeeze" if n == 0 and axes is pressing else None
-            axes.axvline(one["decided_s"] - begin_s, color="C4", linewidth=0.7, label=named)
+            axes.axvline(one["decided_s"] - begin_s, color=PURPLE, linewidth=0.7, label=named)
     shown = (t >= -BEFORE_S) & (t <= end_s - begin_s + AFTER_S)
     way.set_xlim(-BEFORE_S, end_s - begin_s + AFTER_S)
     force_N = force.values("F_n")[shown]

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -29,7 +29,6 @@ if TYPE_CHECKING:
 
     from matplotlib.axes import Axes
 
-    from rig.detector.events import EventKind
     from rig.files.runfile.reader import RunFile, Waveform
 
 TRUE, MEASURED, DETECTED = GREEN, BLACK, VERMILLION
@@ -189,7 +188,7 @@ def _of_the_run(run: RunFile) -> dict[str, Detections]:
         if not name or name == NO_DETECTOR:
             return {}
         events = tuple(
-            SlipEvent(cast("EventKind", one.kind), one.sample, one.time_s, one.confidence)
+            SlipEvent(one.kind, one.sample, one.time_s, one.confidence)
             for one in from_text(str(text))
         )
         found[point] = Detections(f"{name} (live)", events)
