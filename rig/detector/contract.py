@@ -36,6 +36,8 @@ class Detector(ABC):
     A subclass has a docstring, whose first line `rig detectors` shows, its `Settings`, its
     `version`, and the methods `reset` and `judge`. Its events must depend on the rows alone, to the
     last bit, and not on how they were cut into blocks; an instance shares no state with another.
+    Where it cannot judge, it reports ``cannot judge`` with a reason, and ``judges again`` when that
+    is over: files, figures and scores count the time between them.
     """
 
     Settings: ClassVar[type[core_settings.Settings]] = core_settings.Settings

@@ -5,6 +5,8 @@ The network here has one unit by hand, so that what is tested is the kernel and 
 slip is an impulse above a share of the touch, and every motion is a roll.
 """
 
+import itertools
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -173,3 +175,32 @@ def test_a_network_of_earlier_inputs_still_works():
     )
     events = told(pressed_and_sheared(6), DetectorSettings(network=network))
     assert samples(events)
+
+
+def rubbish(kind: str) -> np.ndarray:
+    """Volts (3000, 2) that no strip gives."""
+    chance = np.random.default_rng(8)
+    row = np.arange(3000)[:, None]
+    if kind == "wandering":
+        return 0.05 * np.cumsum(chance.standard_normal((3000, 2)), axis=0)
+    if kind == "heavy-tailed":
+        return np.clip(1e-3 * chance.standard_cauchy((3000, 2)), -11, 11)
+    if kind == "square":
+        return np.sign(np.sin(0.05 * row)) * np.array([10.5, 3.0])
+    if kind == "stuck":
+        return np.where(row % 1000 < 900, 0.0, 10.0) * np.array([1.0, 0.0])
+    return np.zeros((3000, 2))
+
+
+@pytest.mark.parametrize("kind", ["wandering", "heavy-tailed", "square", "stuck", "zero"])
+def test_whatever_comes_the_inputs_are_finite_and_cannot_judge_takes_turns_with_judges_again(
+    kind: str,
+):
+    looks = IncipientSlipDetector(by_hand(), RATE_Hz).network_inputs(rubbish(kind))
+    assert np.isfinite(looks.inputs).all()
+    events = told(rubbish(kind))
+    turns = [event.kind for event in events if "judge" in event.kind]
+    expected = itertools.cycle(("cannot judge", "judges again"))
+    assert turns == list(itertools.islice(expected, len(turns)))
+    for begin_s, end_s in unjudged_s(events, 3.0):
+        assert 0 <= begin_s < end_s <= 3.0
