@@ -369,12 +369,12 @@ def _say_whether_it_judges(s: Any, c: Any, events: Any, reported: int) -> int:
         # A beginning that is restless for less than four pieces is not worth an event.
         if s.restless_rows >= 4 * c.quiet_rows:
             reason = NOT_QUIET
+    elif c.adapts and s.unit < LEAST_JUDGED_UNIT:
+        reason = TOO_LIGHT
     elif c.adapts and s.stage == TOUCHED:
         # A fifth less is asked for to judge again, so that it does not go to and fro.
         most = MOST_NOISE * s.unit * (0.8 if s.unjudged == TOO_NOISY else 1.0)
-        if s.unit < LEAST_JUDGED_UNIT:
-            reason = TOO_LIGHT
-        elif s.fast_noise[0] > most:
+        if s.fast_noise[0] > most:
             reason = TOO_NOISY
     if reason == NO_REASON and s.unjudged != NO_REASON:
         was = s.unjudged
@@ -677,12 +677,13 @@ def _follow_drift(d: float, v: float, s: Any, c: Any) -> None:
 @njit(cache=True, error_model="numpy")
 def _follow_touch(s: Any, c: Any) -> None:
     """Follows the first touch-down; at its end its size becomes the unit of the network's inputs,
-    and what v_d and v_s are then becomes their offset."""
-    if s.stage == TOUCHED:
+    and what v_d and v_s are then becomes their offset. One that is too light to be judged, which
+    may be a drift, is replaced by the next."""
+    if s.stage == TOUCHED and (s.unit >= LEAST_JUDGED_UNIT or not c.adapts):
         return
     level = abs(s.average[1, 4])
     threshold = _touch_threshold(1, s, c)
-    if s.stage == NO_TOUCH:
+    if s.stage != TOUCHING:
         if level > threshold:
             s.stage = TOUCHING
             s.stage_rows, s.stage_calm_rows = 0, 0

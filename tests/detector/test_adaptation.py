@@ -152,6 +152,16 @@ def test_a_ridge_that_hardly_touches_is_said_and_not_judged():
     assert unjudged_s(events, 2.2) == ((cannot.time_s, 2.2),)
 
 
+def test_after_a_touch_that_is_too_light_the_next_one_counts():
+    light = 0.05 * pressed_and_sheared(8, noise_mV=0.05)[:1150]
+    volts = np.concatenate([light, pressed_and_sheared(9)])
+    events = told(volts)
+    judging = [event.kind for event in events if "judge" in event.kind]
+    assert judging == ["cannot judge", "judges again"]
+    (slip,) = samples(events)
+    assert slip == pytest.approx(1150 + samples(told(pressed_and_sheared(9)))[0], abs=1)
+
+
 def test_touch_downs_and_taps_are_no_rolls():
     """A network that calls everything a roll is believed only in a motion under load."""
     rolls = by_hand(roll_odds=50.0)
