@@ -5,30 +5,42 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from rig.cli.outcome import reported, say, start_log
-from rig.core.errors import ConfigurationError
+from rig.cli.outcome import reported, say, start_log, tell_failure
+from rig.core.errors import ConfigurationError, ExitCode, RigError
 
 if TYPE_CHECKING:
     from rig.figures.drawing import Drawn
+    from rig.files.imported.import_file import RecordingNotes
+    from rig.files.imported.series import ChannelMap
+    from rig.files.journal.values import Program
 
-CHANNELS = ("v_1", "v_2", "F_n", "F_t")
+CHANNELS = ("v_1", "v_2", "F_n", "F_t", "motion", "slip", "lift_off")
+SUFFIXES = (".csv", ".txt", ".tsv", ".dat", ".lvm", ".mat", ".npz")
+"""Endings of the files of a folder that are imported."""
 SCALED = {"v_1": "V", "v_2": "V", "F_n": "N", "F_t": "N", "time": "s"}
 """Unit of the values after scaling."""
 
 
 def import_(
-    file: Annotated[Path, typer.Argument(help="Text in columns (CSV, tabs), LVM, or MATLAB file.")],
+    file: Annotated[
+        Path,
+        typer.Argument(
+            help="Text in columns (CSV, tabs), LVM, MATLAB or NumPy npz file; or a folder of them."
+        ),
+    ],
     channels: Annotated[
         str,
         typer.Option(
-            help="Column of each channel, a number from 1 or a name; of MATLAB a variable. F_n and "
-            "F_t may be left out.",
+            help="Column of each channel, a number from 1 or a name; of MATLAB and npz a variable. "
+            "'2 - 3' is a difference, 2..11 are ten consecutive samples of a row. F_n and F_t may "
+            "be left out, and so may motion, slip and lift_off: columns that are 0 until then.",
             metavar="v_1=2,v_2=3,…",
         ),
     ],
@@ -71,10 +83,18 @@ def import_(
     ] = None,
     results: Annotated[Path, typer.Option(help="Folder for run files.")] = Path("results"),
     as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")] = False,
+    labels: Annotated[
+        Path | None,
+        typer.Option(
+            help="CSV list of what happened: file, label, motion_s, ridge_slip_s, lift_off_s, … "
+            "(s of the record). rig score --files and rig train --files use it.",
+            metavar="CSV",
+        ),
+    ] = None,
     figures: Annotated[bool, typer.Option(help="Draw the figure of the recording.")] = True,
     debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
 ) -> None:
-    """Make a run file of another program's recording: CSV, text in columns, LVM, MATLAB."""
+    """Make a run file of another program's recording: text in columns, LVM, MATLAB, NumPy npz."""
     texts = {
         "channels": channels,
         "rate": rate,
@@ -83,6 +103,7 @@ def import_(
         "delimiter": delimiter,
         "decimal": decimal,
         "header-lines": None if header_lines is None else str(header_lines),
+        "labels": None if labels is None else str(labels),
     }
     with reported(debug, as_json):
         columns = channel_map(channels) | ({} if time is None else {"time": time.strip()})
@@ -94,8 +115,8 @@ def import_(
         rate_Hz = None if rate is None else _quantity("--rate", rate, "Hz")
 
         import rig
-        from rig.figures.drawing import Drawn, draw
-        from rig.files.imported.import_file import RecordingNotes, read_foreign, write_import
+        from rig.files.imported.import_file import RecordingNotes
+        from rig.files.imported.labels import read_labels
         from rig.files.imported.series import ChannelMap
         from rig.files.journal.values import Program
         from rig.run.job import PROGRAM
@@ -110,11 +131,80 @@ def import_(
             start_time=None if start_time is None else _start(start_time),
             options={name: text for name, text in texts.items() if text},
         )
+        lines = {} if labels is None else read_labels(labels)
+        wanted = _files_of(file)
+        if strange := sorted(set(lines) - {path.name for path in wanted}):
+            raise ConfigurationError(
+                f"--labels {labels}: {strange[0]} is not among the files to import",
+                "correct its name, or take it out of the list",
+            )
         start_log(results)
-        foreign = read_foreign(file, delimiter, decimal, header_lines)
-        stated = ChannelMap(columns, scales, rate_Hz)
-        program = Program(name=PROGRAM, version=rig.__version__, configuration=source_state())
-        run_file, recording = write_import(foreign, stated, about, results, program)
+        importing = _Importing(
+            (delimiter, decimal, header_lines),
+            ChannelMap(columns, scales, rate_Hz),
+            results,
+            Program(name=PROGRAM, version=rig.__version__, configuration=source_state()),
+            figures,
+        )
+        told, failures = [], []
+        for path in wanted:
+            try:
+                done = importing.one(path, replace(about, labels=lines.get(path.name)))
+            except RigError as error:
+                if len(wanted) == 1:
+                    raise
+                tell_failure(error, debug)
+                failures.append(error)
+                continue
+            told.append(done)
+            if not as_json:
+                print(done["file"])  # noqa: T201 - stdout carries data
+        code = _code(len(told), failures)
+        if as_json:
+            whole = told[0] if len(wanted) == 1 else _of_all(told, failures, code)
+            print(json.dumps(whole))  # noqa: T201 - data
+        if code is not ExitCode.DONE:
+            raise typer.Exit(int(code))
+
+
+def _files_of(path: Path) -> list[Path]:
+    """Return the file, or all files of a folder that are not hidden, by their names."""
+    if not path.is_dir():
+        return [path]
+    found = sorted(one for one in path.iterdir() if one.is_file() and one.name[0] != ".")
+    found = [one for one in found if one.suffix.lower() in SUFFIXES]
+    if not found:
+        raise ConfigurationError(
+            f"{path}: no recording in this folder", f"files end in {', '.join(SUFFIXES)}"
+        )
+    return found
+
+
+def _code(done: int, failures: Sequence[RigError]) -> ExitCode:
+    """Return the exit code: that of the first file if all failed, 5 if only some failed."""
+    if not failures:
+        return ExitCode.DONE
+    return ExitCode.FINISHED_WITH_FAILURES if done else failures[0].code
+
+
+@dataclass(frozen=True)
+class _Importing:
+    """What all files of a command have in common."""
+
+    dialect: tuple[Any, Any, int | None]
+    stated: ChannelMap
+    results: Path
+    program: Program
+    figures: bool
+
+    def one(self, path: Path, about: RecordingNotes) -> dict[str, Any]:
+        """Import a file, say what it held, and return what is told of it as JSON. RigError where it
+        cannot be imported; nothing of it is left then."""
+        from rig.figures.drawing import Drawn, draw
+        from rig.files.imported.import_file import read_foreign, write_import
+
+        foreign = read_foreign(path, *self.dialect)
+        run_file, recording = write_import(foreign, self.stated, about, self.results, self.program)
         for channel, column in recording.columns.items():
             say(f"  {channel}: {column}, {recording.scale[channel]:g} {SCALED[channel]} per unit")
         written = f" ({foreign.source.written_as})" if foreign.source.written_as else ""
@@ -124,15 +214,27 @@ def import_(
         )
         for warning in recording.warnings:
             say(f"warning: {warning}")
-        drawn = draw(run_file) if figures else Drawn()
+        drawn = draw(run_file) if self.figures else Drawn()
         for picture in drawn.files:
             say(f"figure: {picture}")
         for warning in drawn.warnings:
             say(f"warning: {warning}")
-        if as_json:
-            print(json.dumps(_as_object(run_file, recording, drawn)))  # noqa: T201 - data
-        else:
-            print(run_file)  # noqa: T201 - stdout carries data
+        return _as_object(run_file, recording, drawn)
+
+
+def _of_all(
+    told: Sequence[dict[str, Any]], failures: Sequence[RigError], code: ExitCode
+) -> dict[str, Any]:
+    return {
+        "file": None,
+        "outcome": "complete" if code is ExitCode.DONE else "failed",
+        "exit": int(code),
+        "simulated": None,
+        "imported": True,
+        "summary": {"files": len(told) + len(failures), "failed": len(failures)},
+        "results": list(told),
+        "errors": [error.one_line() for error in failures],
+    }
 
 
 def _as_object(run_file: Path, recording: Any, drawn: Drawn) -> dict[str, Any]:

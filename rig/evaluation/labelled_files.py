@@ -6,7 +6,8 @@ file has only one) name a trial. ``label``, ``motion_s``, ``node_slip_s``, ``rid
 ``gross_slip_s`` and ``lift_off_s`` are its truth, in s of the record, empty for never. Any further
 column is a trait of that name. If the list lacks a column of the truth, the value that a simulated
 bench stored in the run file is used, up to the end of the record. A roll trial of a real bench is a
-roll without a slip unless the list says otherwise, and a motion begins where its run file says.
+roll without a slip unless the list says otherwise, and a motion begins where its run file says. An
+imported recording has the label and times that were stated at its import.
 """
 
 from __future__ import annotations
@@ -214,6 +215,8 @@ def _known(run: RunFile, point: str, reading: dict[str, Any], record_s: float) -
     """Returns label, times and quiet intervals that a simulated bench stored; of any other, when
     the motion began and that a roll trial is a roll."""
     times = simulated_truth.times_of(reading, record_s)
+    if stated := reading.get("label"):  # at the import of a recording
+        return {"label": stated, **{name: reading.get(name) for name in TIMES}}
     if not times:
         rolls = run.header.procedure == simulated_truth.ROLL
         begin_s = simulated_truth.begin_of(reading)

@@ -21,6 +21,7 @@ from rig.files.errors import ForeignFileError, RecordingError
 from rig.files.hdf5.nexus import CHUNK_ROWS, plain_text
 from rig.files.imported import lvm, matlab, matlab_variables
 from rig.files.imported.dialect import Decimal, Delimiter
+from rig.files.imported.labels import Label, label_of
 from rig.files.imported.series import FORCES, STRIPS, UNIT, ChannelMap, Recording, recording_of
 from rig.files.imported.source import MAX_BYTES, ImportSource
 from rig.files.imported.text import read_text
@@ -53,6 +54,8 @@ class RecordingNotes:
     """ISO 8601 with an offset from UTC."""
     options: Mapping[str, str] = field(default_factory=dict)
     """The command's options as they were written."""
+    labels: Mapping[str, str] | None = None
+    """Its line of a list of labels (`rig.files.imported.labels`)."""
 
 
 @dataclass(frozen=True)
@@ -71,7 +74,7 @@ def read_foreign(
     decimal: Decimal | None = None,
     header_lines: int | None = None,
 ) -> ForeignFile:
-    """Open a text, LVM or MATLAB file, recognised by its first bytes.
+    """Open a text, LVM, MATLAB or npz file, recognised by its first bytes.
 
     The last three are for text, where they are not to be recognised. ForeignFileError for anything
     else, and for a file beyond MAX_BYTES.
@@ -91,7 +94,9 @@ def read_foreign(
             name, f"larger than {MAX_BYTES >> 20} MiB", "cut it into several recordings"
         )
     source: ImportSource
-    if content.startswith((matlab_variables.MAGIC_5, matlab_variables.MAGIC_73)):
+    if content.startswith(
+        (matlab_variables.MAGIC_5, matlab_variables.MAGIC_73, matlab_variables.MAGIC_NPZ)
+    ):
         source = matlab.read_matlab(content, name)
     elif content.startswith(lvm.MAGIC):
         source = lvm.read_lvm(content, name)
@@ -119,11 +124,12 @@ def write_import(
     RecordingError where the run file cannot be written (nothing is left).
     """
     recording = recording_of(foreign.source, stated, foreign.name)
-    header = _header(foreign, recording, about, program)
+    label = label_of(recording, about.labels, foreign.name)
+    header = _header(foreign, recording, about, program, bool(label))
     writer = begin_journal(results, PROCEDURE, header)
     target = writer.path.with_suffix(RUN_SUFFIX)
     with _all_or_nothing(writer, target):
-        _record(writer, foreign, recording, about)
+        _record(writer, foreign, recording, about, label)
         writer.close()
         compile_run(writer.path, target, retire=True)
     return target, recording
@@ -147,7 +153,11 @@ def _all_or_nothing(writer: JournalWriter, target: Path) -> Iterator[None]:
 
 
 def _header(
-    foreign: ForeignFile, recording: Recording, about: RecordingNotes, program: Program
+    foreign: ForeignFile,
+    recording: Recording,
+    about: RecordingNotes,
+    program: Program,
+    labelled: bool,
 ) -> dict[str, Any]:
     settings: dict[str, Any] = {
         "rate_Hz": recording.rate_Hz,
@@ -174,7 +184,7 @@ def _header(
     units = {f"scale.{channel}": UNIT[channel] for channel in recording.scale}
     return {
         "procedure": PROCEDURE,
-        "layout": layout_of(recording).to_json(),
+        "layout": layout_of(recording, labelled).to_json(),
         "title": f"{IMPORTED} recording {foreign.name}",
         "run_uuid": str(uuid.uuid4()),
         "start_time": about.start_time,
@@ -221,8 +231,19 @@ def _streams(recording: Recording) -> list[tuple[str, str, list[str], str, str]]
     return streams
 
 
-def layout_of(recording: Recording) -> Layout:
-    """Return how the run file shows a recording: the strips, and the forces if there are any."""
+LABEL_COLUMNS = (
+    Column("label", "", "What happened, as stated at the import", kind="text"),
+    Column("motion", "s", "Begin of the motion, as stated at the import"),
+    Column("node_slip", "s", "Slip of the first part of the ridge, as stated at the import"),
+    Column("ridge_slip", "s", "Slip of the whole ridge, as stated at the import"),
+    Column("gross_slip", "s", "Slip of the whole contact, as stated at the import"),
+    Column("lift_off", "s", "Lift-off of the ridge, as stated at the import"),
+)
+
+
+def layout_of(recording: Recording, labelled: bool = False) -> Layout:
+    """Return how the run file shows a recording: the strips, the forces if there are any, and the
+    label if it has one."""
     traces = [Trace("data", "signals", "v_d", STRIPS, title="Differential PVDF signal")]
     if forces := _forces(recording):
         traces.append(Trace("force", "force", forces[0], tuple(forces[1:]), title="Forces"))
@@ -233,6 +254,7 @@ def layout_of(recording: Recording) -> Layout:
             Column("samples", "", "Samples of each channel"),
             Column("rate", "Hz", "Rate"),
             Column("length", "s", "Length"),
+            *(LABEL_COLUMNS if labelled else ()),
         ),
         plots=(),
         traces=tuple(traces),
@@ -240,7 +262,11 @@ def layout_of(recording: Recording) -> Layout:
 
 
 def _record(
-    writer: JournalWriter, foreign: ForeignFile, recording: Recording, about: RecordingNotes
+    writer: JournalWriter,
+    foreign: ForeignFile,
+    recording: Recording,
+    about: RecordingNotes,
+    label: Label,
 ) -> None:
     """Write the journal of an import: one point, all samples, the end."""
     import numpy as np
@@ -271,7 +297,9 @@ def _record(
             }
         )
         _write_rows(writer, stream, np.column_stack(arrays[stream]), recording.rate_Hz)
-    reading = {"samples": recording.rows, "rate_Hz": recording.rate_Hz, "length_s": length_s}
+    reading: dict[str, Any] = {
+        "samples": recording.rows, "rate_Hz": recording.rate_Hz, "length_s": length_s, **label,
+    }  # fmt: skip
     writer.point_keep(POINT, reading)
     writer.end(
         {

@@ -1,4 +1,5 @@
-"""MATLAB files: numeric variables of version 5 (to ``-v7``, also Octave's) and of 7.3.
+"""MATLAB files: numeric variables of version 5 (to ``-v7``, also Octave's) and of 7.3; and those of
+NumPy npz files.
 
 A channel is a column of a variable, a vector is one column. Structs, cells, objects and text are
 refused by name, and never made: MATLAB can unpack them into variables.
@@ -13,7 +14,13 @@ from typing import TYPE_CHECKING, Any
 
 from rig.core.errors import shortened
 from rig.files.errors import ForeignFileError
-from rig.files.imported.matlab_variables import MAGIC_73, Variables, arrays_of, variables_of
+from rig.files.imported.matlab_variables import (
+    MAGIC_73,
+    MAGIC_NPZ,
+    Variables,
+    arrays_of,
+    variables_of,
+)
 from rig.files.imported.source import Format
 
 if TYPE_CHECKING:
@@ -45,6 +52,8 @@ class MatlabTable:
         self._variables = variables
         self.format: Format = "MATLAB 7.3" if content.startswith(MAGIC_73) else "MATLAB 5"
         self.head = content[:HEAD_BYTES].decode("latin-1").strip("\0 ")
+        if content.startswith(MAGIC_NPZ):
+            self.format, self.head = "NumPy npz", ""
         self._columns: list[tuple[str, int]] = []
         """Variable and its column (from 0), in the order in which they were asked for."""
 

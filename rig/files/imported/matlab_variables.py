@@ -1,4 +1,4 @@
-"""The variables of a MATLAB file, read in a child process.
+"""The variables of a MATLAB file or a NumPy npz, read in a child process.
 
 SciPy has crashed on damaged files of version 5, and HDF5 may loop for ever on one of version 7.3;
 nothing in their own process can interrupt either. ``python -m rig.files.imported.matlab_variables
@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 MAGIC_5, MAGIC_73 = b"MATLAB 5.0 MAT-file", b"MATLAB 7.3 MAT-file"
+MAGIC_NPZ = b"PK\x03\x04"
+"""A zip archive, which a NumPy npz is."""
 
 PATIENCE_S = 60.0
 """Time allowed for a small file; a large one gets more by BYTES_PER_S."""
@@ -52,7 +54,8 @@ def _ask_child(content: bytes, name: str, wanted: Sequence[str]) -> bytes:
     try:
         return run_module(__name__, wanted, given=content, timeout_s=timeout_s)
     except ChildError as error:
-        reason = f"not a readable MATLAB file: {shortened(error.reason, 200)}"
+        kind = "NumPy npz" if content.startswith(MAGIC_NPZ) else "MATLAB file"
+        reason = f"not a readable {kind}: {shortened(error.reason, 200)}"
         raise ForeignFileError(name, reason, "it is damaged: save it again") from None
 
 
@@ -77,6 +80,34 @@ def _version_73(content: bytes, wanted: list[str]) -> dict[str, Any]:
         return {variable: _described(file[variable], h5py) for variable in names}
 
 
+def _numpy(content: bytes, wanted: list[str]) -> dict[str, Any]:
+    """Return the arrays of a NumPy npz, vectors as one column; pickled objects are never loaded."""
+    import numpy as np
+
+    with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
+        if wanted:
+            return {variable: _as_matrix(arrays[variable]) for variable in wanted}
+        found: dict[str, Any] = {}
+        for variable in arrays.files:
+            try:
+                array = _as_matrix(arrays[variable])
+            except ValueError:  # of objects
+                found[variable] = ("object", ())
+            else:
+                found[variable] = (
+                    _IN_MATLABS_WORD.get(array.dtype.name, array.dtype.name),
+                    array.shape,
+                )
+        return found
+
+
+_IN_MATLABS_WORD = {"float64": "double", "float32": "single"}
+
+
+def _as_matrix(array: Any) -> Any:
+    return array.reshape(-1, 1) if array.ndim == 1 else array
+
+
 def _described(item: Any, h5py: Any) -> tuple[str, tuple[int, ...]]:
     kind = item.attrs.get("MATLAB_class", b"group")
     kind = kind.decode() if isinstance(kind, bytes) else str(kind)
@@ -90,6 +121,8 @@ def main() -> None:
     """Answer one request on stdout; exit with a line on stderr for a file that cannot be read."""
     content, wanted = sys.stdin.buffer.read(), sys.argv[1:]
     read = _version_73 if content.startswith(MAGIC_73) else _version_5
+    if content.startswith(MAGIC_NPZ):
+        read = _numpy
     try:
         found = read(content, wanted)
         answer = _npz(found.values()) if wanted else json.dumps(found).encode()

@@ -6,8 +6,9 @@ Pure: takes a source and what the user stated about it, returns arrays.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from rig.core.units import counted
@@ -20,6 +21,9 @@ if TYPE_CHECKING:
 
 STRIPS, FORCES = ("v_1", "v_2"), ("F_n", "F_t")
 TIME = "time"
+LABEL_CHANNELS = ("motion", "slip", "lift_off")
+"""Columns that are 0 until something begins: the motion, the slip of the whole ridge that holds the
+strips, and its lift-off."""
 UNIT = {"v_1": "V", "v_2": "V", "F_n": "N", "F_t": "N", TIME: "s"}
 """Units of the values that are made from a column."""
 
@@ -43,13 +47,95 @@ LATEST_S = 1e11
 
 @dataclass(frozen=True)
 class ChannelMap:
-    """The user's statements about a file's columns. Keys are v_1, v_2, F_n, F_t and time."""
+    """The user's statements about a file's columns. Keys are v_1, v_2, F_n, F_t, time and those of
+    `LABEL_CHANNELS`."""
 
     columns: Mapping[str, str]
-    """The column of each channel, as the source takes it."""
+    """What each channel is made of, as `combination_of` takes it."""
     scale: Mapping[str, float]
     """V, N or s for one unit of the file; 1 where none is stated."""
     rate_Hz: float | None = None
+
+
+@dataclass(frozen=True)
+class Combination:
+    """What a channel is made of: a signed sum of terms. A term is one column, or the columns that
+    hold consecutive samples of a row."""
+
+    terms: tuple[tuple[float, tuple[int, ...]], ...]
+    """Sign and columns of each term."""
+
+    @property
+    def samples(self) -> int:
+        """Number of samples in a row of the file."""
+        return len(self.terms[0][1])
+
+    @property
+    def columns(self) -> tuple[int, ...]:
+        """All columns that are needed."""
+        return tuple(column for _, columns in self.terms for column in columns)
+
+    def name(self, source: ImportSource) -> str:
+        """Return it as the user finds it: ``column 2 (B) - column 3 (C)``."""
+        words = ""
+        for sign, columns in self.terms:
+            term = source.name(columns[0])
+            if len(columns) > 1:
+                term += f" to {source.name(columns[-1])}"
+            words += f" {'-' if sign < 0 else '+'} {term}"
+        return words.removeprefix(" + ").lstrip()
+
+    def values(self, table: Mapping[int, NDArray[np.float64]]) -> NDArray[np.float64]:
+        """Return its samples (rows x samples,) from columns by their index."""
+        import numpy as np
+
+        total = sum(
+            sign * np.column_stack([table[c] for c in columns]) for sign, columns in self.terms
+        )
+        samples: NDArray[np.float64] = np.ascontiguousarray(total).reshape(-1)
+        return samples
+
+
+def combination_of(text: str, source: ImportSource, name: str) -> Combination:
+    """Return what a channel is made of: a column, ``2..11`` for consecutive samples of a row, and
+    sums or differences of these with blanks around the sign, as in ``left - right``.
+
+    A column whose name is the whole text has priority. ForeignFileError where a column is missing,
+    or terms have different numbers of samples.
+    """
+    try:
+        return Combination(((1.0, (source.column(text),)),))
+    except ForeignFileError:
+        if not re.search(r"\s[-+]\s|^-|\.\.", text):
+            raise
+    terms = []
+    for sign, part in re.findall(r"(?:^|\s)([-+]?)\s*(?=\S)(.+?)(?=\s[-+]\s|$)", text):
+        terms.append((-1.0 if sign == "-" else 1.0, _columns_of(part.strip(), source, name)))
+    counts = {len(columns) for _, columns in terms}
+    if len(counts) > 1:
+        raise ForeignFileError(
+            name,
+            f"{text}: its terms have {' and '.join(map(str, sorted(counts)))} samples a row",
+            "give the same number of columns for each",
+        )
+    return Combination(tuple(terms))
+
+
+def _columns_of(text: str, source: ImportSource, name: str) -> tuple[int, ...]:
+    first, dots, last = text.partition("..")
+    if not dots:
+        return (source.column(text),)
+    begin, end = source.column(first.strip()), source.column(last.strip())
+    if end < begin:
+        raise ForeignFileError(
+            name, f"{text}: {source.name(end)} stands before {source.name(begin)}", "exchange them"
+        )
+    if source.format in ("text", "LVM"):
+        return tuple(range(begin, end + 1))
+    # Columns of a variable have no index before they are asked for.
+    variable, colon, number = first.strip().rpartition(":")
+    numbers = range(int(number), int(last.strip().rpartition(":")[2]) + 1)
+    return tuple(source.column(f"{variable}{colon}{k}") for k in numbers)
 
 
 @dataclass(frozen=True)
@@ -65,6 +151,8 @@ class Recording:
     scale: dict[str, float]
     columns: dict[str, str]
     warnings: tuple[str, ...]
+    labels_s: Mapping[str, float | None] = field(default_factory=dict)
+    """Time of each label of which the file has a column, in s of the record; None for never."""
 
     @property
     def rows(self) -> int:
@@ -90,39 +178,77 @@ def recording_of(source: ImportSource, stated: ChannelMap, name: str) -> Recordi
         wanted[TIME] = source.time
     if TIME in stated.scale and TIME not in wanted:
         raise ForeignFileError(name, "a scale of times without times", "give their --time column")
-    columns = {channel: source.column(column) for channel, column in wanted.items()}
-    for channel, column in columns.items():
-        twin = next(other for other, its in columns.items() if its == column)
+    made = {channel: combination_of(text, source, name) for channel, text in wanted.items()}
+    for channel, one in made.items():
+        twin = next(other for other, its in made.items() if its == one)
         if twin != channel:
             raise ForeignFileError(
-                name, f"{twin} and {channel} are both {source.name(column)}", "see --channels"
+                name, f"{twin} and {channel} are both {one.name(source)}", "see --channels"
             )
-        _check_unit(source, channel, column, stated, name)
-    scale = {channel: stated.scale.get(channel, 1.0) for channel in columns}
-    table = source.values(list(columns.values()))
-    if len(table) < LEAST_ROWS:
+        if channel not in LABEL_CHANNELS:
+            for column in one.columns:
+                _check_unit(source, channel, column, stated, name)
+    samples = _samples_a_row(made, name)
+    scale = {name: stated.scale.get(name, 1.0) for name in made if name not in LABEL_CHANNELS}
+    needed = list(dict.fromkeys(column for one in made.values() for column in one.columns))
+    table = source.values(needed)
+    if len(table) * samples < LEAST_ROWS:
         found = counted(len(table), "row")
         raise ForeignFileError(name, f"{found}; at least {LEAST_ROWS} are needed")
-    raw = dict(zip(columns, np.ascontiguousarray(table.T), strict=True))
+    by_column = dict(zip(needed, np.ascontiguousarray(table.T), strict=True))
+    raw = {channel: one.values(by_column) for channel, one in made.items()}
     times = raw.pop(TIME, None)
-    rate_Hz = _common_rate(source, stated, None if times is None else times * scale.pop(TIME), name)
+    times_s = None if times is None else times * scale.pop(TIME)
+    rate_Hz = _common_rate(source, stated, times_s, samples, name)
+    labels_s = {
+        channel: _first_set(raw.pop(channel), rate_Hz * made[channel].samples / samples)
+        for channel in LABEL_CHANNELS
+        if channel in raw
+    }
     recording = Recording(
         rate_Hz,
         raw,
         scale,
-        {channel: source.name(columns[channel]) for channel in raw},
+        {channel: made[channel].name(source) for channel in raw},
         tuple(
-            f"{channel} is dead: {source.name(columns[channel])} is {numbers[0]:g} in every row"
+            f"{channel} is dead: {made[channel].name(source)} is {numbers[0]:g} in every row"
             for channel, numbers in raw.items()
             if (numbers == numbers[0]).all()
         ),
+        labels_s,
     )
     for channel in raw:
-        _check_size(source, recording, channel, name)
+        _check_size(source, recording, channel, len(table), name)
     return recording
 
 
-def _check_size(source: ImportSource, recording: Recording, channel: str, name: str) -> None:
+def _samples_a_row(made: Mapping[str, Combination], name: str) -> int:
+    """Return how many samples a row of the file holds of each signal. ForeignFileError where that
+    differs."""
+    counts = {
+        channel: one.samples
+        for channel, one in made.items()
+        if channel != TIME and channel not in LABEL_CHANNELS
+    }
+    if len(set(counts.values())) > 1:
+        told = ", ".join(f"{channel} {count}" for channel, count in counts.items())
+        raise ForeignFileError(
+            name,
+            f"samples a row: {told}; all channels need the same number",
+            "leave out a channel that was sampled slower, or resample it",
+        )
+    return next(iter(counts.values()))
+
+
+def _first_set(values: NDArray[np.float64], rate_Hz: float) -> float | None:
+    """Return the time in s of the first value that is not 0; None if there is none."""
+    return float((values != 0).argmax()) / rate_Hz if (values != 0).any() else None
+
+
+def _check_size(
+    source: ImportSource, recording: Recording, channel: str, rows: int, name: str
+) -> None:
+    """Raise ForeignFileError for a value that no such signal has; the file has this many rows."""
     unit = UNIT[channel]
     limit = LARGEST[unit] / abs(recording.scale[channel])
     sizes = abs(recording.raw[channel])
@@ -134,7 +260,7 @@ def _check_size(source: ImportSource, recording: Recording, channel: str, name: 
             f"{recording.scale[channel]:g} {unit} is too large for {channel}: "
             f"at most {LARGEST[unit]:g} {unit} are allowed",
             f"say what one unit of the file is, such as --scale {channel}=1m{unit}",
-            source.place(row),
+            source.place(row * rows // recording.rows),
         )
 
 
@@ -151,12 +277,18 @@ def _check_unit(
 
 
 def _common_rate(
-    source: ImportSource, stated: ChannelMap, times_s: NDArray[np.float64] | None, name: str
+    source: ImportSource,
+    stated: ChannelMap,
+    times_s: NDArray[np.float64] | None,
+    samples: int,
+    name: str,
 ) -> float:
-    """Return the stated rate or the file's own; they have to agree."""
-    known = [("--rate is", stated.rate_Hz), ("the header says", source.rate_Hz)]
+    """Return the stated rate of the samples or the file's own; they have to agree. Header and times
+    of a file are of its rows, each of which holds `samples` of them."""
+    own_Hz = None if source.rate_Hz is None else source.rate_Hz * samples
+    known = [("--rate is", stated.rate_Hz), ("the header says", own_Hz)]
     if times_s is not None:
-        known.append(("the times say", uniform_rate(times_s, source, name)))
+        known.append(("the times say", uniform_rate(times_s, source, name) * samples))
     rates = [(whose, rate) for whose, rate in known if rate is not None]
     if not rates:
         raise ForeignFileError(name, "sampling rate unknown", "give --rate, or --time COLUMN")

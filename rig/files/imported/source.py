@@ -9,7 +9,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-Format = Literal["text", "LVM", "MATLAB 5", "MATLAB 7.3"]
+Format = Literal["text", "LVM", "MATLAB 5", "MATLAB 7.3", "NumPy npz"]
 
 MAX_BYTES = 128 << 20
 """Largest size of a file: an hour of four columns at 1 kHz, as text. The file is read in one
