@@ -71,8 +71,8 @@ STREAMS = (
 )
 
 ASKED = (
-    Column("trial", "", "Trial"),
-    Column("set_normal_force", "N", "Set point of the normal force"),
+    Column("trial", "", "Trial", origin="set"),
+    Column("set_normal_force", "N", "Set point of the normal force", origin="set"),
 )
 """Columns of what was requested."""
 
@@ -98,11 +98,11 @@ TOUCHED = (
 """Columns from touch-down and tap: the offset of the two clocks, and the gain of each strip."""
 
 CALIBRATED = (
-    Column("load_scale_1", "N/s/V", "Load rate of S1 by volt"),
-    Column("load_scale_1_error", "N/s/V", "Standard error"),
-    Column("load_scale_2", "N/s/V", "Load rate of S2 by volt"),
-    Column("load_scale_2_error", "N/s/V", "Standard error"),
-    Column("load_rate_flat_to", "Hz", "Load rates flat up to"),
+    Column("load_scale_1", "N/s/V", "Load rate of S1 by volt", origin="calibrated"),
+    Column("load_scale_1_error", "N/s/V", "Standard error", origin="calibrated"),
+    Column("load_scale_2", "N/s/V", "Load rate of S2 by volt", origin="calibrated"),
+    Column("load_scale_2_error", "N/s/V", "Standard error", origin="calibrated"),
+    Column("load_rate_flat_to", "Hz", "Load rates flat up to", origin="calibrated"),
 )
 """Volts as load rate."""
 

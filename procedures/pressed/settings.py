@@ -32,7 +32,7 @@ from rig.core.errors import RigError
 from rig.core.settings import Settings as BaseSettings
 from rig.core.settings import name_without_unit
 from rig.detector import DEFAULT_DETECTOR
-from rig.files.journal.detections import NO_DETECTOR
+from rig.files.journal.detections import NO_DETECTOR, SLIP, from_text
 from rig.instruments.roles import Acquisition, InputChannel
 from rig.run.points import Move, Point, Reading
 from rig.run.procedure import DriftFigure
@@ -285,8 +285,27 @@ def summary_of(readings: Sequence[Reading], names: Sequence[str]) -> dict[str, A
             errors[f"mean_{name}"] = own
     if errors:
         found["standard_errors"] = errors
+    if (slips := _slips_of(readings))["trial"]:
+        found["slips"] = slips
     put_in = {"put_in": sentences} if (sentences := _put_in(readings)) else {}
     return found | _touch_gains_of(readings) | force_zero_of(readings) | put_in
+
+
+def _slips_of(readings: Sequence[Reading]) -> dict[str, list[float]]:
+    """Return every incipient slip that the detector found during the trials: the trial, the time in
+    its record, the time at which the program knew it, and the confidence."""
+    found = [
+        (reading, one)
+        for reading in readings
+        for one in from_text(str(reading.get("detections") or ""))
+        if one.kind == SLIP
+    ]
+    return {
+        "trial": [float(reading.get("trial") or 0) for reading, _ in found],
+        "time_s": [one.time_s for _, one in found],
+        "decided_s": [one.decided_s for _, one in found],
+        "confidence": [one.confidence for _, one in found],
+    }
 
 
 def _own_error(readings: Sequence[Reading], name: str) -> float | None:

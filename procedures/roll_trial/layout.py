@@ -38,7 +38,12 @@ LAYOUT = Layout(
         Column("largest_tangential", "N", "Largest F_t in the roll"),
         Column("axis_offset", "mm", "Rotary axis above the contact"),
         Column("axis_offset_error", "mm", "Standard error"),
-        Column("ridge_lifted", "", "SIMULATED truth: the ridge left the head"),
+        Column(
+            "ridge_lifted",
+            "",
+            "SIMULATED truth: the ridge left the head",
+            origin="put in by the World",
+        ),
         *TOUCHED,
         *CALIBRATED,
         Column("roll_from", "s", "Begin of the roll, since the record's"),

@@ -10,8 +10,8 @@ LAYOUT = Layout(
     version="2",
     columns=(
         *ASKED,
-        Column("speed", "mm/s", "Speed of the slide"),
-        Column("direction", "", "Direction along x"),
+        Column("speed", "mm/s", "Speed of the slide", origin="set"),
+        Column("direction", "", "Direction along x", origin="set"),
         *HELD,
         Column("static_friction", "", "Static friction coefficient"),
         Column("static_friction_error", "", "Standard error"),

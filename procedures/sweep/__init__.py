@@ -65,6 +65,7 @@ class Sweep(Procedure):
     layout = sweep_layout.LAYOUT
     streams = (StreamPlan("waveform", "daq", CHANNELS, "Load cell and film, raw counts"),)
     summary_labels = {  # noqa: RUF012
+        "model.level": "level b at 1 Hz, at the mean preload; the World's is at its nominal one",
         "force_zero_N": contact.ZERO_LABEL,
         "gain_near_200_Hz_error_dB": "gain near 200 Hz, standard error; dB",
         "gain_near_200_Hz_at_Hz": "gain near 200 Hz, measured at; Hz",

@@ -3,14 +3,17 @@ reads with. Times are coordinates, dimensions have names, numbers have the units
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import h5py
 import numpy as np
 import pytest
+import recorded_run as run
 import xarray
 from recorded_skin import COUNTS_V, TRIALS, samples, write_skin
 
+from rig.files.journal.layout import Column, Layout, Plot
 from rig.files.runfile.compile import compile_run
 from rig.files.runfile.reader import RunFile
 from rig.files.verify import verify
@@ -55,11 +58,11 @@ def test_raw_counts_are_volts_for_who_knows_the_cf_conventions(file: Path) -> No
     np.testing.assert_allclose(data["strip_2"], expected, rtol=1e-6)
     assert data["strip_2"].attrs["units"] == "V"
     assert data["strip_2"].sel(time=0.1).item() == pytest.approx(expected[1000])
-    with h5py.File(file) as run:  # what is stored is what the converter sent
-        stored = run["entry/waveforms/trial_002_strips/strip_2"]
+    with h5py.File(file) as opened_run:  # what is stored is what the converter sent
+        stored = opened_run["entry/waveforms/trial_002_strips/strip_2"]
         np.testing.assert_array_equal(stored, samples("strips", 1)[:, 1])
         assert stored.attrs["scale"] == stored.attrs["scale_factor"] == COUNTS_V
-        assert "scale_factor" not in run["entry/force/F_n"].attrs
+        assert "scale_factor" not in opened_run["entry/force/F_n"].attrs
     with RunFile.open(file) as own:
         (wave,) = own.waveforms("trial-002", stream="strips")
         assert wave.units == "V"
@@ -75,9 +78,9 @@ def test_every_axis_has_a_name(file: Path) -> None:
         if not all(len(item.dims[k]) == 1 for k in range(item.ndim)):
             nameless.append(name)
 
-    with h5py.File(file) as run:
+    with h5py.File(file) as opened_run:
         for group in (*SHOWN, "waveforms", "events", "blocks"):
-            run["entry"][group].visititems(check)
+            opened_run["entry"][group].visititems(check)
     assert nameless == []
 
 
@@ -86,8 +89,8 @@ def test_silx_and_nexusformat_plot_it(file: Path, group: str) -> None:
     from nexusformat.nexus import nxload
     from silx.io.nxdata import NXdata
 
-    with h5py.File(file) as run:
-        shown = NXdata(run[f"entry/{group}"])
+    with h5py.File(file) as opened_run:
+        shown = NXdata(opened_run[f"entry/{group}"])
         assert shown.is_valid, shown.issues
         assert shown.axes_dataset_names == ["time"]
     read = nxload(str(file))[f"entry/{group}"]
@@ -107,8 +110,10 @@ def test_trials_without_end_share_axes_and_each_of_them_opens(tmp_path: Path) ->
     """One axis lists all who use it, in an attribute that ends at 64 KiB."""
     trials = tuple(f"trial-{number:03d}" for number in range(1, 71))
     file = write_skin(tmp_path / "many.rigj", trials)
-    with h5py.File(file) as run:
-        groups = [run[f"entry/waveforms/{trial.replace('-', '_')}_force"] for trial in trials]
+    with h5py.File(file) as opened_run:
+        groups = [
+            opened_run[f"entry/waveforms/{trial.replace('-', '_')}_force"] for trial in trials
+        ]
         axes = {h5py.h5o.get_info(group["time"].id).addr for group in groups}
     assert 1 < len(axes) < 5
     for trial in (trials[0], trials[59], trials[60], trials[-1]):
@@ -120,3 +125,18 @@ def test_trials_without_end_share_axes_and_each_of_them_opens(tmp_path: Path) ->
 def test_the_same_journal_gives_the_same_bytes_with_its_scales(file: Path, tmp_path: Path) -> None:
     again = compile_run(file.with_suffix(".rigj"), tmp_path / file.name)
     assert again.read_bytes() == file.read_bytes()
+
+
+def test_columns_of_readings_say_where_they_come_from(tmp_path: Path) -> None:
+    columns = (
+        Column("frequency", "Hz", "Frequency", origin="set"),
+        Column("gain", "dB", "Gain"),
+    )
+    layout = replace(run.LAYOUT, columns=columns, plots=(Plot("data", "gain", ("frequency",)),))
+    assert Layout.from_json(layout.to_json()) == layout
+    assert "origin" not in layout.to_json()["columns"][1], "as older versions wrote it"
+    file = compile_run(run.write_run(tmp_path / "a.rigj", layout=layout.to_json()))
+    with h5py.File(file) as opened_file:
+        points = opened_file["entry/points"]
+        assert points["frequency"].attrs["origin"] == "set"
+        assert "origin" not in points["gain"].attrs

@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from procedures.slip_trial import SlipTrial
+from rig.files.journal.detections import Detection, to_text
 
 
 def reading(static: float | None, **changes: object) -> dict[str, object]:
@@ -51,3 +52,24 @@ def test_strips_gains_and_the_last_zero_of_the_force_are_reported() -> None:
     assert found["mean_touch_gain_1_dB"] == pytest.approx(-70.458, abs=1e-3)
     assert "mean_touch_gain_2_dB" not in found
     assert found["force_zero_N"] == [0.0, -0.1, 0.2]
+
+
+def test_the_summary_has_errors_of_the_means_and_the_instants_of_slip() -> None:
+    slip = Detection("incipient slip", 2178, 2.178, 2.18, 0.7)
+    before = Detection("predictive", 1384, 1.384, 1.4, 0.5)
+    trials = [
+        reading(0.60) | {"trial": 1.0, "detections": to_text([before, slip])},
+        reading(0.64) | {"trial": 2.0, "detections": ""},
+    ]
+    found = SlipTrial(SlipTrial.Settings()).summarise(trials)
+    assert found["slips"] == {
+        "trial": [1.0],
+        "time_s": [2.178],
+        "decided_s": [2.18],
+        "confidence": [0.7],
+    }
+    assert found["standard_errors"]["mean_static_friction"] == pytest.approx(0.02)
+    one = reading(0.6) | {"static_friction_error": 0.004}
+    alone = SlipTrial(SlipTrial.Settings()).summarise([one])
+    assert alone["standard_errors"]["mean_static_friction"] == 0.004
+    assert "slips" not in alone

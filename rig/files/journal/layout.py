@@ -66,6 +66,8 @@ class Column:
     # In a journal's header the key is called "source".
     key: Annotated[str, Field(validation_alias="source")] = ""
     long_name: Short = ""
+    origin: Short = ""
+    """Where its numbers come from, if not measured: ``set``, ``calibrated``, or in words."""
 
     __pydantic_config__ = _STRICT
 
@@ -115,7 +117,10 @@ class Column:
             "long_name": self.long_name,
             "kind": self.kind,
         }
-        return stored | ({"meaning": self.meaning} if self.meaning else {})
+        for later in ("meaning", "origin"):
+            if text := getattr(self, later):
+                stored[later] = text
+        return stored
 
 
 def unit_suffix(units: str) -> str:

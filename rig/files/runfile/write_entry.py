@@ -213,6 +213,8 @@ def _write_points(made: h5py.Group, contents: JournalContents, table: PointTable
             field.attrs["long_name"] = plain_text(column.long_name)
         else:
             field = array_field(made, column.name, values, column.units, column.long_name)
+            if column.origin:
+                field.attrs["origin"] = plain_text(column.origin)
         if column.meaning:
             field.attrs["description"] = plain_text(column.meaning)
 
