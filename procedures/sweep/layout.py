@@ -48,7 +48,7 @@ LAYOUT = Layout(
     definition="NXrig_sweep",
     version="2",
     columns=(
-        Column("frequency", "Hz", "Frequency"),
+        Column("frequency", "Hz", "Frequency", origin="set"),
         Column("gain", "dB", "Gain (dB re 1 V/N)", long_name="Gain (dB re 1 V/N)"),
         Column("gain_error", "dB", "Standard error of the gain", key="gain_standard_error_dB"),
         Column("phase", "deg", "Phase"),
@@ -82,7 +82,7 @@ LAYOUT = Layout(
         Column("voltage_phase", "deg", "Film voltage phase"),
         Column("voltage_distortion", "", "Harmonic distortion of the film"),
         Column("voltage_residual", "V", "Film residual, rms", key="voltage_residual_rms_V"),
-        Column("load_set", "N", "Load asked for, peak"),
+        Column("load_set", "N", "Load asked for, peak", origin="set"),
         Column("repeat", "", "Repeat"),
         Column("drive", "V", "Generator amplitude, peak"),
         Column("preload", "N", "Preload"),
