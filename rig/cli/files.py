@@ -16,6 +16,7 @@ from rig.core.errors import ConfigurationError, ExitCode, FoundWrongError
 from rig.core.text import printable
 
 if TYPE_CHECKING:
+    from rig.figures.drawing import Drawn
     from rig.files.journal.values import Results, RunHeader
     from rig.processing.analyses import Analyses
     from rig.run.points import Reading
@@ -93,6 +94,9 @@ def show(
     pdf: Annotated[
         bool, typer.Option("--pdf", help="Draw the figures again, as PDF as well.")
     ] = False,
+    overlay: Annotated[
+        bool, typer.Option("--overlay", help="Draw several runs of one kind in one figure.")
+    ] = False,
     as_json: Annotated[
         bool, typer.Option("--json", help="One JSON object a file on stdout, with all settings.")
     ] = False,
@@ -100,6 +104,11 @@ def show(
 ) -> None:
     """Show what a run file, processed file or journal holds."""
     with reported(debug):
+        if overlay:
+            from rig.figures.overlay import draw_overlay
+
+            _tell_of(draw_overlay(files, figures_to, pdf), say if as_json else _print)
+            return
         shown = _shown_as_json if as_json else _tell
         draws = figures or pdf or figures_to is not None
         from rig.files.checksum import checksum_findings
@@ -309,7 +318,11 @@ def _draw(file: Path, folder: Path | None, pdf: bool, tell: Callable[[str], None
     command."""
     from rig.figures.drawing import draw
 
-    drawn = draw(file, folder, pdf)
+    _tell_of(draw(file, folder, pdf), tell)
+
+
+def _tell_of(drawn: Drawn, tell: Callable[[str], None]) -> None:
+    """Tell where figures are, and what could not be drawn."""
     for picture in drawn.files:
         tell(f"figure: {picture}")
     for warning in drawn.warnings:

@@ -10,12 +10,24 @@ from rig.figures.style import NO_BREAK
 from rig.files.describe import bench_name, mounted_on
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     from rig.files.runfile.reader import RunFile
 
 
 def circumstances(run: RunFile) -> str:
     """Return in one line what a run states of object, speed, angle, start, preload, sample, bench
     and date, to be wrapped between them. The film and the load of a sweep are in its title."""
+    return in_one_line(statements(run))
+
+
+def in_one_line(statements: Iterable[str]) -> str:
+    """Return statements in one line that is to be wrapped between them."""
+    return ", ".join(each.replace(" ", NO_BREAK) for each in statements)
+
+
+def statements(run: RunFile) -> list[str]:
+    """Return what a run states of its circumstances, one by one."""
     header, settings = run.header, run.settings
     parts = ["" if loads_of(run) else f"object: {_object_of(run)}"]
     if (preload := settings.get("preload_N")) is not None:
@@ -30,7 +42,7 @@ def circumstances(run: RunFile) -> str:
         parts.append(f"sample {header.sample.name}")
     parts.append(bench_name(header))
     parts.append(str(header.start_time or "")[:16].replace("T", " "))
-    return ", ".join(part.replace(" ", NO_BREAK) for part in parts if part)
+    return [part for part in parts if part]
 
 
 def film_of(run: RunFile) -> str:

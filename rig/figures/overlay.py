@@ -1,0 +1,354 @@
+"""Several runs of one kind in one figure, told apart by what differs between them.
+
+Sweeps are drawn over the frequency, slip and path trials over the time since the slip, or since the
+motion begins where not all of them slipped by the same account, and rolls over the angle.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import matplotlib as mpl
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.core.errors import ConfigurationError
+from rig.core.settings import name_without_unit, unit_of
+from rig.figures.circumstances import film_of, in_one_line, statements
+from rig.figures.drawing import Drawn
+from rig.figures.pressed import scale_to, seconds
+from rig.figures.slip_instants import SlipInstants, detections_of, instants_of
+from rig.figures.style import (
+    GREY,
+    PALETTE,
+    STYLE,
+    column_figure,
+    decades,
+    legend_above,
+    letter,
+    save,
+    set_heading,
+    set_margins,
+)
+from rig.files.processed.reader import is_processed
+from rig.files.runfile.reader import RunFile
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from rig.figures.slip_instants import Detections
+
+Reals = NDArray[np.float64]
+
+BEFORE_MOTION_S, AFTER_S = 0.05, 0.25
+"""Time shown before the motion begins and after the instant at which trials are aligned."""
+MOST_NAMED = 2
+"""Settings that a legend names; more of them are replaced by the file's name."""
+FILES_NAMED = 4
+"""Files that the heading names."""
+DASHES = ("-", "--", "-.", ":")
+"""Dashes of the curves of one run, or of runs beyond the colours."""
+SAME_FREQUENCY = 1e-6
+"""Relative difference of frequencies that are the same."""
+
+
+def draw_overlay(files: Sequence[Path], folder: Path | None = None, pdf: bool = False) -> Drawn:
+    """Draw several run files of one kind in one figure, beside the first file or in `folder`,
+    under a name that is not taken.
+
+    Raises ConfigurationError for fewer than two files, for files of several kinds or of one that
+    has no such figure, and for files without a completed point; RunFileError for one that cannot
+    be read.
+    """
+    if len(files) < 2:
+        raise ConfigurationError("--overlay draws several runs in one figure", "name two or more")
+    with ExitStack() as stack:
+        runs = [_opened(path, stack) for path in files]
+        figure = DRAWN_BY[_kind_of(runs)](runs)
+        simulated = any(run.outcome.simulated for run in runs)
+        place = _free_place(files[0] if folder is None else folder / files[0].name)
+        try:
+            place.parent.mkdir(parents=True, exist_ok=True)
+            return Drawn(tuple(save(figure, place, simulated, pdf)))
+        except OSError as error:
+            raise ConfigurationError(
+                f"{place.parent} cannot be written to ({error.strerror or error})",
+                "name another folder with --figures-to",
+            ) from error
+
+
+def _opened(path: Path, stack: ExitStack) -> RunFile:
+    if is_processed(path):
+        raise ConfigurationError(
+            f"{path}: a processed file, and --overlay draws run files", "name its run file"
+        )
+    run = stack.enter_context(RunFile.open(path))
+    if not run.point_ids():
+        raise ConfigurationError(
+            f"{path}: no point was completed ({run.outcome.extent()})", "leave this file out"
+        )
+    return run
+
+
+def _kind_of(runs: Sequence[RunFile]) -> str:
+    """Return the procedure of all runs. ConfigurationError where there are several."""
+    kinds = {run.header.procedure: run.path.name for run in runs}
+    if len(kinds) > 1:
+        each = ", ".join(f"{name} is a {kind}" for kind, name in kinds.items())
+        raise ConfigurationError(
+            f"--overlay draws runs of one kind: {each}", "name files of one procedure"
+        )
+    (kind,) = kinds
+    if kind not in DRAWN_BY:
+        raise ConfigurationError(
+            f"--overlay does not know how to draw a {kind}", f"it draws {', '.join(DRAWN_BY)}"
+        )
+    return kind
+
+
+def _free_place(file: Path) -> Path:
+    """Return the file's name with an ending of which there is no picture yet."""
+    number = 1
+    while True:
+        ending = "-overlay" if number == 1 else f"-overlay-{number}"
+        place = file.with_stem(file.stem + ending)
+        if not any(place.with_suffix(kind).exists() for kind in (".png", ".svg", ".pdf")):
+            return place
+        number += 1
+
+
+def names_of(runs: Sequence[RunFile]) -> list[str]:
+    """Return what tells each run from the others: sample, film or settings that differ between
+    them, with units; its file where that is nothing, too much, or the same for two of them."""
+    stated = [_stated(run) for run in runs]
+    # Only what all of them state: a file of another version may lack a setting.
+    known = [key for key in stated[0] if all(key in each for each in stated)]
+    differing = [key for key in known if len({repr(each[key]) for each in stated}) > 1]
+    named = [", ".join(_in_words(key, each[key]) for key in differing) for each in stated]
+    if not 0 < len(differing) <= MOST_NAMED or len(set(named)) < len(named):
+        short = differing[:MOST_NAMED] if len(differing) <= MOST_NAMED else []
+        return [
+            ", ".join([*(_in_words(key, each[key]) for key in short), run.path.stem])
+            for run, each in zip(runs, stated, strict=True)
+        ]
+    return named
+
+
+def _stated(run: RunFile) -> dict[str, Any]:
+    """Return what a run states that a legend could name: sample, film and plain settings."""
+    plain = {
+        key: value for key, value in run.settings.items() if isinstance(value, int | float | str)
+    }
+    # How often a trial is made is no difference between trials; loads have curves of their own.
+    for key in ("trials", "load_N"):
+        plain.pop(key, None)
+    return {"sample": run.header.sample.name, "film": film_of(run), **plain}
+
+
+def _in_words(key: str, value: Any) -> str:
+    if key in ("sample", "film"):
+        return str(value) if key in str(value) else f"{key} {value or 'not named'}"
+    name = name_without_unit(key).replace("_", " ")
+    number = f"{value:g}" if isinstance(value, int | float) else str(value)
+    return f"{name} {number} {unit_of(key) or ''}".rstrip()
+
+
+def _headed(
+    figure: Figure, runs: Sequence[RunFile], what: str, panels: Sequence[Axes], legend: float
+) -> None:
+    """Write the heading with what all runs state, place the panels, and name them."""
+    common = [each for each in statements(runs[0]) if all(each in statements(r) for r in runs)]
+    files = [run.path.name for run in runs[:FILES_NAMED]]
+    more = [f"{len(runs) - FILES_NAMED} more"] if len(runs) > FILES_NAMED else []
+    letter(panels)
+    title = runs[0].header.marked(f"{len(runs)} {what}")
+    top = set_heading(figure, title, in_one_line(common), ", ".join([*files, *more]))
+    set_margins(figure, top=top + legend, gap_mm=4.0)
+    figure.align_ylabels(panels)
+
+
+def draw_sweeps(runs: Sequence[RunFile]) -> Figure:
+    """Draw the gains of sweeps, a curve for each load, and by how much they differ from the first
+    curve at the frequencies that they share."""
+    curves = [
+        (", ".join(part for part in (name, load) if part), frequency, gain)
+        for name, run in zip(names_of(runs), runs, strict=True)
+        for load, frequency, gain in _curves(run)
+    ]
+    with mpl.rc_context(STYLE):
+        figure = column_figure(84 + 5 * len(curves))
+        gains, differences = figure.subplots(
+            2, 1, sharex=True, gridspec_kw={"height_ratios": [2.2, 1.0]}
+        )
+        _, first, reference = curves[0]
+        for number, (label, frequency, gain) in enumerate(curves):
+            look = _look(number)
+            gains.plot(frequency, gain, marker=".", markersize=2, label=label, **look)
+            same, here, there = _shared(frequency, first)
+            differences.plot(same, gain[here] - reference[there], linewidth=0.7, **look)
+        gains.set_ylabel("Gain (dB re 1 V/N)")
+        differences.set_ylabel("Δ to first (dB)")
+        every = np.concatenate([frequency for _, frequency, _ in curves])
+        decades(differences, float(every.min()), float(every.max()))
+        legend = legend_above(gains, columns=1)
+        _headed(figure, runs, "sweeps: gain over frequency", (gains, differences), legend)
+    return figure
+
+
+def _curves(run: RunFile) -> list[tuple[str, Reals, Reals]]:
+    """Return load, frequencies in Hz and gains in dB of each curve, in the order of frequency."""
+    frequency, gain, load = (run.column(name) for name in ("frequency", "gain", "load_set"))
+    found = []
+    for level in np.unique(load):
+        at = np.flatnonzero(load == level)
+        at = at[np.argsort(frequency[at])]
+        found.append((f"{level:g} N peak", frequency[at], gain[at]))
+    return found
+
+
+def _shared(frequency: Reals, first: Reals) -> tuple[Reals, NDArray[np.int64], NDArray[np.int64]]:
+    """Return the frequencies that are in both, and where they are in each."""
+    there = np.clip(np.searchsorted(first, frequency * (1 - SAME_FREQUENCY)), 0, first.size - 1)
+    here = np.flatnonzero(np.abs(first[there] / frequency - 1) < SAME_FREQUENCY)
+    return frequency[here], here, there[here]
+
+
+def draw_slips(runs: Sequence[RunFile]) -> Figure:
+    """Draw v_d and the forces of the trials of several runs, aligned at the slip by an account that
+    all of them have, else at the begin of the motion."""
+    trials = [_aligned(run) for run in runs]
+    account, aligned_at = _account([one for of_run in trials for _, _, one in of_run])
+    with mpl.rc_context(STYLE):
+        figure = column_figure(108 + 5 * len(runs))
+        panels = figure.subplots(3, 1, sharex=True, gridspec_kw={"height_ratios": [1.6, 1.2, 1.0]})
+        difference, tangential, normal = panels
+        begins_s, shown, pressing = [], [], []
+        for number, (name, of_run) in enumerate(zip(names_of(runs), trials, strict=True)):
+            for trial, (series, begin_s, instants) in enumerate(of_run):
+                at_s = account(instants)
+                zero_s = begin_s if at_s is None else at_s
+                look = {**_look(number), "linewidth": 0.7, "label": None if trial else name}
+                signals, force = series["signals"], series["force"]
+                t, v_d = seconds(signals) - zero_s, 1e3 * signals.values("v_d")
+                difference.plot(t, v_d, **look)
+                begins_s.append(begin_s - zero_s - BEFORE_MOTION_S)
+                shown.append(v_d[(t >= begins_s[-1]) & (t <= AFTER_S)])
+                t = seconds(force) - zero_s
+                window = (t >= begins_s[-1]) & (t <= AFTER_S)
+                for axes, channel in ((tangential, "F_t"), (normal, "F_n")):
+                    axes.plot(t, force.values(channel), **look)
+                pressing.append(force.values("F_n")[window])
+        for axes in panels:
+            axes.axvline(0, color=GREY, linewidth=0.6, linestyle=":")
+        scale_to(difference, shown)
+        scale_to(normal, [*pressing, np.zeros(1)])
+        difference.set_ylabel("$v_d$ (mV)")
+        tangential.set_ylabel("$F_t$ (N)")
+        normal.set_ylabel("$F_n$ (N)")
+        normal.set_xlim(min(begins_s), AFTER_S)
+        normal.set_xlabel(f"Time since {aligned_at} (s)")
+        kind = runs[0].header.procedure.removesuffix("-trial")
+        legend = legend_above(difference, columns=1)
+        _headed(figure, runs, f"{kind} runs, {sum(map(len, trials))} trials", panels, legend)
+    return figure
+
+
+Trial = tuple[dict[str, Any], float, SlipInstants]
+"""Streams of a trial by name, begin of its motion in s, and when it slipped."""
+
+
+def _aligned(run: RunFile) -> list[Trial]:
+    """Return the trials of a run."""
+    found: dict[str, Detections] = detections_of(run)
+    slides = {"slide_from", "slide_to"} <= set(run.columns())
+    begins, ends = (
+        run.column(f"{'slide' if slides else 'motion'}_{edge}") for edge in ("from", "to")
+    )
+    trials = []
+    for number, point in enumerate(run.point_ids()):
+        series = {wave.stream: wave for wave in run.waveforms(point)}
+        motion = float(begins[number]), float(ends[number])
+        instants = instants_of(run, number, series, found[point], motion if slides else None)
+        trials.append((series, motion[0], instants))
+    return trials
+
+
+def _account(
+    every: Sequence[SlipInstants],
+) -> tuple[Callable[[SlipInstants], float | None], str]:
+    """Return the first account of the slip that all trials have, and what it says."""
+    accounts: tuple[tuple[Callable[[SlipInstants], float | None], str], ...] = (
+        (
+            lambda one: None if one.true is None else one.true.whole_s,
+            "the whole ridge slips (true)",
+        ),
+        (lambda one: one.detected.slip_s, "the slip is detected"),
+        (lambda one: one.measured_s, "$F_t/F_n$ is largest"),
+    )
+    for account, words in accounts:
+        if all(account(one) is not None for one in every):
+            return account, words
+    return (lambda _: None), "the motion begins"
+
+
+def draw_rolls(runs: Sequence[RunFile]) -> Figure:
+    """Draw v_d and the tangential force of rolls over the angle: there as a line, back dashed."""
+    with mpl.rc_context(STYLE):
+        figure = column_figure(92 + 5 * len(runs))
+        panels = figure.subplots(2, 1, sharex=True, gridspec_kw={"height_ratios": [1.6, 1.0]})
+        difference, tangential = panels
+        for number, (name, run) in enumerate(zip(names_of(runs), runs, strict=True)):
+            for trial, point in enumerate(run.point_ids()):
+                label = None if trial else name
+                _roll(run, trial, point, panels, PALETTE[number % len(PALETTE)], label)
+        difference.set_ylabel("$v_d$ (mV)")
+        tangential.set_ylabel("$F_t$ (N)")
+        tangential.set_xlabel("Angle from upright (deg); line: there, dashed: back")
+        legend = legend_above(difference, columns=1)
+        trials = sum(len(run.point_ids()) for run in runs)
+        _headed(figure, runs, f"roll runs, {trials} trials", panels, legend)
+    return figure
+
+
+def _roll(
+    run: RunFile, trial: int, point: str, panels: Sequence[Axes], colour: str, label: str | None
+) -> None:
+    """Draw one roll over its angle."""
+    series = {wave.stream: wave for wave in run.waveforms(point)}
+    begin_s, end_s = (float(run.column(name)[trial]) for name in ("roll_from", "roll_to"))
+    ticks_s, angle = series["ticks"].values("elapsed"), series["rotation"].values("angle")
+    turned = ticks_s[(ticks_s >= begin_s) & (ticks_s <= end_s)]
+    middle_s = turned[np.abs(np.interp(turned, ticks_s, angle)).argmax()]
+    for axes, stream, channel, factor in (
+        (panels[0], "signals", "v_d", 1e3),
+        (panels[1], "force", "F_t", 1.0),
+    ):
+        t = seconds(series[stream])
+        values = factor * series[stream].values(channel)
+        for first_s, last_s, dashes in ((begin_s, middle_s, "-"), (middle_s, end_s, "--")):
+            on = (t >= first_s) & (t <= last_s)
+            axes.plot(
+                np.interp(t[on], ticks_s, angle), values[on], dashes, color=colour, linewidth=0.7,
+                label=label if dashes == "-" else None,
+            )  # fmt: skip
+
+
+def _look(number: int) -> dict[str, Any]:
+    """Return colour and dashes of the curve with that number."""
+    return {
+        "color": PALETTE[number % len(PALETTE)],
+        "linestyle": DASHES[number // len(PALETTE) % len(DASHES)],
+    }
+
+
+DRAWN_BY: dict[str, Callable[[Sequence[RunFile]], Figure]] = {
+    "sweep": draw_sweeps,
+    "slip-trial": draw_slips,
+    "path-trial": draw_slips,
+    "roll-trial": draw_rolls,
+}
+"""What draws several runs of a procedure in one figure."""

@@ -1,0 +1,117 @@
+"""Several runs of one kind in one figure."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import matplotlib as mpl
+import numpy as np
+import pytest
+from legible import faults
+from matplotlib.axes import Axes
+from recorded import FAST_SLIDE, ROLL, SWEEP, TWO_SLIDES, unpack
+
+from rig.core.errors import ConfigurationError
+from rig.figures.overlay import draw_overlay, draw_rolls, draw_slips, draw_sweeps, names_of
+from rig.figures.slip_instants import true_slips
+from rig.figures.style import STYLE
+from rig.files.runfile.reader import RunFile
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return unpack(tmp_path_factory.mktemp("runs"))
+
+
+def legend(axes: Axes) -> list[str]:
+    shown = axes.get_legend()
+    assert shown is not None
+    return [text.get_text() for text in shown.get_texts()]
+
+
+def test_slides_are_aligned_where_the_ridge_slips_and_named_by_what_differs(folder: Path) -> None:
+    with RunFile.open(folder / FAST_SLIDE) as fast, RunFile.open(folder / TWO_SLIDES) as two:
+        figure = draw_slips([fast, two])
+        record = next(fast.waveforms("trial-001", stream="signals"))
+        true = true_slips(fast.readings()[0], 60.0)
+    assert true is not None
+    assert true.whole_s is not None
+    difference, tangential, _ = figure.axes
+    assert legend(difference) == [
+        "speed 1 mm/s, distance 0.3 mm",
+        "speed 0.7 mm/s, distance 0.25 mm",
+    ]
+    assert figure.axes[-1].get_xlabel() == "Time since the whole ridge slips (true) (s)"
+    curves = [line for line in difference.get_lines() if len(line.get_xdata()) > 2]
+    assert len(curves) == 3, "both trials of the second run"
+    t, v_d = curves[0].get_data()
+    np.testing.assert_allclose(t[0], -true.whole_s)
+    np.testing.assert_allclose(v_d, 1e3 * record.values("v_d"))
+    assert curves[1].get_color() == curves[2].get_color() != curves[0].get_color()
+    for axes in (difference, tangential):
+        assert axes.get_xlim()[1] == pytest.approx(0.25)
+    with mpl.rc_context(STYLE):
+        assert faults(figure) == []
+
+
+def test_every_load_of_a_sweep_has_a_curve_and_its_difference_to_the_first(folder: Path) -> None:
+    with RunFile.open(folder / SWEEP) as run:
+        figure = draw_sweeps([run, run])
+        frequency, gain, load = (run.column(n) for n in ("frequency", "gain", "load_set"))
+    gains, differences = figure.axes
+    stem = Path(SWEEP).stem
+    assert legend(gains) == [f"{stem}, {n:g} N peak" for n in (0.5, 2, 0.5, 2)], "nothing differs"
+    _, second = differences.get_lines()[:2]
+    assert len(second.get_xdata()) == 10
+    expected = [
+        float((gain[(frequency == f) & (load == 2)] - gain[(frequency == f) & (load == 0.5)])[0])
+        for f in second.get_xdata()
+    ]
+    np.testing.assert_allclose(second.get_ydata(), expected)
+    with mpl.rc_context(STYLE):
+        assert faults(figure) == []
+
+
+def test_rolls_are_drawn_over_the_angle(folder: Path) -> None:
+    with RunFile.open(folder / ROLL) as run:
+        figure = draw_rolls([run, run])
+    there, back = figure.axes[0].get_lines()[:2]
+    assert np.max(there.get_xdata()) == pytest.approx(2.0, abs=0.05)
+    assert there.get_xdata()[0] == pytest.approx(0.0, abs=0.05)
+    assert back.get_xdata()[-1] == pytest.approx(0.0, abs=0.05)
+    assert there.get_linestyle() != back.get_linestyle()
+
+
+def test_a_setting_that_another_version_lacks_is_no_difference(folder: Path) -> None:
+    with RunFile.open(folder / FAST_SLIDE) as fast, RunFile.open(folder / TWO_SLIDES) as old:
+        for name in ("distance_mm", "rest_s"):
+            del old.header.settings[name]
+        assert names_of([fast, old]) == ["speed 1 mm/s", "speed 0.7 mm/s"]
+
+
+def test_the_picture_has_a_name_of_its_own_each_time(folder: Path, tmp_path: Path) -> None:
+    files = [folder / ROLL, folder / ROLL]
+    first = draw_overlay(files, tmp_path).files
+    before = first[0].read_bytes()
+    second = draw_overlay(files, tmp_path, pdf=True).files
+    stem = Path(ROLL).stem
+    assert [path.name for path in first] == [f"{stem}-overlay.png", f"{stem}-overlay.svg"]
+    assert [path.name for path in second] == [
+        f"{stem}-overlay-2{kind}" for kind in (".png", ".svg", ".pdf")
+    ]
+    assert first[0].read_bytes() == before
+    assert "SIMULATED" in first[1].read_text("utf-8")
+
+
+@pytest.mark.parametrize(
+    ("files", "words"),
+    [
+        ([ROLL, SWEEP], "is a roll-trial, .* is a sweep"),
+        ([ROLL], "several runs in one figure"),
+    ],
+)
+def test_what_cannot_be_laid_over_each_other_is_refused(
+    folder: Path, files: list[str], words: str
+) -> None:
+    with pytest.raises(ConfigurationError, match=words):
+        draw_overlay([folder / name for name in files])
