@@ -7,12 +7,15 @@ wire: the errors of its points are right by construction, so it judges verdicts 
 chi-square against the World's film, which the sweep does not know.
 
 Run with ``pytest -m benchmark -n 0 -s tests/benchmarks/bench_load_dependence.py``;
-`RIG_REPEATS=2` for two films of each kind through the wire.
+`RIG_REPEATS=2` for two films of each kind through the wire, which take some minutes each.
+`RIG_REGISTER=FILE` keeps what each of them gave, so that a call that was interrupted goes on.
 """
 
 from __future__ import annotations
 
+import json
 import math
+import os
 import sys
 from pathlib import Path
 
@@ -34,6 +37,7 @@ from recorded_film import PLAN, beside_truth, print_estimates, record
 
 pytestmark = [pytest.mark.benchmark, pytest.mark.timeout(3600)]
 
+REGISTER = Path(os.environ["RIG_REGISTER"]) if "RIG_REGISTER" in os.environ else None
 FILMS, ANALYSED, SWEPT = 200, 20, repeats(5)
 LOADS_N = (0.2, 0.5, 1.0, 3.0, 10.0)
 DEPENDENCES = (0.0, 0.1)
@@ -123,27 +127,91 @@ def test_sweeps_through_the_wire(rig, dependence_dB, mains_mV):
         f"[film_input]\nmains_amplitude_mV = {mains_mV}\n"
         f"[load_cell_input]\nmains_amplitude_mV = {mains_mV}\n"
     )
-    answers, of_points, of_loads, of_fits = [], [], [], []
+    kind = [dependence_dB, mains_mV]
+    known = {one["seed"]: one for one in register() if one["kind"] == kind}
     for seed in range(SWEPT):
+        if seed in known:
+            continue
         ended = rig.sweep("--seed", str(seed), "--world", world, "--loads", "0.2,0.5,1,3,10")
         assert ended.code == 0, ended.stderr
         file = rig.folder / ended.object["file"]
-        model = ended.object["summary"]["model"]
-        answers.append(model["linearity"]["verdict"]["answer"])
-        of_loads.append(model["linearity"]["chi_square"] / model["linearity"]["degrees"])
-        of_fits.append(model["chi_square"] / model["degrees"])
         with RunFile.open(file) as run:
-            of_points.append(np.square(normalised(run, seed, dependence_dB)).mean())
+            known[seed] = {"kind": kind, **judged_sweep(run, seed, dependence_dB)}
         file.unlink()
-    right = sum(answer == right_answer(dependence_dB) for answer in answers)
-    print(f"verdict right in {right} of {SWEPT} sweeps")
-    row("chi-square by point against the World", of_points, "", 3)
-    row("chi-square by degree, gain over load", of_loads, "", 3)
+        if REGISTER is not None:
+            with REGISTER.open("a") as kept:
+                kept.write(json.dumps(known[seed]) + "\n")
+    report([known[seed] for seed in range(SWEPT)], dependence_dB)
+
+
+def register():
+    """Sweeps that an earlier, interrupted call has judged."""
+    if REGISTER is None or not REGISTER.exists():
+        return []
+    return [json.loads(line) for line in REGISTER.read_text().splitlines()]
+
+
+def judged_sweep(run, seed, dependence_dB):
+    """What a sweep says and how that compares with the World, as JSON keeps it."""
+    column = run.column
+    found = analyse(
+        *points_of(column),
+        degrees=column("degrees"),
+        preloads=column("preload"),
+        preload_errors=column("preload_error"),
+        loads=column("load_amplitude"),
+    )
+    clamp = FilmClampSettings(gain_per_load_decade_dB=dependence_dB)
+    linearity = found.linearity
+    low_N, high_N = sorted(linearity.differing_loads_N)
+    estimates = {
+        "slope over load": (linearity.slope, dependence_dB),
+        "largest difference": (
+            linearity.largest_difference,
+            dependence_dB * math.log10(high_N / low_N),
+        ),
+        "effect of the preload": (found.fit.preload_effect, clamp.gain_per_newton_dB),
+    }
     if not dependence_dB:  # One film cannot fit five gains.
-        row("chi-square by degree, joint fit", of_fits, "", 3)
-    assert right == SWEPT
-    for values in (of_points, of_loads):
-        assert SPREAD[0] <= np.mean(values) <= SPREAD[1]
+        beside = beside_truth(seed, found)
+        assert not beside.invented
+        estimates |= beside.estimates
+        # The World's level is that at the nominal preload; the analysis states it at the mean.
+        shift_dB = clamp.gain_per_newton_dB * (column("preload").mean() - clamp.nominal_preload_N)
+        for name, factor in (("b", None), ("circuit level", 10 ** (shift_dB / 20))):
+            estimate, truth = estimates[name]
+            estimates[name] = estimate, truth + shift_dB if factor is None else truth * factor
+    misses = normalised(run, seed, dependence_dB)
+    return {
+        "seed": seed,
+        "answer": linearity.verdict(BOUNDS).answer,
+        "first_order": found.slopes.verdict(BOUNDS).answer,
+        "covered": {name: bool(one.covers(truth)) for name, (one, truth) in estimates.items()},
+        "points": [float(np.square(misses).mean()), misses.size],
+        "loads": [linearity.chi_square / linearity.degrees, linearity.degrees],
+        "fit": [found.fit.chi_square / found.fit.degrees, found.fit.degrees],
+    }
+
+
+def report(sweeps, dependence_dB):
+    """Print verdicts, coverage and chi-squares, each with the spread that chance alone gives, and
+    judge them."""
+    right = sum(one["answer"] == right_answer(dependence_dB) for one in sweeps)
+    print(f"verdict right in {right} of {len(sweeps)} sweeps")
+    covered = [(name, hit) for one in sweeps for name, hit in one["covered"].items()]
+    for name in dict.fromkeys(name for name, _ in covered):
+        hits = [hit for of, hit in covered if of == name]
+        print(f"{name}: covered in {sum(hits)} of {len(hits)}")
+    print(f"all intervals: {sum(hit for _, hit in covered)} of {len(covered)}")
+    kinds = {"points": "by point against the World", "loads": "by degree, gain over load"}
+    kinds |= {} if dependence_dB else {"fit": "by degree, joint fit"}
+    for kind, name in kinds.items():
+        values, degrees = np.array([one[kind] for one in sweeps]).T
+        chance = math.sqrt(2 / degrees.mean())
+        row(f"chi-square {name} (chance: 1 +- {chance:.3f})", values, "", 3)
+        if kind != "fit":
+            assert SPREAD[0] <= values.mean() <= SPREAD[1]
+    assert right == len(sweeps)
 
 
 def normalised(run, seed, dependence_dB):
