@@ -6,17 +6,22 @@ one who asks.
 
 from __future__ import annotations
 
+import signal
 import time
 from typing import TYPE_CHECKING
 
-from rig.run.lock import LOOK_EVERY_S, address_names, is_only_read
+from rig.run.lock import address_names, is_only_read
 from rig.run.lock_holder import ask_to_stop, lock_file
 
 if TYPE_CHECKING:
     from rig.bench.plan import Restable
 
-LETS_GO_S = 3.0
-"""Longest time in s that such a program gets to let go of the bench."""
+LOOK_EVERY_S = 0.02
+GRACE_S = 0.5
+"""Time in s that such a program gets to close its links; then it is killed. Making safe shall not
+wait longer for it, and what it leaves is a sensor that sends, which drives nothing."""
+LETS_GO_S = 2.0
+"""Longest time in s that is waited for it in all."""
 
 
 def end_readers(plan: Restable) -> int | None:
@@ -26,11 +31,11 @@ def end_readers(plan: Restable) -> int | None:
     One that has not let go within `LETS_GO_S` is left: what follows may still succeed. Raises
     NotStoppedError for another user's.
     """
-    asked = None
-    until = time.monotonic() + LETS_GO_S
+    asked, begun = None, time.monotonic()
+    signals = [(0.0, signal.SIGTERM), (GRACE_S, signal.SIGKILL)]
     for name in address_names(plan):
-        while is_only_read(name) and time.monotonic() < until:
-            if asked is None:
-                asked = ask_to_stop(lock_file(name)).pid
+        while is_only_read(name) and (waited := time.monotonic() - begun) < LETS_GO_S:
+            if signals and waited >= signals[0][0]:
+                asked = ask_to_stop(lock_file(name), signals.pop(0)[1]).pid
             time.sleep(LOOK_EVERY_S)
     return asked

@@ -174,14 +174,19 @@ def test_without_a_run_positions_are_the_worlds_and_nothing_is_moved_set_or_left
 
 
 @pytest.mark.thorough
-def test_make_safe_ends_a_monitor_which_may_have_a_serial_port_for_itself(rig):
+@pytest.mark.parametrize("stopped", [False, True], ids=["at work", "stopped"])
+def test_make_safe_ends_a_monitor_which_may_have_a_serial_port_for_itself(rig, stopped):
+    """One that does not end by itself is killed."""
     with rig.served("--fixture", "semi-spherical-object", "--stages", "az") as path:
         watched = rig.start("monitor", "--bench", str(path))
         rig.await_world("streaming", True)
+        if stopped:
+            watched.send(signal.SIGSTOP)
         safe = rig.run("make-safe", "--bench", str(path))
         ended = watched.finish()
-        rig.await_world("streaming", False, count=2)
     assert safe.code == 0, safe.stderr
     assert f"ended rig monitor (process {watched.process.pid})" in safe.stderr
     assert "stage_z, stage_x, rotary" in safe.stderr
-    assert (ended.code, "ended by SIGTERM" in ended.stderr) == (143, True)
+    assert ended.code in ((-9,) if stopped else (143, -9))  # a busy computer may let it not end
+    if ended.code == 143:
+        assert "ended by SIGTERM" in ended.stderr
