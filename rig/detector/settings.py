@@ -51,8 +51,8 @@ class DetectorSettings(Settings):
     """The network is evaluated for 12 ms after an impulse above this threshold ..."""
     look_sigmas: float = Field(3.0, gt=0)
     """... and above this many standard deviations of its noise; otherwise every 8 ms."""
-    fire_probability: float = Field(0.8, gt=0, lt=1)
-    """Probability of a slip, from the network, above which a slip is reported."""
+    fire_probability: float = Field(0.9, gt=0, lt=1)
+    """Probability of a slip, from the network, above which a slip is reported (decision 0097)."""
     roll_probability: float = Field(0.9, gt=0, lt=1)
     """Probability of a roll, from the network, above which a roll is reported."""
     silence_s: float = Field(0.15, gt=0)
@@ -66,7 +66,7 @@ class DetectorSettings(Settings):
     hum_mV: float = Field(2.0, gt=0)
     """Mains hum with an amplitude above this is reported."""
     network: Network | None = None
-    """Weights of the logic ``rig``, trained on simulated trials."""
+    """Weights of the logic ``rig``."""
 
     @model_validator(mode="after")
     def _is_complete(self) -> Self:

@@ -77,7 +77,7 @@ def test_the_default_detector_is_paper_hp_and_the_help_says_why(rig: Any, runs: 
     assert named.stdout == default.stdout.replace("Saved ", "Saved before as ")
     shown = " ".join(re.sub(r"[│╭╮╰╯─]", " ", rig.run("detect", "--help").stdout).split())
     assert "[default: paper-hp]" in shown
-    assert "trained on the skin model alone" in shown
+    assert "the one without false alarms is the default" in shown
 
 
 @pytest.mark.thorough

@@ -17,13 +17,18 @@ from rig.detector.settings import DetectorSettings, named_detectors
 
 RATE_Hz = 1000.0
 NAMES = ("rig", "paper-literal", "paper-hp")
+LIGHT_mV = 3.0
+"""Press after which the hump and the impulse are those of a slip for `rig`, too, which compares
+them with the press."""
 
 
-def bench_like(seed: int = 0, noise_mV: float = 0.2) -> np.ndarray:
+def bench_like(seed: int = 0, noise_mV: float = 0.2, press_mV: float = 12.0) -> np.ndarray:
     """Volts (1400, 2): quiet, a press on both strips, rest, a hump that ends in an impulse."""
     chance = np.random.default_rng(seed)
     time = np.arange(1400) / RATE_Hz
-    press = np.where((time > 0.3) & (time < 0.6), -12 * np.sin(np.pi * (time - 0.3) / 0.3), 0.0)
+    press = np.where(
+        (time > 0.3) & (time < 0.6), -press_mV * np.sin(np.pi * (time - 0.3) / 0.3), 0.0
+    )
     hump = 4.0 * np.clip((time - 0.8) / 0.05, 0, 1) * (time < 1.1)
     impulse = -45.0 * np.exp(-(((time - 1.1) / 0.0012) ** 2))
     v_d = hump + impulse
@@ -44,7 +49,7 @@ def kinds(events: list[SlipEvent]) -> list[str]:
 
 @pytest.mark.parametrize("name", NAMES)
 def test_the_impulse_while_armed_is_reported_once_and_at_once(name: str):
-    events = told(bench_like(), name)
+    events = told(bench_like(press_mV=LIGHT_mV), name)
     slips = [event for event in events if event.kind == "incipient slip"]
     assert [1095 <= event.sample <= 1110 for event in slips if event.sample > 1090] == [True]
     armed = [event.sample for event in events if event.kind == "predictive"]
@@ -200,14 +205,14 @@ def test_a_good_recording_raises_no_doubts():
 def test_what_is_never_quiet_is_reported_and_not_judged():
     time = np.arange(3000) / RATE_Hz
     swinging = 5e-3 * np.sin(2 * np.pi * 3 * time)
-    events = told(np.column_stack([swinging, -swinging]))
+    events = told(np.column_stack([swinging, -swinging]), "paper-hp")
     assert kinds(events) == ["cannot judge"]
     assert events[0].reason.startswith("not quiet")
     assert unjudged_s(events, 3.0) == ((0.0, 3.0),)
 
 
 def test_what_is_too_short_to_be_quiet_is_reported_at_its_end():
-    events = told(np.zeros((200, 2)))
+    events = told(np.zeros((200, 2)), "paper-hp")
     assert [(event.kind, event.sample) for event in events] == [("cannot judge", 199)]
     assert unjudged_s(events, 0.2) == ((pytest.approx(0.0, abs=0.001), 0.2),)
 
@@ -309,7 +314,7 @@ def test_logic_and_network_belong_together():
 
 def test_what_the_network_sees_is_what_it_was_asked():
     """Rows it was shown for training are those of the live run: the same answers fire."""
-    volts = bench_like(13)
+    volts = bench_like(13, press_mV=LIGHT_mV)
     parameters = named_detectors()["rig"]
     assert parameters.network is not None
     looks = IncipientSlipDetector(parameters, RATE_Hz).network_inputs(volts)
