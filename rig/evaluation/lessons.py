@@ -70,7 +70,7 @@ FAULTS: tuple[dict[str, Range], ...] = (
     {"bursts_Hz": between(0.5, 5.0)},
     {"drift_mV": between(3.0, 40.0)},
 )
-"""What is different in front ends with a fault; a third has none."""
+"""What is different in front ends with a fault; a quarter has none."""
 AS_IT_IS = {"noise_mV": Range(low=0.0, high=0.0), "mains_mV": Range(low=0.0, high=0.0)}
 """What a recording that has been through a front end already is not given again."""
 BENCH_WEIGHT = 2.0
