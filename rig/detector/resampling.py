@@ -76,8 +76,11 @@ def ratio_of(rate_Hz: float, wanted_Hz: float) -> Ratio:
 class StreamingResampler:
     """Resamples `channels` channels alike, block by block.
 
-    It starts as if the first row had been present forever, so that it does not respond to an
-    offset. While a row at or beyond `saturation_V` is among those of an output, the output is that
+    The first output comes once all rows that it depends on have come: to begin with rows that were
+    never recorded, such as the first one held, would be a step of the noise of a fast recording,
+    which a detector takes for unrest.
+
+    While a row at or beyond `saturation_V` is among those of an output, the output is that
     row: a filtered value would hide the saturation.
     """
 
@@ -90,8 +93,10 @@ class StreamingResampler:
         self._phases, self.delay_s = _phases(self.ratio, rate_Hz)
         self._channels, self._saturation_V = channels, saturation_V
         self._latest: Reals | None = None
-        self.rows = self.outputs = 0
-        """Numbers of rows taken and of outputs given so far, with those missing in gaps."""
+        self.rows = 0
+        """Number of rows taken so far, with those missing in gaps."""
+        self.outputs = self._first_after(0)
+        """Index of the next output."""
 
     def start_at(self, row: int) -> None:
         """Begins anew with input row `row`, behind missing rows. At least one output is missing,
@@ -99,18 +104,22 @@ class StreamingResampler:
         missing = int(self._latest is not None)
         self._latest = None
         self.rows = row
-        self.outputs = max(self.outputs + missing, self.ratio.outputs_before(row))
+        self.outputs = max(self.outputs + missing, self._first_after(row))
+
+    def _first_after(self, row: int) -> int:
+        """Return the first output that depends on no row before this one."""
+        return self.ratio.outputs_before(row + self._phases.shape[1] - 1)
 
     def add(self, samples: Reals) -> Reals:
         """Takes further rows (n, channels) and returns the outputs due, (m, channels)."""
         end = self.rows + len(samples)
-        due = range(self.outputs, max(self.outputs, self.ratio.outputs_before(end)))
+        due = range(self.outputs, self.ratio.outputs_before(end))
         out = np.empty((len(due), self._channels))
         if not len(samples):
             return out
         length = self._phases.shape[1]
         if self._latest is None:
-            self._latest = np.repeat(samples[0][:, None], length - 1, axis=1)
+            self._latest = np.zeros((self._channels, length - 1))  # no output depends on them
         seen = np.concatenate([self._latest, samples.T], axis=1)
         starts = [self.ratio.row_of(k) - self.rows for k in due]
         taps = [self._phases[k * self.ratio.down % self.ratio.up] for k in due]
@@ -119,7 +128,7 @@ class StreamingResampler:
             out[:, channel] = [row[at : at + length].dot(phase) for at, phase in pairs]
             if np.abs(row).max() >= self._saturation_V:
                 self._keep_saturation(row, starts, length, out[:, channel])
-        self.rows, self.outputs = end, due.stop
+        self.rows, self.outputs = end, max(self.outputs, due.stop)
         self._latest = seen[:, seen.shape[1] - (length - 1) :].copy()
         return out
 
@@ -162,12 +171,17 @@ class ResampledDetector(Detector):
         return self._inner.low_pass
 
     def predictive(self, v_d: Reals) -> Reals:
-        """Returns v_d (n,) behind `low_pass`: between two judged rows, the earlier one's value."""
+        """Returns v_d (n,) behind `low_pass`: between two judged rows, the earlier one's value; v_d
+        itself before the first."""
         resampler = StreamingResampler(self.rate_Hz, self._inner.design_rate_Hz, 1)
-        judged = self._inner.predictive(resampler.add(v_d[:, None])[:, 0])
-        rows = [resampler.ratio.row_of(k) for k in range(len(judged))]
+        resampled = resampler.add(v_d[:, None])[:, 0]
+        if not len(resampled):
+            return v_d
+        judged = self._inner.predictive(resampled)
+        ends = range(resampler.outputs - len(judged), resampler.outputs)
+        rows = [resampler.ratio.row_of(k) for k in ends]
         latest = np.searchsorted(rows, np.arange(len(v_d)), side="right") - 1
-        return judged[latest]
+        return np.where(latest < 0, v_d, judged[latest])
 
     def reset(self) -> None:
         """Does nothing at the begin; behind missing rows the filter begins anew, and so does the

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import json
 import re
 import subprocess
 import sys
@@ -14,6 +15,7 @@ from page import Page
 from rig.detector.contract import Detector
 from rig.detector.events import EVENT_KINDS
 from rig.files.processed.reader import ProcessedFile
+from rig.files.runfile.reader import RunFile
 from rig.testing.detectors import checks_of
 
 PAGE = "add-a-detector.md"
@@ -32,9 +34,14 @@ def test_the_detector_runs_as_the_page_says(rig: Any) -> None:
     assert re.search(r"lab-jump +1 +lab-jump 1\.0 +Reports a slip where v_d jumps", listed.stdout)
     (made,) = rig.results.rglob("*.lab-jump-1-*.h5")
     with ProcessedFile.open(made) as processed:
-        kinds = {event.kind for _, event in processed.events()}
+        events = [event for _, event in processed.events()]
         assert processed.detector.settings.model_dump()["sigmas"] == 12.0
-    assert kinds <= set(EVENT_KINDS)
+    (run_file,) = rig.results.glob("*/*_slip-trial_*.h5")
+    with RunFile.open(run_file) as run:
+        (reading,) = run.readings()
+    live = [(one["kind"], one["time_s"]) for one in json.loads(reading["detections"])]
+    assert live == [(event.kind, event.time_s) for event in events]
+    assert "incipient slip" in [kind for kind, _ in live]
     with (rig.results / "score/trials.csv").open() as table:
         named = {row["detector"] for row in csv.DictReader(table)}
     assert {"lab-jump", "paper-hp"} <= named
