@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any
 from pymodbus.client import ModbusTcpClient
 
 from drivers.shared.request_log import RequestLog
-from rig.core.errors import InstrumentError, InstrumentTimeoutError, RigError
+from rig.core.errors import InstrumentError, InstrumentLinkError, InstrumentTimeoutError, RigError
 
 if TYPE_CHECKING:
     from rig.core.clock import Clock
@@ -195,7 +195,7 @@ class CmmtLink:
         self.close()
         shown = str(got)
         shown = shown if len(shown) <= 80 else shown[:77] + "..."
-        return InstrumentError(
+        return InstrumentLinkError(
             self.device,
             what,
             f"the answer {shown} is not {wanted}",
@@ -316,7 +316,7 @@ class CmmtLink:
         )
 
     def _broken(self, what: str, cause: str) -> InstrumentError:
-        return InstrumentError(
+        return InstrumentLinkError(
             self.device,
             what,
             f"the connection failed ({cause})",

@@ -32,7 +32,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from drivers.shared.request_log import RequestLog
-from rig.core.errors import InstrumentError, InstrumentTimeoutError, RigError
+from rig.core.errors import InstrumentError, InstrumentLinkError, InstrumentTimeoutError, RigError
 
 if TYPE_CHECKING:
     from rig.core.clock import Clock
@@ -472,7 +472,7 @@ class AzLink:
             ) from nothing
         except BrokenAnswerError as broken:
             self.failures += 1
-            raise InstrumentError(
+            raise InstrumentLinkError(
                 self.device,
                 what,
                 f"the connection failed ({broken})",

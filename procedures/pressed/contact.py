@@ -25,6 +25,8 @@ from rig.analysis.slope import slopes
 from rig.core.errors import (
     ConfigurationError,
     InstrumentError,
+    InstrumentLinkError,
+    InstrumentTimeoutError,
     LimitError,
     UnsafeError,
 )
@@ -347,8 +349,9 @@ def unload(run: Run, pressed: str, came_from_mm: float) -> None:
     `came_from_mm`, from where it set out to park, or stays where it is if that lies deeper, too.
 
     Where a watcher stops z on the way, the reason is recorded and the way continues, once. So does
-    it where the drive has stopped by its own communication time-out: that fault is acknowledged
-    over a new connection; UnsafeError where z cannot be moved even then. A drive that has another
+    it where one answer was lost or spoilt, and where the drive has stopped by its own communication
+    time-out: that fault is acknowledged over a new connection; UnsafeError where z cannot be moved
+    even then. A drive that has another
     fault, has lost its place or does not act stands where it is, and the run has failed (exit 3;
     UnsafeError where the force is over the limit that was watched). What the stop
     itself raises is raised: then the bench is not safe. A force that remains afterwards fails the
@@ -363,10 +366,11 @@ def unload(run: Run, pressed: str, came_from_mm: float) -> None:
     try:
         try:
             _go_clear(run, came_from_mm)
-        except InstrumentError:
+        except InstrumentError as error:
             trip = run.tripped()
             timed_out = stage.acknowledge_timeout()
-            if trip is None and not timed_out:
+            lost = isinstance(error, InstrumentTimeoutError | InstrumentLinkError)
+            if trip is None and not timed_out and not lost:
                 raise
             if trip is not None:
                 run.fail(trip)

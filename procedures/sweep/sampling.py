@@ -24,6 +24,7 @@ from rig.analysis.response.levelling import (
 )
 from rig.analysis.response.sine_fit import SineFit, fit_sine, mains_lines
 from rig.core.errors import InstrumentError
+from rig.core.units import counted
 from rig.instruments.roles import Acquisition, InputChannel, Record
 from rig.run.trip import TripError
 
@@ -39,6 +40,12 @@ FIRST_LOOK = 3.0
 HARMLESS = 0.2
 """Effect of a mains line on the gain, relative to the target error, below which it is not
 fitted."""
+MISREAD_SIGMAS = 12.0
+"""Residual of one sample, in rms of the residual, from which it does not belong to the record:
+noise does not reach half of it in a million samples. One that is below moves the gain by half a
+standard error at most in a record of a thousand samples, and by less in a longer one."""
+MISREAD_TRIES = 3
+"""Records in a row with such a sample from which it is the signal that is disturbed."""
 MAINS_LINES = 5
 LISTEN_MARGIN = 2.0
 """Ratio of a range to the largest value in the noise record."""
@@ -108,17 +115,24 @@ class RecordSampler:
         self.run.clock.sleep(seconds)
 
     def take(self, needs: RecordNeeds, only_load: bool) -> FittedRecord:
-        """Take one further record; one that exceeds its range is repeated on a larger range. With
-        `only_load` the mains are not fitted, and nothing is learned of the film."""
+        """Take one further record; one that exceeds its range is repeated on a larger range, and
+        one with a sample that does not belong to it, a misread one, on the same. With `only_load`
+        the mains are not fitted, and nothing is learned of the film."""
         daq, f = self.run.bench.daq, self.condition.frequency_Hz
+        misread = 0
         while True:
             acquisition = self._acquisition(needs, only_load)
             record = daq.acquire(acquisition)
             self.physics_s += acquisition.samples / acquisition.rate_S_s
-            if not self._overloaded(record):
+            if self._overloaded(record):
+                continue
+            load = self._fit(record, "load_cell", needs, only_load)
+            voltage = self._fit(record, "film", needs, only_load)
+            outlier = self._outlier(load, voltage)
+            misread += outlier != ""
+            if not outlier or misread == MISREAD_TRIES:
                 break
-        load = self._fit(record, "load_cell", needs, only_load)
-        voltage = self._fit(record, "film", needs, only_load)
+        self._tell_misread(misread, outlier)
         self.largest_load_N = max(self.largest_load_N, load.amplitude)
         refuse_no_load(load)
         self.memory.vibrator.learn(f, load.amplitude / self.memory.drive_V)
@@ -227,8 +241,28 @@ class RecordSampler:
             delay_s=record.delay_s(channel),
             largest_inflation=limit,
         )
-        self.memory.mains[channel].learn(found, mains_Hz)
+        if not _has_outlier(found):
+            self.memory.mains[channel].learn(found, mains_Hz)
         return found
+
+    def _outlier(self, load: SineFit, voltage: SineFit) -> str:
+        """Return which channel has a sample that does not belong to its record; "" for none."""
+        channels = (("load_cell", load), ("film", voltage))
+        return ", ".join(name for name, found in channels if _has_outlier(found))
+
+    def _tell_misread(self, misread: int, outlier: str) -> None:
+        """Record what became of records with such a sample."""
+        if not misread:
+            return
+        again = misread - (outlier != "")
+        at = f"at {self.condition.frequency_Hz:g} Hz"
+        text = f"{counted(again, 'record')} {at} taken again: a sample did not belong to it"
+        if outlier:
+            text = (
+                f"{misread} records {at} in a row have samples far beyond their noise ({outlier}): "
+                "the signal is disturbed; the last one is used, and its error contains them"
+            )
+        self.run.event("warning", "misread-record", text)
 
     def strong_mains(self, channel: str) -> list[float]:
         """Return the mains lines that could matter to a channel, in Hz."""
@@ -241,6 +275,10 @@ class RecordSampler:
 
 
 # --- faults -------------------------------------------------------------------------------------
+
+
+def _has_outlier(found: SineFit) -> bool:
+    return found.lone_residual > MISREAD_SIGMAS * found.residual_rms
 
 
 def shows(tone: SineFit) -> bool:

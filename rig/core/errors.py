@@ -128,6 +128,11 @@ class InstrumentTimeoutError(InstrumentError):
     use."""
 
 
+class InstrumentLinkError(InstrumentError):
+    """Raised when a connection breaks or an answer is spoilt on it; the next command opens it
+    anew."""
+
+
 class LimitError(RigError):
     """Raised for a value outside a limit of the bench, whether refused or tripped."""
 

@@ -4,7 +4,9 @@ be read.
 
 Run with ``pytest -m benchmark -n 0 -s tests/benchmarks/bench_real_time_faults.py``. CI has the same
 faults in slaved time, where they befall the same instant each time; here they fall where they fall.
-``-k ramp`` for five of the 23 cases.
+``-k ramp`` for five of the 23 cases; ``-k late`` for the late ticks of a loop of 500 Hz beside a
+DAQ whose every answer takes 30 ms longer, and beside one that is not disturbed, `RIG_REPEATS` (3)
+slides of each in turn, which needs an idle computer.
 """
 
 from __future__ import annotations
@@ -13,8 +15,10 @@ import signal
 import time
 
 import pytest
-from measured import heading
+from benches import declare_soft_contact
+from measured import heading, repeats
 
+from rig.files.runfile.reader import RunFile
 from rig.files.verify import verify
 
 pytestmark = [pytest.mark.benchmark, pytest.mark.timeout(600)]
@@ -93,3 +97,30 @@ def test_a_motion_that_goes_wrong_in_real_time_ends_in_order(rig, name, loading)
     print(f"z at {rest['stage_z']:.3f} mm, x at {rest['stage_x']:.3f} mm, told as not safe: {told}")
     assert (told and name.startswith("z ")) or rest["stage_z"] == pytest.approx(5.0, abs=0.01)
     assert verify(rig.only("*.h5")) == []
+
+
+SLOW_DAQ = '[[fault]]\ndevice = "daq"\nkind = "late"\nby_s = 0.03\ncount = 0\n'
+
+
+def test_late_ticks_beside_a_slow_daq(rig):
+    heading("slides of 1 s at 500 Hz in real time, DAQ 30 ms slow and none slow in turn")
+    for turn in range(2 * repeats(3)):
+        slow = turn % 2 == 0
+        folder = rig.folder / str(turn)
+        folder.mkdir()
+        one = type(rig)(folder)
+        disturbed = ("--fault", one.fault(SLOW_DAQ)) if slow else ()
+        bench = one.folder / "bench.toml"
+        serving = one.start("simulate", "--fixture", "plate", "--write", str(bench), *disturbed)
+        serving.wait_for("Ctrl-C ends it")
+        declare_soft_contact(bench)
+        ended = one.run(
+            "slip-trial", "--bench", str(bench), "--tick", "500", "--distance", "1mm",
+            "--speed", "1mm/s", "--json", "--no-figures",
+        )  # fmt: skip
+        serving.send(signal.SIGINT)
+        serving.finish()
+        with RunFile.open(one.only("*.h5")) as run:
+            (reading,) = run.readings()
+        shown = {key: reading[key] for key in reading if "late" in key or "tick" in key}
+        print(f"DAQ {'30 ms slow' if slow else 'as it is'}: exit {ended.code} {shown}", flush=True)

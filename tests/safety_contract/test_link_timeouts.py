@@ -115,6 +115,20 @@ def test_one_spoilt_answer_to_the_stop_of_what_is_pressed_is_asked_for_again(rig
     assert stands_mm(rig) == pytest.approx(PARKED_mm, abs=0.02)
 
 
+@pytest.mark.parametrize("kind", mostly_thorough(["silence", "garbage"], ["silence"]))
+def test_one_answer_that_is_lost_on_the_way_up_does_not_end_it(rig, kind):
+    """Found by an attack: the position that decides where z goes was not answered."""
+    options = ("--load", "1N", "--preload", "12N", "--longest-point", "3s", "--seed", "71")
+    moment = "acquisition = 6\nafter_s = 0.002\nat = 10\n"
+    fault = f'[[fault]]\ndevice = "stage_z"\nkind = "{kind}"\n{moment}'
+    given = ("--stages", "festo", "--fault", rig.fault(fault))
+    ended = rig.sweep("--frequencies", "110,410", *options, *given)
+    assert ended.code in (0, 3), ended.stderr
+    assert len([e for e in rig.log() if e["what"] == "injected"]) == 1
+    assert "may still be pressed" not in ended.stderr
+    assert stands_mm(rig) == pytest.approx(PARKED_mm, abs=0.02)
+
+
 UNREACHABLE = {
     "sweep": ("acquisition = 3\nafter_s = 0.05\n", ("--frequencies", "110,410")),
     "roll-trial": ('move = 2\nof = "rotary"\nafter_s = 0.2\n', ("--angle", "2deg")),

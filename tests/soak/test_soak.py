@@ -16,9 +16,9 @@ import pytest
 from forked_rig import server
 from tiers import mostly_thorough
 
-from .invariants import breaches
+from .invariants import Ran, breaches
 from .running import run
-from .trials import Trial, draw, shrunk, world_of
+from .trials import Fault, Trial, draw, shrunk, world_of
 
 TRIALS = 33
 SEED_BY_DEFAULT = 6
@@ -69,6 +69,42 @@ def test_a_stage_that_runs_away_from_a_suspended_computer_is_stopped_when_it_wak
     assert any(woke_us <= t_us <= woke_us + 100_000 for t_us in stopped_us)
     z_mm = [x["value"]["target_mm"] for x in ran.log if x["what"] == "move" and x["t_us"] > woke_us]
     assert all(mm <= 5.0 for mm in z_mm)
+
+
+def misread(tmp_path: Path, fault: Fault) -> Ran:
+    """A sweep of two points in which one answer is misread; no file has a row that was not sent."""
+    fault |= {"kind": "flip"}
+    options = ("--frequencies", "110,410", "--load", "1N", "--preload", "12N", "--seed", "1")
+    trial = Trial(1, ("sweep", *options), world_of("sweep", [fault]), (fault,))
+    ran = run(server(), trial, tmp_path / "trial")
+    assert len(ran.befallen) == 1
+    assert breaches(ran) == []
+    return ran
+
+
+@pytest.mark.parametrize(
+    ("acquisition", "frequency"), [(6, 110), pytest.param(7, 410, marks=pytest.mark.thorough)]
+)
+def test_a_record_with_a_flipped_bit_is_taken_again_and_not_kept(
+    acquisition: int, frequency: int, tmp_path: Path
+) -> None:
+    """The bit is the second highest of one of a thousand samples, a quarter of the range."""
+    payload = {"command": "WAV:DATA", "acquisition": acquisition, "byte": -3, "bit": 6}
+    ran = misread(tmp_path, {"device": "daq", **payload})
+    assert ran.code == 0
+    assert f"1 record at {frequency} Hz taken again" in ran.stderr
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("byte", [1, 4])
+def test_a_generator_that_reads_back_another_frequency_records_nothing(
+    byte: int, tmp_path: Path
+) -> None:
+    read_back = {"command": "SOUR1:FREQ?", "at": 2, "byte": byte}
+    ran = misread(tmp_path, {"device": "generator", **read_back})
+    assert ran.code == 3
+    assert "generator: SOUR1:FREQ: set to 110 but reads back" in ran.errors[0]
+    assert "Failed: 0 of 2 points" in ran.stderr
 
 
 @pytest.mark.thorough

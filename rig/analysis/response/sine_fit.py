@@ -59,6 +59,10 @@ SMALLEST_RECORD = 16
 N_BLOCKS = 8
 """Most parts of a record in which the tone is estimated separately."""
 
+LONE, LONE_SHARE = 2, 0.25
+"""Samples on either side of one that stands alone, and the share of its residual that they stay
+below. Ringing has 5 samples or more in a period, so neighbours share it."""
+
 _ROUNDING = 1e-6
 _WORST_INFLATION = 1e6
 _BLOCK = 256
@@ -105,6 +109,9 @@ class SineFit:
     """Standard errors of these amplitudes."""
     left_out_Hz: tuple[float, ...]
     """Interfering lines for which the record is too short."""
+    lone_residual: float = 0.0
+    """Largest absolute residual of one sample, in the unit of the samples, if it stands alone as a
+    misread sample does; 0 if its neighbours share it, as those of a transient do."""
 
     @property
     def unresolved_Hz(self) -> tuple[float, ...]:  # noqa: N802
@@ -218,7 +225,18 @@ def fit_sine(
         line_amplitudes=tuple(np.abs(phasors[1 : 1 + len(fitted)]).tolist()),
         line_errors=tuple((residual_rms * np.sqrt(variances)).tolist()),
         left_out_Hz=tuple(left_out),
+        lone_residual=_lone(np.abs(residual)),
     )
+
+
+def _lone(sizes: Reals) -> float:
+    """Return the largest of the residuals' sizes (n,) if its neighbours are much smaller. The first
+    ones have no neighbours before them: they are where a transient is largest."""
+    at = int(sizes.argmax())
+    if at < LONE:
+        return 0.0
+    around = np.concatenate((sizes[at - LONE : at], sizes[at + 1 : at + 1 + LONE]))
+    return float(sizes[at]) if around.max() < LONE_SHARE * sizes[at] else 0.0
 
 
 def mains_lines(fundamental: float = 50.0, count: int = 5) -> tuple[float, ...]:
