@@ -23,7 +23,7 @@ from rig.files.runfile.compile import compile_run
 from rig.files.runfile.reader import RunFile
 from rig.files.verify import verify
 
-from .trials import TALLER, Trial
+from .trials import TALLER, UNNOTICED, Trial
 
 DONE, DONE_WITH_FAILURES, UNSAFE = 0, 5, 7
 RUNAWAY = "runaway"
@@ -132,6 +132,8 @@ def _telling(ran: Ran) -> Iterator[str]:
             yield f"no remedy: {line}"
     injected = {device for device, _ in ran.befallen}
     words = {word for device in injected for word in NAMES.get(device, (device,))}
+    if {kind for _, kind in ran.befallen} & {*UNNOTICED}:
+        words.add("torque limit")  # which alone bounds the force then, as docs/safety.md declares
     if RUNAWAY in {kind for _, kind in ran.befallen}:
         words.add("force along")  # an axis that presses on is the force's to tell
     if not any(word in line for word in words for line in ran.errors):

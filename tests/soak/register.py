@@ -20,6 +20,9 @@ from pathlib import Path
 
 from .invariants import DONE, DONE_WITH_FAILURES, Ran
 
+PRESSING = ("pressed", "released")
+"""What the World's monitor writes into the log."""
+
 
 @dataclass(frozen=True)
 class Entry:
@@ -70,17 +73,16 @@ def entry_of(series: str, ran: Ran, violations: Sequence[str], cpu_s: float | No
 
 def pressed_after_s(ran: Ran) -> float | None:
     """Return how long the object was pressed after the first fault, in s of bench time; None where
-    it was not pressed then, or where the World saw no lift."""
+    it was not pressed then, or not released."""
     injected = [x["t_us"] for x in ran.log if x["what"] == "injected"]
-    down = [x["value"]["at_us"] for x in ran.log if x["what"] == "touch-down"]
-    up = [x["value"]["at_us"] for x in ran.log if x["what"] == "lift-off"]
+    changes = [(x["value"]["at_us"], x["what"]) for x in ran.log if x["what"] in PRESSING]
     if not injected:
         return None
-    at_us = injected[0]
-    lifted = [t for t in up if t >= at_us]
-    if not any(t <= at_us for t in down) or not lifted or any(at_us < t < lifted[0] for t in down):
+    before = [what for t_us, what in changes if t_us <= injected[0]]
+    after = [t_us for t_us, what in changes if t_us > injected[0] and what == "released"]
+    if not after or before[-1:] != ["pressed"]:
         return None
-    return round((lifted[0] - at_us) * 1e-6, 4)
+    return round((after[0] - injected[0]) * 1e-6, 4)
 
 
 def commit() -> str:

@@ -36,6 +36,8 @@ FRAME_BYTES = (16, 18)
 """Without and with a CRC."""
 
 Report = Callable[[str, object], None]
+PRESSED_N = 0.2
+"""Force from which the stages press on something."""
 
 
 class WatchSettings(Settings):
@@ -79,6 +81,7 @@ class Monitor:
         self._told_long = False
         self._longest_over_us = 0
         self._largest_N = 0.0
+        self._pressed = False
 
     def check(self, now_us: int) -> None:
         """Check everything since the last call."""
@@ -88,6 +91,7 @@ class Monitor:
         self._next_us = int(times[-1]) + STEP_us
         force = np.abs(self._force_N(np.asarray(times * 1e-6, np.float64))).max(axis=1)
         self._largest_N = max(self._largest_N, float(force.max()))
+        self._note_pressed(force, times)
         history = np.concatenate([self._recent, force])
         self._recent = history[-self._before :]
         if force.max() <= self._settings.force_limit_N:
@@ -106,6 +110,16 @@ class Monitor:
         self._report("largest-force", round(self._largest_N, 3))
         self._report("last-force", round(float(self._recent[-1]), 3))
         self._report("longest-over-limit", round(self._longest_over_us * 1e-6, 3))
+
+    def _note_pressed(
+        self, force_N: npt.NDArray[np.float64], times_us: npt.NDArray[np.int64]
+    ) -> None:
+        """Report each time at which the stages begin or cease to press."""
+        pressed = force_N > PRESSED_N
+        changes = np.flatnonzero(np.diff(pressed, prepend=self._pressed))
+        for at in changes.tolist():
+            self._report("pressed" if pressed[at] else "released", {"at_us": int(times_us[at])})
+        self._pressed = bool(pressed[-1])
 
     def _time_over(self, force_N: list[float], times_us: list[int]) -> None:
         """Judge how long the force has been over its limit without a break."""

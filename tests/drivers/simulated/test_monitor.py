@@ -26,9 +26,9 @@ class Line:
         return self.sent
 
 
-def violations(force: npt.NDArray[np.float64], every: int = 7) -> list[object]:
+def reports(force: npt.NDArray[np.float64], every: int = 7) -> list[tuple[str, object]]:
     """What is told of a force along y, N at each millisecond, looked at now and then."""
-    told: list[object] = []
+    told: list[tuple[str, object]] = []
 
     def force_N(times_s: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:  # noqa: N802
         at = np.rint(times_s * 1e3).astype(int)
@@ -38,6 +38,19 @@ def violations(force: npt.NDArray[np.float64], every: int = 7) -> list[object]:
     for now_ms in range(0, len(force), every):
         monitor.check(1000 * now_ms)
     return told
+
+
+def violations(force: npt.NDArray[np.float64], every: int = 7) -> list[tuple[str, object]]:
+    """What it finds fault with in such a force."""
+    return [report for report in reports(force, every) if report[0] == "violation"]
+
+
+def test_when_something_is_pressed_and_no_more_is_written_down_to_the_millisecond() -> None:
+    force = np.concatenate([np.zeros(20), np.full(30, 3.0), np.zeros(20), np.full(20, -3.0)])
+    expected = [("pressed", 20), ("released", 50), ("pressed", 70)]
+    for every in (1, 7, 100):
+        told = reports(np.append(force, np.full(110, -3.0)), every)
+        assert told == [(what, {"at_us": 1000 * ms}) for what, ms in expected]
 
 
 def rising(rate_N_ms: float, from_N: float, for_ms: int, then_ms: int = 100) -> list[float]:
