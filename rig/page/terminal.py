@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 
-from rich.console import Console, Group
+from rich.console import Console, ConsoleOptions, Group, RenderResult
 from rich.live import Live
+from rich.measure import Measurement
 from rich.table import Table
 from rich.text import Text
 
@@ -24,6 +26,7 @@ COLOURS = {
 }
 BARS = " ▁▂▃▄▅▆▇█"
 BAR_BINS = 60
+FEWEST_BARS = 8
 SHOWN_EVENTS = 6
 OLD_S = 2.0
 """Age in s from which a value is said to be old."""
@@ -95,12 +98,13 @@ def _values(watch: BenchWatch) -> Table:
 
 
 def value_table() -> Table:
-    """Return an empty table of values with their last seconds as bars."""
+    """Return an empty table of values with their last seconds as bars, for which names, values and
+    units leave the room."""
     table = Table(box=None, pad_edge=False)
-    table.add_column("channel")
-    table.add_column("latest", justify="right")
-    table.add_column("unit")
-    table.add_column("last seconds", no_wrap=True)
+    table.add_column("channel", no_wrap=True)
+    table.add_column("latest", justify="right", no_wrap=True)
+    table.add_column("unit", no_wrap=True)
+    table.add_column("last seconds")
     return table
 
 
@@ -108,7 +112,20 @@ def add_value(
     table: Table, name: str, latest: float, units: str, history: list[float | None]
 ) -> None:
     """Add one value with its history, oldest first, scaled to its own range."""
-    table.add_row(plain(name), Text(f"{latest:.5g}"), plain(units), Text(bars(history)))
+    table.add_row(plain(name), Text(f"{latest:.5g}"), plain(units), Bars(history))
+
+
+@dataclass(frozen=True)
+class Bars:
+    """A history as bars: as much of its latest part as there is room for."""
+
+    history: list[float | None]
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        yield Text(bars(self.history[-options.max_width :]), no_wrap=True)
+
+    def __rich_measure__(self, console: Console, options: ConsoleOptions) -> Measurement:
+        return Measurement(min(FEWEST_BARS, len(self.history)), len(self.history))
 
 
 def bars(values: list[float | None]) -> str:

@@ -9,7 +9,7 @@ from rich.console import Console
 
 from rig.files.journal.values import RunHeader
 from rig.files.runfile.compile import compile_run
-from rig.page.terminal import bars, run_panel
+from rig.page.terminal import add_value, bars, run_panel, value_table
 from rig.page.watch import BenchWatch
 from rig.page.word import BenchWord
 
@@ -17,6 +17,17 @@ from rig.page.word import BenchWord
 def test_values_become_bars_between_their_smallest_and_largest():
     assert bars([0.0, None, 1.0, 0.5]) == "  █▄"
     assert bars([]) == ""
+
+
+def test_on_80_columns_names_and_values_are_whole_and_the_latest_bars_are_shown():
+    table = value_table()
+    add_value(table, "force_sensor x", -1.7722e-06, "mV/V (old)", [0.0] * 59 + [1.0])
+    shown = StringIO()
+    Console(file=shown, width=80).print(table)
+    head, row = shown.getvalue().splitlines()
+    assert head.split() == ["channel", "latest", "unit", "last", "seconds"]
+    assert row.split()[:5] == ["force_sensor", "x", "-1.7722e-06", "mV/V", "(old)"]
+    assert row.rstrip().endswith("█")
 
 
 def test_the_latest_run_is_named_where_only_its_file_is_left(rig):
