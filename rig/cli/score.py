@@ -119,7 +119,7 @@ ShowFrontEnd = Annotated[
 ]
 SkinFile = Annotated[Path | None, typer.Option(help="JSON file with the settings of the skin.")]
 Elements = Annotated[
-    int | None, typer.Option(help="Finite elements along a ridge. Default: 6.", min=2, max=40)
+    int | None, typer.Option(help="Finite elements along a ridge. Default: 16.", min=2, max=40)
 ]
 RidgeRead = Annotated[
     int | None,
