@@ -152,7 +152,9 @@ class SlipTrialRun(PressedTrial):
                 if abs(speed_mm_s) < SLOWEST_mm_s:
                     to_mm = polled.position_mm
                 x.start_move(to_mm, max(abs(speed_mm_s), SLOWEST_mm_s))
-            if from_mm is None and ramp.follows:
+            # A fast ramp counts as followed with much of the weight missing: from its end on, what
+            # still moves is the weight's way.
+            if from_mm is None and ramp.follows and ramp.wanted_N(since_s) < load_N:
                 record.ramp_to_s, record.slid_from_mm = self.since_s(), travel_mm
             if from_mm is None and record.alarms:
                 from_mm = record.slid_from_mm = travel_mm

@@ -40,7 +40,7 @@ STEPS, ALWAYS_STEPS = 5, 2
 """Largest number of squeezes on alarms; and of those that `always` makes at once: the fewest that
 hold 1.3 times the holding force."""
 SPEED_mm_s, WAY_mm, LOST_mm = 2.0, 3.0, 0.5
-HOLD_S = 1.0
+HOLD_S = 2.0
 
 
 @dataclass(frozen=True)
