@@ -12,11 +12,22 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.collections import PolyCollection
 from matplotlib.colors import ListedColormap
-from matplotlib.figure import Figure
-from matplotlib.patches import Patch, Rectangle
+from matplotlib.patches import Patch, Polygon
 from numpy.typing import NDArray
 
-from rig.figures.style import STYLE
+from rig.figures.style import (
+    BLACK,
+    BLUE,
+    GREY,
+    ORANGE,
+    SKY,
+    SMALLEST_PT,
+    STYLE,
+    TEXT_PT,
+    VERMILLION,
+    column_figure,
+    wrapped,
+)
 from rig.physics.contact.stepper import SLIP_MINUS, STICK, Statuses
 from rig.physics.design_map import DesignMap
 from rig.physics.loading_history import History
@@ -27,30 +38,39 @@ from rig.physics.trials import SkinTrial
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+    from matplotlib.image import AxesImage
 
 Floats = NDArray[np.float64]
 
 SIMULATED = "simulated (model)"
-STATUS_COLOURS = ("#f2f2f2", "#4477aa", "#ee6677")
+STATUS_COLOURS = ("#f2f2f2", BLUE, VERMILLION)
 STATUS_NAMES = ("apart", "stick", "slip")
+EDGE_POINTS = 9
+"""Points of each edge of a strip."""
+TITLE_PT = 225.0
+"""Width of a title."""
 LARGEST_SHOWN_MM = 0.8
 """Largest displacement in the picture of a magnified section; grooves are 0.6 mm wide."""
 
 
+@mpl.rc_context(STYLE)
 def draw_trial(
     trial: SkinTrial, ridge_of_node: NDArray[np.int64], watched: int, title: str
 ) -> Figure:
     """Draw v_1, v_2, v_d, forces and the stick-slip map over time; ridge `watched` is 1 for the
     leftmost."""
     figure, (volts, difference, forces, sticks) = _panels(
-        (9, 9.5), 4, f"{title}, {SIMULATED}", (1, 1.3, 1, 2)
+        150, 4, f"{title}, ridge {watched}, {SIMULATED}", (1, 1.3, 1, 2)
     )
-    for channel, name in enumerate(("v_1", "v_2")):
-        volts.plot(trial.sample_time_s, trial.sampled[:, channel] * 1e3, lw=0.9, label=f"${name}$")
-    volts.set_ylabel(f"strips of ridge {watched}\n(mV)")
-    volts.legend(loc="upper left", ncols=2, frameon=False)
-    difference.plot(trial.sample_time_s, trial.v_d * 1e3, lw=0.9, color="k")
-    difference.set_ylabel("$v_d = v_1 - v_2$\n(mV)")
+    for channel, (name, colour) in enumerate((("v_1", ORANGE), ("v_2", SKY))):
+        volts.plot(
+            trial.sample_time_s, trial.sampled[:, channel] * 1e3, color=colour, label=f"${name}$"
+        )
+    volts.set_ylabel("strips (mV)")
+    _legend_above(volts)
+    difference.plot(trial.sample_time_s, trial.v_d * 1e3, lw=0.8, color=BLACK)
+    difference.set_ylabel("$v_d$ (mV)")
     _mark_events(difference, trial, watched)
     _forces(forces, trial.time_s, trial.block.normal_force_N, trial.block.tangential_force_N)
     _stick_slip(sticks, trial.time_s, trial.block.status, ridge_of_node)
@@ -63,34 +83,37 @@ def draw_trial(
     return figure
 
 
+@mpl.rc_context(STYLE)
 def draw_history(history: History, watched: int, title: str) -> Figure:
     """Draw Figures 12 and 13 of the paper: forces, stress difference, its rate, and the slipping
     ridges."""
     figure, (forces, difference, rate, sticks) = _panels(
-        (9, 9.5), 4, f"{title}, {SIMULATED}", (1.2, 1, 1.2, 2)
+        150, 4, f"{title}, ridge {watched}, {SIMULATED}", (1.2, 1, 1.2, 2)
     )
     step = history.step
     _forces(forces, step, history.normal_force_N, history.tangential_force_N)
     forces.plot(
-        step, history.friction_force_N, lw=0.9, ls="--", label="$F_t$ transmitted to the plate"
+        step,
+        history.friction_force_N,
+        lw=0.8,
+        ls="--",
+        color=BLACK,
+        label="$F_t$ transmitted",
     )
     _legend_above(forces)
-    difference.plot(step, history.difference * 1e3, lw=0.9, color="k")
-    difference.set_ylabel(f"$σ(S_1) - σ(S_2)$\nridge {watched} (kPa)")
+    difference.plot(step, history.difference * 1e3, lw=0.8, color=BLACK)
+    difference.set_ylabel("$σ(S_1) - σ(S_2)$ (kPa)")
     fast = np.gradient(history.difference * 1e3)
-    rate.plot(step, fast, lw=0.6, color="0.7", label="each step")
-    rate.plot(step, _running_mean(fast, 21), lw=1.3, color="k", label="mean of 21 steps")
-    rate.set_ylabel("its rate\n(kPa per step)")
-    rate.legend(loc="lower left", ncols=2, frameon=False)
+    rate.plot(step, fast, lw=0.6, color=GREY, alpha=0.6, label="each step")
+    rate.plot(step, _running_mean(fast, 21), lw=1.3, color=BLACK, label="mean of 21 steps")
+    rate.set_ylabel("rate (kPa/step)")
+    _legend_above(rate)
     whole = history.truth.whole_slip_s[watched - 1]
     if np.isfinite(whole):
         at = whole * 1e6
         for axis in (difference, rate):
-            axis.axvline(at, color="#ee6677", lw=0.9)
-        difference.annotate(
-            f"all of ridge {watched} slips ", (at, 0.06), xycoords=("data", "axes fraction"),
-            ha="right", color="#ee6677",
-        )  # fmt: skip
+            axis.axvline(at, color=VERMILLION, lw=0.9)
+        _name_line(difference, at, f"ridge {watched} slips")
     _stick_slip(sticks, step.astype(float), history.status, history.ridge_of_node)
     sticks.set_xlim(0, step[-1])
     sticks.set_xlabel("step (1e-6 s each)")
@@ -108,7 +131,7 @@ def draw_deformed(
     values = np.concatenate([skin.stress_MPa[:, component] for _, skin in instants]) * 1e3
     limit = float(np.percentile(np.abs(values), 99.0)) or 1.0
     with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(9, 0.6 + 2.5 * len(instants)), layout="constrained")
+        figure = _constrained(26 + 24 * len(instants))
         axes = figure.subplots(len(instants), 1, sharex=True, squeeze=False)
         for axis, (name, skin) in zip(axes[:, 0], instants, strict=True):
             quads = skin.corners_mm + magnified * skin.displacement_mm
@@ -117,29 +140,48 @@ def draw_deformed(
                 clim=(-limit, limit), edgecolors="none", antialiaseds=False, rasterized=True,
             )  # fmt: skip
             axis.add_collection(patches)
-            for ridge in range(settings.ridges):
-                for area in strip_areas(settings, ridge):
-                    size = (area.right_mm - area.left_mm, area.top_mm - area.bottom_mm)
-                    axis.add_patch(
-                        Rectangle(
-                            (area.left_mm, area.bottom_mm), *size, fill=False, lw=0.5, ec="0.3"
-                        )
-                    )
+            for outline in _strip_outlines(settings, skin, magnified):
+                axis.add_patch(Polygon(outline, fill=False, lw=0.4, ec=BLACK))
             axis.set_facecolor("0.82")
             axis.set_aspect("equal")
             axis.autoscale_view()
             axis.grid(False)
             axis.set_ylabel("y (mm)")
-            axis.set_title(name, fontsize=9, loc="left")
-        axes[-1, 0].set_xlabel(
-            "x (mm); thin rectangles: the strips $S_1$, $S_2$ of each ridge, at rest"
-        )
+            axis.set_title(name, loc="left")
+        axes[-1, 0].set_xlabel("x (mm); outlined: the strips $S_1$, $S_2$ of each ridge")
         figure.colorbar(
-            patches, ax=list(axes[:, 0]), shrink=0.8, extend="both",
+            patches, ax=list(axes[:, 0]), location="bottom", shrink=0.9, aspect=40, extend="both",
             label=f"$σ_{{{STRESSES[component]}}}$ (kPa)",
         )  # fmt: skip
-        figure.suptitle(f"{title}, {SIMULATED}; displacement × {magnified:g}")
+        heading = f"{title}, {SIMULATED}; displacement × {magnified:g}"
+        figure.suptitle("\n".join(wrapped(heading, TEXT_PT, TITLE_PT)))
     return figure
+
+
+def _strip_outlines(settings: SkinSettings, skin: DeformedSkin, magnified: float) -> list[Floats]:
+    """Return the outlines of all strips where the deformed mesh has them, (points, 2) each."""
+    from scipy.interpolate import LinearNDInterpolator
+
+    # Corners that elements share are given once: the interpolation is of nodes.
+    corners, first = np.unique(skin.corners_mm.reshape(-1, 2).round(9), axis=0, return_index=True)
+    moved = LinearNDInterpolator(corners, skin.displacement_mm.reshape(-1, 2)[first])
+    outlines = []
+    for ridge in range(settings.ridges):
+        for area in strip_areas(settings, ridge):
+            x = np.linspace(area.left_mm, area.right_mm, EDGE_POINTS)
+            y = np.linspace(area.bottom_mm, area.top_mm, EDGE_POINTS)
+            low, high = np.full(EDGE_POINTS, area.bottom_mm), np.full(EDGE_POINTS, area.top_mm)
+            left, right = np.full(EDGE_POINTS, area.left_mm), np.full(EDGE_POINTS, area.right_mm)
+            rest = np.concatenate(
+                [
+                    np.column_stack([x, low]),
+                    np.column_stack([right, y]),
+                    np.column_stack([x[::-1], high]),
+                    np.column_stack([left, y[::-1]]),
+                ]
+            )
+            outlines.append(rest + magnified * moved(rest))
+    return outlines
 
 
 def draw_map(found: DesignMap, ridge: int) -> Figure:
@@ -148,68 +190,84 @@ def draw_map(found: DesignMap, ridge: int) -> Figure:
     settings, names = found.settings, [f"$σ_{{{c}}}$" for c in found.components]
     quantities = (("hump", found.hump_V, "RdBu_r"), ("HF peak", found.peak_V, "viridis"))
     with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(10, 8.5), layout="constrained")
-        grid = figure.add_gridspec(3, 3, height_ratios=(1, 1, 0.9))
-        for row, (quantity, values, colours) in enumerate(quantities):
+        figure = _constrained(190)
+        panels = figure.subplots(4, 2, gridspec_kw={"height_ratios": (1, 1, 1, 0.9)}, squeeze=False)
+        for column, (quantity, values, colours) in enumerate(quantities):
             shown = values[ridge - 1] * 1e3
-            limit = float(np.abs(shown).max())
-            for column, name in enumerate(names):
-                axis = figure.add_subplot(grid[row, column])
-                _table(axis, shown[:, :, column], settings, colours, limit, row == 0)
-                axis.set_title(f"{quantity} in {name}, ridge {ridge} (mV)", fontsize=9)
-                axis.set_xlabel("distance of the strips from the axis (mm)")
+            limit = float(np.abs(shown).max()) or 1.0
+            for row, name in enumerate(names):
+                axis = panels[row, column]
+                image = _table(axis, shown[:, :, row], settings, colours, limit, column == 0)
+                axis.set_title(f"{quantity} in {name}", loc="left")
                 if column == 0:
-                    axis.set_ylabel("lower edge above the foot (mm)")
-        ridges = np.arange(1, settings.skin.ridges + 1)
-        for column, name in enumerate(names):
-            axis = figure.add_subplot(grid[2, column])
-            for _, values, _ in quantities:
-                at = np.unravel_index(
-                    np.abs(values[ridge - 1, ..., column]).argmax(), values.shape[1:3]
-                )
-                where = f"{settings.offsets_mm[at[1]]:g}, {settings.bottoms_mm[at[0]]:g} mm"
-                label = f"{'hump' if values is found.hump_V else 'HF peak'} at {where}"
-                axis.plot(ridges, values[:, at[0], at[1], column] * 1e3, "o-", ms=3, label=label)
-            axis.set_title(f"best position of ridge {ridge} in {name} (mV)", fontsize=9)
-            axis.set_xlabel("ridge")
-            axis.set_xticks(ridges)
-            axis.set_ylim(top=1.35 * axis.get_ylim()[1])
-            axis.legend(frameon=False, fontsize=7.5, loc="upper left")
-        figure.suptitle(f"$v_d$ in a slide, by strip position, {SIMULATED}")
+                    axis.set_ylabel("lower edge (mm)")
+            panels[2, column].set_xlabel("distance from axis (mm)")
+            figure.colorbar(
+                image, ax=list(panels[:3, column]), location="bottom", aspect=25,
+                label=f"{quantity} of ridge {ridge} (mV)",
+            )  # fmt: skip
+            _over_ridges(panels[3, column], values, settings, ridge, names)
+            panels[3, column].set_title(f"{quantity}, best place", loc="left")
+        panels[3, 0].set_ylabel("$v_d$ (mV)")
+        title = f"$v_d$ in a slide, by strip position, {SIMULATED}"
+        figure.suptitle(title)
     return figure
+
+
+def _over_ridges(axis: Axes, values: Floats, settings: Any, ridge: int, names: list[str]) -> None:
+    """Draw the values of all ridges with the strips where those of `ridge` are largest."""
+    ridges = np.arange(1, settings.skin.ridges + 1)
+    for component, name in enumerate(names):
+        largest = np.abs(values[ridge - 1, ..., component]).argmax()
+        at = np.unravel_index(largest, values.shape[1:3])
+        where = f"{settings.offsets_mm[at[1]]:g}, {settings.bottoms_mm[at[0]]:g} mm"
+        axis.plot(ridges, values[:, at[0], at[1], component] * 1e3, "o-", label=f"{name}: {where}")
+    axis.set_xlabel("ridge")
+    axis.set_xticks(ridges)
+    low, high = axis.get_ylim()
+    axis.set_ylim(low, high + 0.8 * (high - low))
+    axis.legend(loc="upper left")
 
 
 def _table(
     axis: Axes, values: Floats, settings: Any, colours: str, limit: float, signed: bool
-) -> None:
-    axis.imshow(
+) -> AxesImage:
+    image = axis.imshow(
         values, cmap=colours, vmin=-limit if signed else 0.0, vmax=limit, origin="lower",
         aspect="auto",
     )  # fmt: skip
     for (row, column), value in np.ndenumerate(values):
         dark = abs(value) > 0.6 * limit if signed else value < 0.5 * limit
         axis.text(
-            column, row, f"{value:.1f}", ha="center", va="center", fontsize=8,
-            color="w" if dark else "k",
+            column, row, f"{value:.1f}".replace("-", "−"), ha="center", va="center",
+            fontsize=SMALLEST_PT, color="w" if dark else "k",
         )  # fmt: skip
     axis.set_xticks(range(len(settings.offsets_mm)), [f"{o:g}" for o in settings.offsets_mm])
     axis.set_yticks(range(len(settings.bottoms_mm)), [f"{b:g}" for b in settings.bottoms_mm])
     axis.grid(False)
+    return image
 
 
 def _panels(
-    size: tuple[float, float], rows: int, title: str, heights: tuple[float, ...]
+    height_mm: float, rows: int, title: str, heights: tuple[float, ...]
 ) -> tuple[Figure, Any]:
     with mpl.rc_context(STYLE):
-        figure = Figure(figsize=size, layout="constrained")
+        figure = _constrained(height_mm)
         axes = figure.subplots(rows, 1, sharex=True, gridspec_kw={"height_ratios": heights})
-        figure.suptitle(title)
+        figure.suptitle("\n".join(wrapped(title, TEXT_PT, TITLE_PT)))
     return figure, axes
 
 
+def _constrained(height_mm: float) -> Figure:
+    """Return a figure of one column whose axes are placed by their contents."""
+    figure = column_figure(height_mm)
+    figure.set_layout_engine("constrained", w_pad=0.03, h_pad=0.03)
+    return figure
+
+
 def _forces(axis: Axes, time: Floats | NDArray[np.int64], normal: Floats, along: Floats) -> None:
-    axis.plot(time, normal, lw=1.1, label="$F_n$")
-    axis.plot(time, along, lw=1.1, label="$F_t$")
+    axis.plot(time, normal, color=BLUE, label="$F_n$")
+    axis.plot(time, along, color=VERMILLION, label="$F_t$")
     axis.set_ylabel("force (N)")
     _legend_above(axis)
 
@@ -230,7 +288,7 @@ def _stick_slip(
     for border in range(1, ridges):
         axis.axhline(border + 0.5, color="w", lw=1.5)
     axis.set_yticks(range(1, ridges + 1))
-    axis.set_ylabel("ridge (1 is the leftmost),\nits nodes from left to right upwards")
+    axis.set_ylabel("ridge (1: leftmost)")
     axis.grid(False)
     handles = [
         Patch(fc=colour, ec="0.5", lw=0.5, label=name)
@@ -243,25 +301,30 @@ def _legend_above(axis: Axes, handles: list[Patch] | None = None) -> None:
     """Place a legend above the axes' right corner, where it hides nothing."""
     axis.legend(
         **({} if handles is None else {"handles": handles}),
-        loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, fontsize=8, frameon=False,
-        handlelength=1.2, borderaxespad=0.2,
+        loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, borderaxespad=0.2,
     )  # fmt: skip
 
 
 def _mark_events(axis: Axes, trial: SkinTrial, watched: int) -> None:
     """Mark the slip of all of the neighbouring and the watched ridge, and gross slip."""
     truth = trial.truth
-    events = [(truth.whole_slip_s[watched - 1], f"all of ridge {watched} slips", 0.06)]
+    events = [(truth.whole_slip_s[watched - 1], f"ridge {watched} slips")]
     if watched > 1:
-        events.append((truth.whole_slip_s[watched - 2], f"all of ridge {watched - 1} slips", 0.06))
-    events.append((truth.gross_slip_s, "gross slip", 0.06))
-    for at, text, height in events:
+        events.append((truth.whole_slip_s[watched - 2], f"ridge {watched - 1} slips"))
+    events.append((truth.gross_slip_s, "gross slip"))
+    for at, text in events:
         if np.isfinite(at):
-            axis.axvline(at, color="#ee6677", lw=0.9)
-            axis.annotate(
-                f"{text} ", (at, height), xycoords=("data", "axes fraction"), ha="right",
-                color="#ee6677", fontsize=8,
-            )  # fmt: skip
+            axis.axvline(at, color=VERMILLION, lw=0.8)
+            _name_line(axis, at, text)
+
+
+def _name_line(axis: Axes, at: float, text: str) -> None:
+    """Write along a vertical line what happens there."""
+    axis.annotate(
+        text, (at, 0.04), (-1.5, 0), xycoords=("data", "axes fraction"),
+        textcoords="offset points", rotation=90, ha="right", va="bottom", color=VERMILLION,
+        fontsize=SMALLEST_PT,
+    )  # fmt: skip
 
 
 def _headroom(axis: Axes, values: Floats) -> None:

@@ -3,9 +3,12 @@
 import json
 from pathlib import Path
 
+import h5py
+import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+import rig
 from rig.cli.skin import app
 
 SHORT = {
@@ -57,12 +60,52 @@ def test_a_slide_from_edited_settings_is_drawn_and_summed_up(tmp_path: Path):
     assert summary["simulated"] is True
     names = [Path(f).name for f in summary["files"]]
     assert names == [
+        "skin-slide.h5",
         "skin-slide.png", "skin-slide.svg", "skin-slide-deformed.png", "skin-slide-deformed.svg",
     ]  # fmt: skip
     for file in summary["files"]:
-        begins = b"\x89PNG" if file.endswith("png") else b"<?xml"
+        begins = {"png": b"\x89PNG", "svg": b"<?xml", ".h5": b"\x89HDF"}[file[-3:]]
         assert Path(file).read_bytes().startswith(begins)
     assert len(summary["ridge_whole_slip_s"]) == 9
+
+
+def test_the_data_of_a_slide_are_kept_and_explain_themselves(tmp_path: Path):
+    settings = tmp_path / "slide.json"
+    settings.write_text(json.dumps(SHORT))
+    arguments = ("slide", "--settings", str(settings), "--elements", "4", "--json")
+    summary = json.loads(run(*arguments, "--results", str(tmp_path)))
+    with h5py.File(tmp_path / "skin-slide.h5") as file:
+        entry = file["entry"]
+        assert entry["title"][()].decode().startswith("SIMULATED Slide at 0.5 mm/s")
+        assert entry["program_name"].attrs["version"] == rig.__version__
+        data = entry["data"]
+        for name, field in data.items():
+            assert field.attrs["long_name"], name
+            assert "units" in field.attrs or name in ("status",), name
+            assert len(field.attrs.get("axes", ())) == field.ndim, name
+        assert data["F_n"].attrs["units"] == "N"
+        assert data["F_n"].shape == data["time"].shape
+        moving = data["sample_time"][:] > data["motion"][()]
+        np.testing.assert_allclose(
+            1e3 * data["v_d"][:][moving].min(), summary["v_d_min_mV"], rtol=1e-6
+        )
+        again = json.loads(entry["settings_json/data"][()])
+        assert again["skin"]["elements_per_ridge"] == 4
+        assert entry["parameters/settings/speed_mm_s"].attrs["units"] == "mm/s"
+    (tmp_path / "again.json").write_text(json.dumps(again["settings"]))
+    shown = run("slide", "--settings", str(tmp_path / "again.json"), "--show-settings")
+    assert json.loads(shown) == again["settings"], "the settings can be given back"
+
+
+@pytest.mark.parametrize("taken", ["skin-slide.h5", "skin-slide-deformed.svg"])
+def test_neither_data_nor_figures_are_overwritten(tmp_path: Path, taken: str):
+    (tmp_path / taken).write_text("mine")
+    settings = tmp_path / "slide.json"
+    settings.write_text(json.dumps(SHORT))
+    said = run("slide", "--settings", str(settings), "--elements", "4", "--results", str(tmp_path))
+    assert (tmp_path / taken).read_text() == "mine"
+    assert f"{tmp_path}/skin-slide-2.h5" in said
+    assert f"{tmp_path}/skin-slide-deformed-2.svg" in said
 
 
 def test_a_roll_is_drawn(tmp_path: Path):
