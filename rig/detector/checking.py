@@ -102,18 +102,7 @@ class CheckedDetector(Detector):
         *arguments: Any,
         refusals: type[Exception] | tuple[()] = (),
     ) -> Given:
-        """Returns what the other package's function returns; what it prints goes to stderr."""
-        try:
-            with contextlib.redirect_stdout(sys.stderr):
-                return function(*arguments)
-        except refusals:
-            raise
-        except (Exception, SystemExit) as error:
-            if is_stop(error):
-                raise
-            words = f"{type(error).__name__}: {' '.join(str(error).split())}"
-            reason = f"failed at {what}: {shortened(words, LONGEST_REASON)}"
-            raise self._error(reason) from error
+        return asked(self._name, self._package, what, function, *arguments, refusals=refusals)
 
     def _checked_events(self, found: Any, first: int, end: int) -> list[SlipEvent]:
         if not isinstance(found, list):
@@ -128,6 +117,31 @@ class CheckedDetector(Detector):
 
     def _error(self, reason: str) -> DetectorError:
         return DetectorError(self._name, self._package, reason)
+
+
+def asked(
+    name: str,
+    package: str,
+    what: str,
+    function: Callable[..., Given],
+    *arguments: Any,
+    refusals: type[Exception] | tuple[()] = (),
+) -> Given:
+    """Returns what a function of a package's detector returns; what it prints goes to stderr.
+
+    Raises DetectorError, which says at `what` it failed, for all that it raises but `refusals`.
+    """
+    try:
+        with contextlib.redirect_stdout(sys.stderr):
+            return function(*arguments)
+    except refusals:
+        raise
+    except (Exception, SystemExit) as error:
+        if is_stop(error):
+            raise
+        words = f"{type(error).__name__}: {' '.join(str(error).split())}"
+        reason = f"failed at {what}: {shortened(words, LONGEST_REASON)}"
+        raise DetectorError(name, package, reason) from error
 
 
 def event_fault(event: Any, first: int, end: int, rate_Hz: float) -> str | None:

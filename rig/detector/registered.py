@@ -15,7 +15,7 @@ import inspect
 import re
 import sys
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from importlib import import_module
 from pathlib import Path
@@ -24,9 +24,9 @@ from typing import Any
 from pydantic import ValidationError
 
 from rig.core.entry_points import DETECTORS, OWN_PACKAGE, find, load, names, package
-from rig.core.errors import ConfigurationError
+from rig.core.errors import ConfigurationError, is_stop
 from rig.core.settings import Settings
-from rig.detector.checking import CheckedDetector
+from rig.detector.checking import CheckedDetector, DetectorError, asked
 from rig.detector.contract import Detector
 from rig.detector.resampling import ResampledDetector
 
@@ -73,6 +73,30 @@ class ChosenDetector:
     def code_digest(self) -> str:
         """SHA-256 of the code of another package's detector; empty for one of this project."""
         return "" if self.is_own else _digest_of(self.kind)
+
+    def seeds_seen(self) -> tuple[int, int] | None:
+        """Returns the first and last seed of the simulated trials on which its parameters were
+        chosen; None where there are none. DetectorError where its package fails."""
+        found = asked(self.name, self.package, "seeds_seen", self.kind.seeds_seen, self.settings)
+        if found is None:
+            return None
+        if not (
+            isinstance(found, tuple) and len(found) == 2 and all(type(n) is int for n in found)
+        ):
+            raise DetectorError(self.name, self.package, f"has seen the seeds {found!r}, no range")
+        return found
+
+    def at_threshold(self, factor: float) -> ChosenDetector:
+        """Returns it with `factor` times its threshold, or as it is where it has none.
+        DetectorError where its package fails."""
+        changed = asked(
+            self.name, self.package, "with_threshold",
+            self.kind.with_threshold, self.settings, factor,
+        )  # fmt: skip
+        if type(changed) is not type(self.settings):
+            reason = f"returned {type(changed).__name__} as its parameters at another threshold"
+            raise DetectorError(self.name, self.package, reason)
+        return replace(self, settings=changed)
 
     def make(self, rate_Hz: float) -> Detector:
         """Returns a new detector for a recording at a rate, which is resampled where it must be.
@@ -150,7 +174,9 @@ def _fault(name: str, value: Any) -> str | None:
     try:
         settings = value.default_settings()
         again = value.Settings.model_validate_json(settings.model_dump_json())
-    except (ValidationError, ValueError, TypeError) as error:
+    except (Exception, SystemExit) as error:
+        if is_stop(error):
+            raise
         return f"has Settings without usable defaults: {' '.join(str(error).split())}"
     return None if again == settings else "has Settings that JSON does not hold"
 

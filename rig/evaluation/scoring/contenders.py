@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from rig.core.settings import Settings, fingerprint
 from rig.detector import kernel
+from rig.detector.contract import Detector
 from rig.detector.events import unjudged_s
 from rig.detector.registered import ChosenDetector
 from rig.evaluation.scoring.baselines import BaselineSettings, baseline_reports
@@ -69,7 +70,7 @@ class DetectorContender:
     @property
     def tuned_on(self) -> SeedRange | None:
         """Seeds of the trials on which its parameters were chosen; None where it names none."""
-        seeds = self.detector.kind.seeds_seen(self.settings)
+        seeds = self.detector.seeds_seen()
         return None if seeds is None else SeedRange(first=seeds[0], end=seeds[1] + 1)
 
     def reports(
@@ -79,15 +80,15 @@ class DetectorContender:
         reports: dict[str, DetectorReport] = {}
         found = []
         for factor in factors:
-            settings = self.detector.kind.with_threshold(self.settings, factor)
-            key = fingerprint(settings)  # a detector without a threshold is run once
+            detector = self.detector.at_threshold(factor)
+            key = fingerprint(detector.settings)  # a detector without a threshold is run once
             if key not in reports:
-                reports[key] = self._report(volts, rate_Hz, settings)
+                reports[key] = self._report(volts, detector.make(rate_Hz), rate_Hz)
             found.append(reports[key])
         return found
 
-    def _report(self, volts: Floats, rate_Hz: float, settings: Settings) -> DetectorReport:
-        detector = replace(self.detector, settings=settings).make(rate_Hz)
+    @staticmethod
+    def _report(volts: Floats, detector: Detector, rate_Hz: float) -> DetectorReport:
         events = [*detector.add(volts), *detector.finish()]
         slips = [one.time_s for one in events if one.kind == "incipient slip"]
         armings = [one.time_s for one in events if one.kind == "predictive"]
