@@ -131,7 +131,7 @@ def _zoom(
     draw_rows(rows, instants, seen)
     axes.plot(t[inside], v_d_mV[inside], linewidth=0.8)
     axes.set_ylabel("$v_d$ (mV)")
-    what = f"the slip, {BEFORE_SLIP_S + AFTER_SLIP_S:g} s enlarged"
+    what = f"the slip, {BEFORE_SLIP_S + AFTER_SLIP_S:g} s enlarged; lines: colours of (g)"
     axes.set_title(what, loc="left")
     if not inside.any():
         return
