@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 from procedures.sweep.layout import reading_of
 from procedures.sweep.sampling import FittedRecord, RecordSampler, refuse_silence, warn_of_mains
 from procedures.sweep.settings import LONG_RECORD_S
+from rig.analysis.response.complex_response import DB_PER_RELATIVE
 from rig.analysis.response.levelling import (
     AGREEMENT_SIGMAS,
     RecordNeeds,
@@ -218,9 +219,23 @@ class SweepPointRun:
         self._outlasted = False
         if self._averages():
             if changed:
-                self._sampler.wait(RINGING_S)
+                self._sampler.wait(max(RINGING_S, self._rings_on_s()))
             elif self._sampler.whole_length_s < VERY_LONG_RECORD_S:
                 self._sampler.wait(CORRECTED_S)
+
+    def _rings_on_s(self) -> float:
+        """Return the time in s until ringing as large as the tone no longer matters in one record.
+
+        A record averages over ringing only where that is far from the tone. In a notch both have
+        nearly one frequency, and the record dilutes it at best, by the ratio of time constant and
+        length. The time constant is that of the latest ringing that was seen to decay.
+        """
+        decay_s = self.memory.decay_s
+        if decay_s is None:
+            return 0.0
+        diluted = decay_s / self._sampler.whole_length_s
+        allowed = SUNK * self.settings.target_error_dB / DB_PER_RELATIVE
+        return decay_s * math.log(max(diluted / allowed, 1.0))
 
     def _is_level(self) -> bool:
         """Return whether the load is within its tolerance; if not, correct the drive."""
