@@ -77,6 +77,7 @@ def draw_trial(run: RunFile, number: int, point: str, detected: Detections) -> F
         draw_difference(difference, t, signals)
         rolled = (t >= begin - AROUND_S) & (t <= end + AROUND_S)
         for axes, names in ((strips, ("v_1", "v_2")), (difference, ("v_d",))):
+            axes.set_title("scaled by the roll", loc="left")
             scale_to(axes, [1e3 * signals.values(name)[rolled] for name in names])
         t, pressing = seconds(force), force.values("F_n")
         draw_forces(newtons, t, force)

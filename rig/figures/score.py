@@ -12,16 +12,27 @@ from matplotlib.figure import Figure
 from rig.evaluation.scoring.outcomes import EARLY_WITHIN_S, FOUND_WITHIN_S, SLIPS
 from rig.evaluation.scoring.results import ContenderResult
 from rig.evaluation.scoring.roc import AXES, ROLL_ALARMS
-from rig.figures.style import STYLE
+from rig.figures.style import (
+    GREY,
+    PALETTE,
+    SMALLEST_PT,
+    STYLE,
+    TEXT_PT,
+    column_figure,
+    wrapped,
+)
 
-COLOURS = ("#4477aa", "#ee6677", "#228833", "#ccbb44", "#66ccee", "#aa3377", "#555555", "#cc9966")
+COLOURS = (*PALETTE, GREY)
 SHOWN_TRAITS = {
     "noise_mV": "noise, rms (mV)",
     "friction_ratio": "drop of friction, $μ_k / μ_s$",
     "speed_mm_s": "speed (mm/s)",
 }
-MOST_SHOWN_ALARMS = 0.5
-"""End of the ROC's axis of false alarms; a detector with more is useless."""
+MOST_SHOWN_ALARMS, FEWEST_SHOWN_ALARMS = 0.5, 0.05
+"""Bounds of the end of the ROC's axis of false alarms, which fits the curves' own thresholds; a
+detector with more than the first is useless."""
+TITLE_PT = 225.0
+"""Width of a title."""
 DELAYS_MS = (-1e3 * EARLY_WITHIN_S, 1e3 * FOUND_WITHIN_S)
 """Range of the histograms: the time in which a slip is found."""
 BAR_MS = 2.0
@@ -30,9 +41,10 @@ BAR_MS = 2.0
 def draw_roc(results: Sequence[ContenderResult], title: str) -> Figure:
     """Draw detected slips over false alarms at thresholds from 1/8 to 8 times a contender's own."""
     with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(9, 4.6), layout="constrained")
-        panels = figure.subplots(1, len(AXES), sharey=True)
+        figure = _column(14 + 58 * len(AXES), f"Slips found over false alarms, {title}")
+        panels = list(np.atleast_1d(figure.subplots(len(AXES), 1, sharey=True)))
         for axes, (name, among) in zip(panels, AXES.items(), strict=True):
+            ends = [FEWEST_SHOWN_ALARMS]
             for one, colour in _coloured(results):
                 if name not in one.rocs:
                     continue
@@ -43,23 +55,31 @@ def draw_roc(results: Sequence[ContenderResult], title: str) -> Figure:
                     label=one.contender.name,
                 )  # fmt: skip
                 own = int(np.abs(curve.threshold - 1).argmin())
-                axes.plot(curve.alarms[own], curve.found[own], "o", ms=7, mfc="none", color=colour)
-            axes.set_xlim(-0.01, MOST_SHOWN_ALARMS)
+                axes.plot(curve.alarms[own], curve.found[own], "o", ms=6, mfc="none", color=colour)
+                ends.append(1.5 * float(curve.alarms[own]))
+            end = min(MOST_SHOWN_ALARMS, max(ends))
+            axes.set_xlim(-0.02 * end, end)
             axes.set_ylim(0, 1.02)
-            axes.set_xlabel(f"share of trials with a false alarm: {' and '.join(among)}")
-        panels[0].axvline(ROLL_ALARMS, color="0.5", lw=0.8, ls="--")
-        panels[0].annotate(f" {ROLL_ALARMS:.0%}", (ROLL_ALARMS, 0.01), color="0.4", fontsize=8)
-        panels[0].set_ylabel("share of slips found")
-        panels[-1].legend(loc="lower right", frameon=False, title="circle: own threshold")
-        figure.suptitle(f"Slips found over false alarms, {title}")
+            axes.set_xlabel(f"false alarms, share of trials: {' and '.join(among)}")
+        panels[0].axvline(ROLL_ALARMS, color=GREY, lw=0.8, ls="--")
+        panels[0].annotate(f" {100 * ROLL_ALARMS:g} %", (ROLL_ALARMS, 0.01), color=GREY)
+        for axes in panels:
+            axes.set_ylabel("share of slips found")
+        figure.legend(
+            *panels[-1].get_legend_handles_labels(), loc="outside lower center", ncols=2,
+            title="circle: own threshold",
+        )  # fmt: skip
     return figure
 
 
 def draw_found(results: Sequence[ContenderResult], title: str) -> Figure:
     """Draw the detection rate by noise, friction drop and speed, with 95 % intervals."""
     with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(9, 3.8), layout="constrained")
-        panels = figure.subplots(1, len(SHOWN_TRAITS), sharey=True)
+        figure = _column(
+            20 + 44 * len(SHOWN_TRAITS),
+            f"Detection rate by noise, friction drop and speed, 95 % intervals, {title}",
+        )
+        panels = figure.subplots(len(SHOWN_TRAITS), 1, sharey=True)
         for axes, (trait, name) in zip(panels, SHOWN_TRAITS.items(), strict=True):
             bins: list[str] = []
             for at, (one, colour) in enumerate(_coloured(results)):
@@ -74,26 +94,20 @@ def draw_found(results: Sequence[ContenderResult], title: str) -> Figure:
                     fmt="o", ms=4, lw=1.0, color=colour, label=one.contender.name,
                 )  # fmt: skip
             axes.set_xticks(range(len(bins)), [each.replace(" and ", "\nand ") for each in bins])
-            axes.tick_params(axis="x", labelsize=7.5)
             axes.set_xlabel(name)
             axes.grid(axis="x", visible=False)
+            axes.set_ylabel("share of slips found")
         panels[0].set_ylim(0, 1.02)
-        panels[0].set_ylabel("share of slips found")
         handles, labels = panels[0].get_legend_handles_labels()
         if handles:
-            figure.legend(
-                handles, labels, loc="outside lower center", ncols=len(handles), frameon=False
-            )
-        figure.suptitle(
-            f"Detection rate by noise, friction drop and speed, 95 % intervals, {title}"
-        )
+            figure.legend(handles, labels, loc="outside lower center", ncols=2)
     return figure
 
 
 def draw_delays(results: Sequence[ContenderResult], title: str) -> Figure:
     """Draw the delay of each detection after the full-ridge slip, in one panel per contender."""
     with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(9, 0.9 + 1.15 * len(results)), layout="constrained")
+        figure = _column(22 + 18 * len(results), f"Delay of the alarms that found a slip, {title}")
         panels = figure.subplots(len(results), 1, sharex=True, squeeze=False)[:, 0]
         edges = np.arange(DELAYS_MS[0], DELAYS_MS[1] + BAR_MS, BAR_MS)
         for axes, (one, colour) in zip(panels, _coloured(results), strict=True):
@@ -103,14 +117,21 @@ def draw_delays(results: Sequence[ContenderResult], title: str) -> Figure:
             axes.axvline(0, color="0.3", lw=0.8)
             axes.annotate(
                 f"{one.contender.name}: {delays.size} of {len(slips)} found", (0.99, 0.8),
-                xycoords="axes fraction", ha="right", fontsize=8,
+                xycoords="axes fraction", ha="right", fontsize=SMALLEST_PT,
                 bbox={"facecolor": "white", "alpha": 0.7, "edgecolor": "none"},
             )  # fmt: skip
             _whole_numbers(axes)
-        figure.supylabel("slips", fontsize=9)
+        figure.supylabel("slips", fontsize=TEXT_PT)
         panels[-1].set_xlim(*DELAYS_MS)
         panels[-1].set_xlabel("detection delay after full-ridge slip (ms)")
-        figure.suptitle(f"Delay of the alarms that found a slip, {title}")
+    return figure
+
+
+def _column(height_mm: float, title: str) -> Figure:
+    """Return a figure of one column with a title, whose axes are placed by their contents."""
+    figure = column_figure(height_mm)
+    figure.set_layout_engine("constrained", w_pad=0.03, h_pad=0.03)
+    figure.suptitle("\n".join(wrapped(title, TEXT_PT, TITLE_PT)))
     return figure
 
 
