@@ -237,7 +237,8 @@ def test_our_own_figures_can_all_be_loaded() -> None:
     names = [figure.entry.name for figure in own]
     assert names == [
         *("sweep", "sweep.gain", "sweep.linearity", "sweep.readings"),
-        *("slip-trial", "slip-trial.series", "roll-trial", "roll-trial.series"),
+        *("slip-trial", "slip-trial.grip", "slip-trial.series"),
+        *("roll-trial", "roll-trial.series"),
         *("path-trial", "path-trial.series", "import", "processed"),
     ]
     assert all(callable(figure.load()) for figure in own)
