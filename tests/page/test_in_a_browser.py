@@ -100,7 +100,7 @@ def test_a_slip_trial_is_watched_to_its_end_and_the_values_are_those_of_its_file
     slips = [event.time_s for event in trial.events if event.kind == "incipient slip"]
     assert slips
     for time_s in slips:
-        said = f"incipient slip: trial-001: at {time_s:.3f} s of its record"
+        said = f"trial-001: incipient slip at {time_s:.3f} s of its record"
         wait_for(browser, "#events", lambda text, said=said: said in text)
     assert browser.find_elements("css selector", "#charts canvas")
 

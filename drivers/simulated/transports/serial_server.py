@@ -188,9 +188,9 @@ class PtyServer:
         for reply in delivery.replies:
             self._send(reply.data, may_be_lost)
         if delivery.close:
-            self._unplug(plug_in=not delivery.reset)
-            if delivery.reset:
+            if delivery.reset:  # before clients see it vanish: they may move the time on at once
                 self._back_us = self._timeline.now_us + GONE_US
+            self._unplug(plug_in=not delivery.reset)
 
     def _send(self, data: bytes, may_be_lost: bool) -> None:
         if self._master < 0 or self._cut:  # a reply that took its time finds the port closed
