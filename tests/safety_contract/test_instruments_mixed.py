@@ -16,7 +16,7 @@ pytestmark = pytest.mark.thorough
 FREQUENCIES = "20,210,2100,15000"
 
 
-@pytest.mark.parametrize(("daq", "link"), zip(DAQ_MODELS, ["socket", "hislip"], strict=True))
+@pytest.mark.parametrize(("daq", "link"), list(zip(DAQ_MODELS, ["socket", "hislip"], strict=True)))
 def test_every_daq_and_every_link_of_the_generator_measures_the_film(rig, daq, link):
     world = rig.world(f'daq_model = "{daq}"\ngenerator_link = "{link}"\n')
     ended = rig.sweep("--frequencies", FREQUENCIES, "--seed", "5", "--world", world)
@@ -34,7 +34,7 @@ def test_every_daq_and_every_link_of_the_generator_measures_the_film(rig, daq, l
             assert abs(pull).max() < 4.5
 
 
-@pytest.mark.parametrize(("stages", "daq"), zip(PAIRS, cycle(DAQ_MODELS), strict=False))
+@pytest.mark.parametrize(("stages", "daq"), list(zip(PAIRS, cycle(DAQ_MODELS), strict=False)))
 def test_every_pair_of_stages_slides_the_skin(rig, stages, daq):
     world = f'daq_model = "{daq}"\nskin_mount.contact_mm = 12.05\n'
     ended = rig.run(

@@ -171,10 +171,13 @@ class _Fit:
         return offset_s
 
     def error(self, offset_s: float) -> tuple[Reals, float]:
-        """Returns the residuals and the standard error of the offset."""
+        """Returns the residuals and the standard error of the offset, NaN where the force is
+        constant."""
         residual, slope = self._residual(offset_s)
-        influence = slope / float(slope @ slope)
-        return residual, standard_error(influence, residual, len(self._knots) + 4)
+        steepness = float(slope @ slope)
+        if not steepness > 0:
+            return residual, math.nan
+        return residual, standard_error(slope / steepness, residual, len(self._knots) + 4)
 
     def _residual(self, offset_s: float) -> tuple[Reals, Reals]:
         """Returns the residuals, and the change of the fit with the offset that P and v_0 cannot
