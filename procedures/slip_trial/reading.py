@@ -130,8 +130,11 @@ def _friction(
         rate_Hz = record.force_rate_S_s
         found = friction(force[:, 0], np.abs(force[:, 1]), travel, rate_Hz=rate_Hz)
     except FrictionError as error:
-        run.event("warning", "friction", f"trial {record.number}: {error.one_line()}")
-        return {**dict.fromkeys(FRICTION_COLUMNS), "no_friction": error.one_line()}
+        # A weight that holds does not slide, and is not to slide further.
+        holds = run.settings.hold_at_N is not None and not record.lost
+        why = f"the weight did not slide away ({error})" if holds else error.one_line()
+        run.event("info" if holds else "warning", "friction", f"trial {record.number}: {why}")
+        return {**dict.fromkeys(FRICTION_COLUMNS), "no_friction": why}
     return {
         "no_friction": "",
         "static_friction": found.static.value,

@@ -6,7 +6,6 @@ of the slip itself (paper 4.1), here as the detector of the trial has found them
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -15,7 +14,7 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
 
-from rig.figures.pressed import TRIALS_SHOWN, heading, seconds
+from rig.figures.pressed import TRIALS_SHOWN, heading, seconds, squeezes_of
 from rig.figures.style import (
     BLUE,
     COLUMN_MM,
@@ -85,7 +84,7 @@ def draw_beside(without: RunFile, with_: RunFile) -> Figure:
         for column, run in enumerate((without, with_)):
             _draw_column(panels[:, column], run, 0, run.point_ids()[0])
             kind = "with re-grip" if run.settings.get("regrip") else "without"
-            panels[3, column].set_xlabel(f"Time since the motion's begin (s): {kind}")
+            panels[3, column].set_xlabel(f"Time since the motion began (s): {kind}")
         for row in panels:
             row[1].set_ylabel("")
             for axes in row:
@@ -129,7 +128,7 @@ def _draw_column(panels: Sequence[Axes], run: RunFile, number: int, point: str) 
             difference.plot(t[at], v_d[at], marker, color=VERMILLION, markersize=4, label=label)
     force = series["force"]
     t = seconds(force) - begin_s
-    squeezes = json.loads(str(reading.get("squeeze_record") or "[]"))
+    squeezes = squeezes_of(run, number)
     pressing.plot(t, force.values("F_n"), color=BLUE, label="$F_n$")
     set_N = float(reading["set_normal_force_N"])
     steps_s = [-BEFORE_S, *(one["decided_s"] - begin_s for one in squeezes), end_s - begin_s]
@@ -151,7 +150,7 @@ def _draw_column(panels: Sequence[Axes], run: RunFile, number: int, point: str) 
     if outcome := str(reading.get("outcome") or ""):
         way.plot([], [], " ", label=f"outcome: {outcome}")
     way.set_ylabel("Way (mm)")
-    way.set_xlabel("Time since the motion's begin (s)")
+    way.set_xlabel("Time since the motion began (s)")
     for axes in panels:
         for n, one in enumerate(squeezes):
             named = "squeeze" if n == 0 and axes is pressing else None

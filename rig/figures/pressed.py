@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Iterable
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,6 +47,25 @@ def seconds(waveform: Waveform) -> NDArray[np.float64]:
     """Return the times of the rows of an equally spaced record, since its start."""
     first = next(iter(waveform.counts.values()))
     return np.arange(len(first)) / (waveform.rate_Hz or 1.0)
+
+
+def squeezes_of(run: RunFile, number: int) -> list[dict[str, Any]]:
+    """Return the steps by which a grip raised the normal force in a trial, in order; none in files
+    from before there was a grip."""
+    if "squeeze_record" not in run.columns():
+        return []
+    found: list[dict[str, Any]] = json.loads(str(run.column("squeeze_record")[number]) or "[]")
+    return found
+
+
+def set_points_N(  # noqa: N802 - the unit keeps its capital
+    run: RunFile, number: int, t: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return the set point of the normal force in N at the times `t` (n,) in s of the record."""
+    wanted = np.full(t.shape, float(run.column("set_normal_force")[number]))
+    for one in squeezes_of(run, number):
+        wanted[t >= one["decided_s"]] = one["to_N"]
+    return wanted
 
 
 def shade(panels: Iterable[Axes], begin_s: float, end_s: float, what: str) -> None:

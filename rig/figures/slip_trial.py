@@ -19,6 +19,7 @@ from rig.figures.pressed import (
     heading,
     scale_to,
     seconds,
+    set_points_N,
     shade,
     show_allowed_error,
 )
@@ -101,7 +102,8 @@ def draw_trial(run: RunFile, number: int, point: str, detected: Detections) -> F
         _ratio(ratio, t, pressing, sideways, wanted)
         _coefficients(ratio, run, number)
         held = (t >= begin) & (t <= end)
-        error.plot(t[held], 100 * (pressing[held] / wanted - 1), linewidth=0.6, color=BLACK)
+        shortfall = pressing[held] / set_points_N(run, number, t[held]) - 1
+        error.plot(t[held], 100 * shortfall, linewidth=0.6, color=BLACK)
         show_allowed_error(error, run)
         error.set_ylabel("$F_n$ error (%)")
         loading = run.header.settings.get("loading", "slide")
@@ -202,4 +204,7 @@ def _coefficients(axes: Axes, run: RunFile, number: int) -> None:
     why = str(run.column("no_friction")[number]) if "no_friction" in run.columns() else ""
     if why:
         text = "\n".join(wrapped(f"no friction coefficients: {why}", SMALLEST_PT, REASON_PT))
-        axes.text(0.02, 0.9, text, transform=axes.transAxes, va="top", fontsize=SMALLEST_PT)
+        axes.text(  # lower right: the ratio rises from the left, and is high at the end
+            0.98, 0.06, text, transform=axes.transAxes, ha="right", va="bottom",
+            fontsize=SMALLEST_PT,
+        )  # fmt: skip
