@@ -29,6 +29,9 @@ SPECTRUM_SAMPLES = 1024
 LONGEST_ROW_S = 1.0
 """Longest time over which rows without a rate are spread: a longer gap is a pause."""
 SERVO_ERROR = "servo_error"
+CHANGING = ("regrip", "force_shares")
+"""Settings under which a trial's set point changes: an error against the one in the settings would
+be wrong, so none is shown."""
 SHOWN_FIRST = ("signals", "force", "position", "waveform", "load_rate")
 """Streams of the procedures of this program, in the order in which channels are given to them."""
 LEFT_OUT = frozenset({"strips", "bridges", "ticks", "ages"})
@@ -161,7 +164,8 @@ class RunView:
             left -= len(channels)
             if channels:
                 self.rings[stream.name] = Ring(channels, stream.units)
-        if self.set_point_N is not None and "force" in self.rings:
+        changes = any(header.settings.get(name) for name in CHANGING)
+        if self.set_point_N is not None and "force" in self.rings and not changes:
             self.rings[SERVO_ERROR] = Ring((SERVO_ERROR,), "N")
 
     def _name_units(self, state: StreamState) -> None:

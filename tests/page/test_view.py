@@ -69,6 +69,17 @@ def test_memory_is_bounded_whatever_a_journal_holds():
     assert len(str(list(view.events))) < 1000 * MOST_EVENTS
 
 
+@pytest.mark.parametrize("changing", [{"regrip": True}, {"force_shares": [1.0, 0.5]}])
+def test_no_servo_error_is_shown_where_the_set_point_changes(changing):
+    streams = [{"name": "force", "device": "", "channels": ["F_n", "F_t"], "dtype": "<f8",
+                "row_shape": [2]}]  # fmt: skip
+    view = RunView()
+    settings = {"normal_force_N": 4.0, **changing}
+    header = run.header(streams=streams, settings=settings, setting_units={})
+    view.take(RunHeader.model_validate(header))
+    assert set(view.rings) == {"force"}
+
+
 def test_counts_become_values_at_their_times_and_the_servo_error_is_shown():
     streams = [{"name": "force", "device": "", "channels": ["F_n", "F_t"], "dtype": "<f8",
                 "row_shape": [2]}]  # fmt: skip
