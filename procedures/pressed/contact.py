@@ -351,11 +351,10 @@ def unload(run: Run, pressed: str, came_from_mm: float) -> None:
     Where a watcher stops z on the way, the reason is recorded and the way continues, once. So does
     it where one answer was lost or spoilt, and where the drive has stopped by its own communication
     time-out: that fault is acknowledged over a new connection; UnsafeError where z cannot be moved
-    even then. A drive that has another
-    fault, has lost its place or does not act stands where it is, and the run has failed (exit 3;
-    UnsafeError where the force is over the limit that was watched). What the stop
-    itself raises is raised: then the bench is not safe. A force that remains afterwards fails the
-    run; UnsafeError where it is over the limit that was watched.
+    even then. A drive that has another fault, has lost its place or does not act stands where it
+    is, and the run has failed (exit 3; UnsafeError where the force is over the limit that was
+    watched). What the stop itself raises is raised: then the bench is not safe. A force that
+    remains afterwards fails the run; UnsafeError where it is over the limit that was watched.
     """
     stage = run.bench.stage_z
     try:
@@ -363,13 +362,15 @@ def unload(run: Run, pressed: str, came_from_mm: float) -> None:
     except InstrumentError:
         stage.stop()  # one answer was lost or spoilt: there is time for a second request
     timed_out = False
+    lost = ""
     try:
         try:
             _go_clear(run, came_from_mm)
         except InstrumentError as error:
             trip = run.tripped()
             timed_out = stage.acknowledge_timeout()
-            lost = isinstance(error, InstrumentTimeoutError | InstrumentLinkError)
+            if isinstance(error, InstrumentTimeoutError | InstrumentLinkError):
+                lost = error.one_line()
             if trip is None and not timed_out and not lost:
                 raise
             if trip is not None:
@@ -383,6 +384,13 @@ def unload(run: Run, pressed: str, came_from_mm: float) -> None:
                 "drive-timed-out",
                 f"stage_z had stopped by its own communication time-out; the fault was "
                 f"acknowledged and the {pressed} lifted: z stands at {stands_mm:.3f} mm",
+            )
+        elif lost:
+            run.event(
+                "warning",
+                "answer-lost",
+                f"on the way up: {lost}; it was asked again and the {pressed} lifted: z stands at "
+                f"{stands_mm:.3f} mm",
             )
     except InstrumentError as error:
         if timed_out:

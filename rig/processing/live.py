@@ -347,13 +347,21 @@ class _InChild(LiveDetector):
         """Reads answers until the detector is dropped or closed (the body of a thread)."""
         poller = select.poll()
         poller.register(self._socket, select.POLLIN)
+        reset = False
         while self.in_use:
             try:
                 if poller.poll(CHECK_EVERY_ms):
                     self._take_answer(self._socket.recv(MOST_BYTES, socket.MSG_DONTWAIT))
             except BlockingIOError:
                 continue
-            except OSError:  # it has ended without reading all that was sent
+            except ConnectionResetError:
+                # It has ended without reading all that was sent. Linux reports that once, ahead of
+                # the answers that wait, and the last of these may say why it has ended.
+                if reset:
+                    self._take_answer(b"")
+                reset = True
+                continue
+            except OSError:
                 self._take_answer(b"")
             oldest = self._sent[0] if self._sent else None
             if oldest and time.monotonic() - oldest.sent_s > self._longest_lag_s:
