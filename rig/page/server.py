@@ -65,6 +65,8 @@ MOST_VIEWERS = 32
 POLL_EVERY_S = 0.1
 SLIPS_EVERY_S = 0.2
 INDEX_EVERY_S = 2.0
+LONGEST_LOOK_S = 5.0
+"""Longest wait at the end for a look that is under way."""
 NIGHT_EVERY_S = 4.0
 """Age in s up to which an answer about the batch is given to further viewers."""
 STUCK_S = 60.0
@@ -389,8 +391,12 @@ def serve(state: PageState, port: int, ready: Callable[[str], None]) -> None:
             "another page may run; choose another port, or --port 0 for any",
         ) from error
     over = threading.Event()
-    for name, work in (("watch", _watch), ("index", _index), ("slips", _slips)):
-        start_thread(threading.Thread(target=work, args=(state, over), name=name, daemon=True))
+    threads = [
+        threading.Thread(target=work, args=(state, over), name=name, daemon=True)
+        for name, work in (("watch", _watch), ("index", _index), ("slips", _slips))
+    ]
+    for thread in threads:
+        start_thread(thread)
     server = uvicorn.Server(
         uvicorn.Config(
             application(state),
@@ -412,6 +418,10 @@ def serve(state: PageState, port: int, ready: Callable[[str], None]) -> None:
     finally:
         over.set()
         listening.close()
+        # Python would end them wherever they are: one that is reading a run file then would keep
+        # h5py's lock for ever, and the page would hang instead of ending.
+        for thread in threads:
+            thread.join(LONGEST_LOOK_S)
 
 
 def _watch(state: PageState, over: threading.Event) -> None:

@@ -279,3 +279,42 @@ def test_nonsense_in_the_folder_is_never_green(tmp_path):
     finally:
         process.terminate()
         process.wait(PATIENCE_S)
+
+
+SLOW_LOOK = """
+import sys, time
+from rig.cli import main
+from rig.page import server
+
+def index(state, over):
+    print("looking", flush=True)
+    over.wait()
+    time.sleep(0.5)
+    print("looked", flush=True)
+
+server._index = index
+sys.argv = ["rig", "page", "--port", "0", "--results", sys.argv[1]]
+main()
+"""
+
+
+def test_a_page_ends_only_after_what_reads_files_has(tmp_path: Path) -> None:
+    """A thread that Python ends within h5py keeps its lock: the page hung at its end."""
+    page = subprocess.Popen(
+        [sys.executable, "-c", SLOW_LOOK, str(tmp_path)],
+        stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
+    )  # fmt: skip
+    assert page.stdout is not None
+    seen = ""
+    while not ("looking" in seen and (found := re.search(r"127\.0\.0\.1:(\d+)/", seen))):
+        line = page.stdout.readline()
+        assert line, seen
+        seen += line
+    connection = http.client.HTTPConnection("127.0.0.1", int(found[1]), timeout=60)
+    connection.request("GET", "/")  # once it answers, the server has taken the signals over
+    connection.getresponse().read()
+    connection.close()
+    page.send_signal(signal.SIGINT)
+    said, _ = page.communicate(timeout=60)
+    assert "looked" in said
+    assert page.returncode == 130
