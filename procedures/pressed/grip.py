@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 STALE_S = 0.1
 """Age in s of an alarm's sample from which nothing is squeezed: what slipped then has gone on
-slipping or has stopped, and the detector alarms again where it goes on."""
+slipping or has stopped; the detector alarms again if it continues."""
 BLIND_S = 0.05
 """Additional age in s of the latest force from which nothing is squeezed."""
 SEEN_SHARE = 0.5

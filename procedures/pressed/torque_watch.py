@@ -96,7 +96,7 @@ class TorqueWatch:
         self._readings += 1
         if self.latest_percent is None:
             self._stage = None
-            self._report("stage_z reports no torque: only its torque limit is behind the force")
+            self._report("stage_z reports no torque: only its torque limit backs the force")
 
     def rest(self) -> None:
         """Read the torque of a stage that stands in free air; the next approach begins from it."""
@@ -137,8 +137,8 @@ class TorqueWatch:
         if self._readings >= FLAT and len(self._shown) == 1 and abs(force_N) >= FLAT_N:
             self._report(
                 f"stage_z shows the same torque, {self.latest_percent:.3g} %, in free air and "
-                f"under {force_N:.2g} N: it is no witness, only its torque limit is behind the "
-                "force sensor; check the torque that the drive reports"
+                f"under {force_N:.2g} N: it does not follow the force, so that only the "
+                "torque limit backs the force sensor; check the torque that the drive reports"
             )
         if self._stage is not None and self._hold_margin_percent() > self._hidden_percent:
             self._report(

@@ -32,8 +32,9 @@ MOST_EVENTS_A_ROW = 16
 
 
 class DetectorError(RigError):
-    """Raised where a detector of another package fails or returns what is no event; the message
-    names the detector and its package."""
+    """Raised where a detector of another package fails or returns something else than an event.
+
+    The message names the detector and its package."""
 
     code = ExitCode.INTERNAL
 

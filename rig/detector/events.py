@@ -32,7 +32,7 @@ class SlipEvent:
 
     kind: EventKind
     """``predictive``: the low-passed v_d passed its threshold, because a motion under load has
-    begun (it is no warning of a slip); ``incipient slip``: a slip was detected; ``roll``: the
+    begun (it does not warn of a slip); ``incipient slip``: a slip was detected; ``roll``: the
     current motion is a roll; ``rejected``: something resembled a slip but was not reported as one,
     see `reason`; ``cannot judge``: nothing is judged from now on, for a `reason`, until ``judges
     again``."""

@@ -664,7 +664,7 @@ def _update_features(
 def _follow_drift(d: float, v: float, s: Any, c: Any) -> None:
     """Moves the offsets towards v_d and v_s, which deviate from them by `d` and `v`.
 
-    Not in a touch-down, which is no drift. Before it, the offsets become means of all rows so far.
+    Not in a touch-down: that is not drift. Before it, the offsets become means of all rows so far.
     """
     if s.stage == TOUCHING:
         return

@@ -228,7 +228,7 @@ def judged(
     hits: dict[str, list[bool]] = {}
     for one in lessons:
         if not one.first:
-            continue  # the same contact, which is no further case
+            continue  # the same contact: not another case
         (said,) = contender.reports(one.volts, one.rate_Hz, (1.0,))
         outcome = judge(one.truth, said, {})
         label = one.truth.label

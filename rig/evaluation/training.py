@@ -51,7 +51,7 @@ class TrainingTrial:
     motion_s: float
     """Start of the motion."""
     motion_end_s: float
-    """End of the roll; NaN if it lasts to the end, and for all that is no roll."""
+    """End of the roll; NaN if it lasts to the end, and for trials without a roll."""
     lift_off_s: float
     """Lift-off of the ridge."""
 

@@ -180,7 +180,7 @@ def _first_order_line(axes: Axes, curve: ResponseCurve, analysis: SweepAnalysis)
     """Draw eq. (2) with the fitted level b, up to the corner: it holds below that. A line through
     all points up to 2 kHz would lie above them, because the corner bends them down."""
     level_dB, corner_Hz = analysis.level.value, analysis.corner.value
-    # NaN where there is no corner: fmin leaves it out.
+    # NaN where no corner was found: fmin leaves it out.
     ends = np.array([curve.frequencies[0], np.fmin(corner_Hz, curve.frequencies[-1])])
     axes.plot(
         ends,

@@ -111,7 +111,7 @@ def _kind_of(runs: Sequence[RunFile]) -> str:
 
 
 def _free_place(file: Path) -> Path:
-    """Return the file's name with an ending of which there is no picture yet."""
+    """Return the file's name with the first ending that no picture has yet."""
     number = 1
     while True:
         ending = "-overlay" if number == 1 else f"-overlay-{number}"
@@ -143,7 +143,7 @@ def _stated(run: RunFile) -> dict[str, Any]:
     plain = {
         key: value for key, value in run.settings.items() if isinstance(value, int | float | str)
     }
-    # How often a trial is made is no difference between trials; loads have curves of their own.
+    # The number of trials does not tell trials apart; loads have curves of their own.
     for key in ("trials", "load_N"):
         plain.pop(key, None)
     return {"sample": run.header.sample.name, "film": film_of(run), **plain}

@@ -324,7 +324,7 @@ class BenchWatch:
             self._unusable.add(file)
 
     def _files_problem(self) -> str:
-        """Return why what was read is no report on the bench any more: its files, or the folder
+        """Return why what was read says nothing of the bench any more: its files, or the folder
         that the next run would record in, have gone. Empty where they are there."""
         shown = self._shown
         if shown is None:

@@ -41,9 +41,9 @@ if TYPE_CHECKING:
 SUFFIX = ".lock"
 ENTRY_BYTES = 4096
 GUARD_S = 10.0
-"""Longest time in s that a program waits for the guard of a run that died, where nobody is told."""
+"""Longest time in s that a program waits for the guard of a run that died, without a message."""
 SAY_AFTER_S, SAY_EVERY_S = 1.0, 60.0
-"""Time in s after which a person is told what is waited for, and the interval from there on."""
+"""Time in s after which a message says what is waited for, and the interval of later messages."""
 LOOK_EVERY_S = 0.1
 
 

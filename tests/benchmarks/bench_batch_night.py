@@ -93,7 +93,7 @@ rest_s = {REST_S}
 
 
 def simulation(folder: Path) -> str:
-    """What every run is simulated on, and what befalls some: files beside the batch file."""
+    """What every run is simulated on, and what happens to some: files beside the batch file."""
     _, plan, _ = parse_batch(night_toml(), "night.toml")
     chance = random.Random(SEED)
     (folder / "faults").mkdir()
@@ -181,11 +181,11 @@ def main() -> None:
     ((night_s,),) = ask(batch, "SELECT value FROM meta WHERE key = 'night_s'")
     states = dict(ask(batch, "SELECT state, count(*) FROM run GROUP BY state"))
     kinds = dict(ask(batch, "SELECT kind, count(*) FROM attempt GROUP BY kind"))
-    befallen = injected(batch)
+    faults_met = injected(batch)
     print(f"runs {states}, attempts by kind of failure {kinds}")
     print(f"bench time {float(night_s) / 3600:.2f} h, wall time {wall_s / 60:.1f} min")
     print(f"holds let go {holds}, started again {restarts}, exit codes {codes}")
-    print(f"faults injected {befallen.total()}: {dict(befallen.most_common())}")
+    print(f"faults injected {faults_met.total()}: {dict(faults_met.most_common())}")
     breaches = list(wrong(batch))
     print(f"lost, doubled, unsafe or unsound: {len(breaches)}")
     for breach in breaches:

@@ -1,7 +1,7 @@
 """Links with faults that can be detected: never a wrong answer, and at once well again.
 
 The real drivers' links against the real simulators over their real transports. In every round the
-simulator is given another true value, then it is asked for while one of five faults befalls the
+simulator is given another true value, then it is asked for while one of five faults happens to the
 answer; then it is asked, undisturbed, until the answer is right again. Beside them the stock
 clients, used as their manuals show.
 
@@ -99,7 +99,7 @@ class Side(ABC):
     request: bytes
     """How the question begins."""
     kinds: tuple[str, ...] = KINDS
-    """What befalls the answer."""
+    """What happens to the answer."""
 
     def __init__(self) -> None:
         self.faults = OneFault(self.request)

@@ -8,7 +8,7 @@ chi-square against the World's film, which the sweep does not know.
 
 Run with ``pytest -m benchmark -n 0 -s tests/benchmarks/bench_load_dependence.py``;
 `RIG_REPEATS=2` for two films of each kind through the wire, which take some minutes each.
-`RIG_REGISTER=FILE` keeps what each of them gave, so that a call that was interrupted goes on.
+`RIG_REGISTER=FILE` keeps what each of them gave, so that an interrupted call continues.
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@ tick: x at rest, the skin off the plate or said to be on it, what went wrong tol
 be read.
 
 Run with ``pytest -m benchmark -n 0 -s tests/benchmarks/bench_real_time_faults.py``. CI has the same
-faults in slaved time, where they befall the same instant each time; here they fall where they fall.
+faults in slaved time, where each happens at the same instant every time; here it does not.
 ``-k ramp`` for five of the 23 cases; ``-k late`` for the late ticks of a loop of 500 Hz beside a
 DAQ whose every answer takes 30 ms longer, and beside one that is not disturbed, `RIG_REPEATS` (3)
 slides of each in turn, which needs an idle computer.

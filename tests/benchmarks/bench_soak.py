@@ -70,20 +70,20 @@ def soaked(free: SimpleQueue[Server], trial: Trial, folder: Path) -> tuple[Ran, 
 
 
 def test_random_trials_break_nothing(tmp_path: Path) -> None:
-    befallen = soak([draw(seed, roll_share=0.0) for seed in SEEDS], tmp_path)
+    faults_met = soak([draw(seed, roll_share=0.0) for seed in SEEDS], tmp_path)
     common = [kind for kind in KINDS if kind not in ROTARY_KINDS]
-    assert CHOSEN or min(befallen[kind] for kind in common) >= LEAST_OF_EACH
+    assert CHOSEN or min(faults_met[kind] for kind in common) >= LEAST_OF_EACH
 
 
 def test_roll_trials_break_nothing(tmp_path: Path) -> None:
-    befallen = soak([draw(seed, 0.0, 1.0) for seed in SEEDS[:ROLLS]], tmp_path)
-    assert CHOSEN or min(befallen[kind] for kind in ROTARY_KINDS) >= ROLLS // 200
+    faults_met = soak([draw(seed, 0.0, 1.0) for seed in SEEDS[:ROLLS]], tmp_path)
+    assert CHOSEN or min(faults_met[kind] for kind in ROTARY_KINDS) >= ROLLS // 200
 
 
 def soak(trials: Sequence[Trial], tmp_path: Path) -> Counter[str]:
     """How many of them each kind befell; fails where one broke an invariant."""
     heading(f"{len(trials)} random trials under random fault plans, seeds from {SEEDS[0]}")
-    befallen: Counter[str] = Counter()
+    faults_met: Counter[str] = Counter()
     pressed: dict[tuple[str, str], list[Pressed]] = defaultdict(list)
     became: dict[str, Counter[int]] = defaultdict(Counter)
     codes: Counter[tuple[str, int]] = Counter()
@@ -95,9 +95,9 @@ def soak(trials: Sequence[Trial], tmp_path: Path) -> Counter[str]:
     with ThreadPoolExecutor(len(servers)) as pool:
         for ran, found in pool.map(lambda trial: soaked(free, trial, tmp_path), trials):
             codes[ran.trial.procedure, ran.code] += 1
-            kinds = {kind for _, kind in ran.befallen}
+            kinds = {kind for _, kind in ran.faults_met}
             for kind in kinds:
-                befallen[kind] += 1
+                faults_met[kind] += 1
                 became[kind][ran.code] += 1
                 pressed[kind, ran.trial.procedure].append(
                     Pressed(ran.largest_N, ran.over_limit_s, kinds == {kind})
@@ -111,14 +111,14 @@ def soak(trials: Sequence[Trial], tmp_path: Path) -> Counter[str]:
     print(f"\n{'kind':16s} {'trials':>6s}  " + " ".join(f"exit {code:<4d}" for code in shown))
     for kind in (*KINDS, TALLER):
         row = " ".join(f"{became[kind][code]:<9d}" for code in shown)
-        print(f"{kind:16s} {befallen[kind]:6d}  {row}")
+        print(f"{kind:16s} {faults_met[kind]:6d}  {row}")
     for procedure in sorted({name for name, _ in codes}):
         row = " ".join(f"{codes[procedure, code]:<9d}" for code in shown)
         print(f"{procedure:16s} {sum(codes[procedure, c] for c in shown):6d}  {row}")
     print_forces(pressed)
     print(f"violations: {len(broken)} of {len(trials)} trials")
     assert not broken
-    return befallen
+    return faults_met
 
 
 def print_forces(pressed: dict[tuple[str, str], list[Pressed]]) -> None:

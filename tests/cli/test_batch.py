@@ -36,8 +36,8 @@ procedure = "sweep"
 settings = { frequencies_Hz = [160, 180, 200, 220, 240, 260], load_N = 1.0 }
 """
 )
-"""A point of the first run takes most of a second: what befalls the run after its first point finds
-it under way, on a busy machine too."""
+"""A point of the first run takes most of a second: what happens after its first point finds the run
+under way, on a busy machine too."""
 
 
 def begin(rig, text: str):

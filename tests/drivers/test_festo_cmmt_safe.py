@@ -1,4 +1,4 @@
-"""The CMMT driver makes its drive safe, whatever else goes on."""
+"""The CMMT driver makes its drive safe, whatever else happens."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ def test_make_safe_that_does_not_get_through_says_so_after_one_time_out() -> Non
 
 
 class RealTime:
-    """A bench whose time goes on by itself from where another's stands."""
+    """A bench whose time passes by itself from where another's stands."""
 
     def __init__(self, bench: AxisBench):
         self._shift = bench.now_us - time.monotonic_ns() // 1000

@@ -175,7 +175,7 @@ def test_a_stage_that_reports_no_torque_is_not_watched() -> None:
     torque, watch = at_rest(bench)
     bench.press(watch, torque, 0.7)
     assert not bench.stopped
-    assert bench.events == ["stage_z reports no torque: only its torque limit is behind the force"]
+    assert bench.events == ["stage_z reports no torque: only its torque limit backs the force"]
 
 
 @pytest.mark.parametrize("update_rate_Hz", [1000.0, 50.0])

@@ -2,7 +2,7 @@
 
 `rig.run.execute.execute` runs a procedure that does what a state machine tells it, on a bench
 of roles that are put together here. Bench time stands still until the machine lets a slice of it
-pass; meanwhile the machine does what befalls a run: it presses on the force sensor, takes its
+pass; meanwhile the machine does what happens to a run: it presses on the force sensor, takes its
 frames away, asks for a stop, pauses, lets drive, disk or procedure fail. Run, arming, holds, force
 monitor with its thread, recorder and compilation are the program's own. The guard and the handlers
 of signals are not: they have tests of their own.
@@ -422,7 +422,7 @@ class Ending(RuleBasedStateMachine):
         self.obey(lambda run: True)
         assert last or self.puppet.phase == "taking"
 
-    # --- what befalls it ----------------------------------------------------------------------
+    # --- what happens to it ----------------------------------------------------------------------
 
     @property
     def run(self) -> Run:

@@ -188,7 +188,7 @@ def stop() -> None:
 def test_the_guard_of_a_dead_run_holds_its_bench_until_it_is_safe(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """It is waited for as long as it acts, where a person is told and can end the wait.
+    """A program waits as long as the guard acts; a person sees why and can end the wait.
 
     Stands for the guard: a process that has inherited the lock of one that is gone."""
     file = tmp_path / "bench.toml"

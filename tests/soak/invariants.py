@@ -66,7 +66,7 @@ class Ran:
         return [line for line in self.stderr.splitlines() if line.startswith("error: ")]
 
     @property
-    def befallen(self) -> list[tuple[str, str]]:
+    def faults_met(self) -> list[tuple[str, str]]:
         """Device and kind of what was really done, in order; a disk's faults as planned, for they
         stand in no World's log."""
         done = [(x["device"], x["kind"]) for x in self.trial.faults if x["device"] == DISK]
@@ -114,7 +114,7 @@ def _ending(ran: Ran) -> Iterator[str]:
         yield f"exit code {ran.code}"
     if "Traceback" in ran.stderr or "internal error" in ran.stderr.lower():
         yield "an internal error"
-    if not ran.befallen and ran.code != DONE:
+    if not ran.faults_met and ran.code != DONE:
         yield f"exit code {ran.code} although nothing was injected"
     if not ran.log or ran.log[-1]["what"] != "end":
         yield "the World did not end by itself"
@@ -130,11 +130,11 @@ def _telling(ran: Ran) -> Iterator[str]:
     for line in ran.errors:
         if "; " not in line and not line.startswith("error: NOT SAFE"):
             yield f"no remedy: {line}"
-    injected = {device for device, _ in ran.befallen}
+    injected = {device for device, _ in ran.faults_met}
     words = {word for device in injected for word in NAMES.get(device, (device,))}
-    if {kind for _, kind in ran.befallen} & {*UNNOTICED}:
+    if {kind for _, kind in ran.faults_met} & {*UNNOTICED}:
         words.add("torque limit")  # which alone bounds the force then, as docs/safety.md declares
-    if RUNAWAY in {kind for _, kind in ran.befallen}:
+    if RUNAWAY in {kind for _, kind in ran.faults_met}:
         words.add("force along")  # an axis that presses on is the force's to tell
     if not any(word in line for word in words for line in ran.errors):
         yield f"no sentence names {', '.join(sorted(injected))}: {ran.errors[0]}"

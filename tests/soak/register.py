@@ -60,7 +60,7 @@ def entry_of(series: str, ran: Ran, violations: Sequence[str], cpu_s: float | No
         commit(),
         ran.trial.procedure,
         ran.trial.stages,
-        tuple(dict.fromkeys(kind for _, kind in ran.befallen)),
+        tuple(dict.fromkeys(kind for _, kind in ran.faults_met)),
         ran.code,
         round(ran.largest_N, 3),
         round(ran.over_limit_s, 4),

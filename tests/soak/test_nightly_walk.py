@@ -44,7 +44,7 @@ def test_a_fault_at_any_request_breaks_nothing(
         fault = {"device": device, "kind": kind, "at": at}
         trial = Trial(at, arguments, world_of(procedure, [fault]), (fault,))
         ran = run(server(), trial, tmp_path / str(at))
-        if not ran.befallen:
+        if not ran.faults_met:
             break
         if found := [*breaches(ran), *left_pressed(ran)]:
             broken[at] = found

@@ -77,7 +77,7 @@ def misread(tmp_path: Path, fault: Fault) -> Ran:
     options = ("--frequencies", "110,410", "--load", "1N", "--preload", "12N", "--seed", "1")
     trial = Trial(1, ("sweep", *options), world_of("sweep", [fault]), (fault,))
     ran = run(server(), trial, tmp_path / "trial")
-    assert len(ran.befallen) == 1
+    assert len(ran.faults_met) == 1
     assert breaches(ran) == []
     return ran
 
@@ -112,7 +112,7 @@ def test_a_seed_is_replayed_exactly(tmp_path: Path) -> None:
     """The World's own account of two runs is the same, line by line."""
     trial = draw(SEED_BY_DEFAULT)
     first, again = (run(server(), trial, tmp_path / name) for name in ("first", "again"))
-    assert first.befallen
+    assert first.faults_met
     assert (first.code, first.log) == (again.code, again.log)
 
 

@@ -126,12 +126,12 @@ EARLIER_DEVICES: dict[str, tuple[str, ...]] = {
 WIDE_KINDS = tuple(kind for kind in DEVICES_BY_FAULT if kind != "late")
 """Of `draw_wide`."""
 ROTARY_KINDS = tuple(kind for kind, able in DEVICES_BY_FAULT.items() if set(able) == {ROTARY})
-"""That befall roll trials alone."""
+"""Those of roll trials alone."""
 
 
 def draw(seed: int, slip_share: float = 0.15, roll_share: float = 0.05) -> Trial:
     """The trial of a seed; shares of them are slip and roll trials, which take longer. Of what goes
-    wrong in a roll trial half befalls the stage that only it has."""
+    wrong in a roll trial half happens to the stage that only it has."""
     chance = random.Random(seed)
     which = chance.random()
     rotary_share = 0.0
@@ -258,8 +258,8 @@ def fault(
     able: Mapping[str, Sequence[str]] = EARLIER_DEVICES,
     kinds: Sequence[str] = KINDS,
 ) -> Fault:
-    """A fault of one of the kinds that befalls a device which is not `absent`; `able` are the
-    devices that each can befall."""
+    """A fault of one of the kinds that happen to a device which is not `absent`; `able` are the
+    devices that each can happen to."""
     kind = chance.choice([kind for kind in kinds if set(able[kind]) - absent])
     device = chance.choice([name for name in able[kind] if name not in absent])
     return {"device": device, "kind": kind, **_KEYS.get(kind, _reply)(chance, device)}

@@ -88,7 +88,7 @@ class Tolerant(Steps):
     """Takes anything."""
 
     def checked(self, volts: Any) -> np.ndarray:
-        """Replaces what is no number by 0."""
+        """Replaces NaN and infinity by 0."""
         return np.nan_to_num(np.asarray(volts, dtype=np.float64)).reshape(-1, 2)
 
 

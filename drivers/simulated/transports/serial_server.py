@@ -42,7 +42,7 @@ class PtyServer:
     `stream_faults` what the instrument says of its
     own accord, one `pump` that has something counting as one request named ``STREAM``. A fault of
     kind ``close`` unplugs the port: clients see it vanish, and the path leads to a new one. After
-    one of kind ``reset`` there is no port for `GONE_US` of bench time, as while an adapter starts
+    one of kind ``reset`` the port is gone for `GONE_US` of bench time, as while an adapter starts
     anew; behind one of kind ``half-open`` the line is cut: nothing passes in either direction.
 
     In slaved time the owner of the time calls `pump` after every advance. In real time, from
@@ -158,7 +158,7 @@ class PtyServer:
         self._master = self._slave = -1
         if plug_in:
             self._plug_in()
-        else:  # else it would lead to the next terminal that somebody opens
+        else:  # else the path would lead to a terminal of another program
             Path(self.path).unlink(missing_ok=True)
         for descriptor in old:
             os.close(descriptor)

@@ -7,7 +7,7 @@ Pure functions of a journal's results, which the writer and the read-back share.
     a list of tables   a group of arrays, an element for each table: notches, for instance
     a list of numbers  an array, with NaN for what is not known
     a text             a text
-    None               nothing: there is no such result
+    None               nothing: the result does not exist
     anything else      its JSON text
 """
 

@@ -289,14 +289,14 @@ def test_a_fault_needs_a_rising_acknowledge_and_then_a_rising_on(homed: Controll
 # --- faults ----------------------------------------------------------------------------------
 
 
-def befallen(*faults: MoveFault) -> Controller:
+def with_faults(*faults: MoveFault) -> Controller:
     at = Controller.of_a_drive(faults=faults)
     at.home()
     return at
 
 
 def test_a_fault_comes_at_its_time_without_a_poll() -> None:
-    at = befallen(
+    at = with_faults(
         DriveFault(device="stage_z", kind="drive-fault", move=1, after_s=0.5, code=115),
         AxisFault(device="stage_z", kind="reference-lost", move=1, after_s=0.2),
     )
@@ -309,7 +309,7 @@ def test_a_fault_comes_at_its_time_without_a_poll() -> None:
 
 
 def test_a_fault_waits_for_its_task_and_a_changed_task_is_the_same() -> None:
-    at = befallen(DriveFault(device="stage_z", kind="drive-fault", move=2, after_s=0.1))
+    at = with_faults(DriveFault(device="stage_z", kind="drive-fault", move=2, after_s=0.1))
     for target in (10_000, 12_000, 14_000):
         at.write(*RUN, ON, TASK, target=target, pos_stw1=0x9100)
         at.wait(1)
@@ -321,7 +321,7 @@ def test_a_fault_waits_for_its_task_and_a_changed_task_is_the_same() -> None:
 
 
 def test_a_fault_waits_for_the_task_of_another_axis() -> None:
-    at = befallen(DriveFault(device="stage_z", kind="drive-fault", move=1, of="stage_x"))
+    at = with_faults(DriveFault(device="stage_z", kind="drive-fault", move=1, of="stage_x"))
     at.write(*RUN, ON, TASK, target=10_000)
     at.wait(0.1)
     assert at.fault == 0
@@ -331,7 +331,7 @@ def test_a_fault_waits_for_the_task_of_another_axis() -> None:
 
 
 def test_a_fault_of_no_task_comes_at_its_bench_time() -> None:
-    at = befallen(DriveFault(device="stage_z", kind="drive-fault", after_s=5.0, code=58))
+    at = with_faults(DriveFault(device="stage_z", kind="drive-fault", after_s=5.0, code=58))
     at.wait(5.0 - at.bench.now_us * 1e-6 - 0.02)
     assert at.fault == 0
     at.wait(0.03)
@@ -339,7 +339,7 @@ def test_a_fault_of_no_task_comes_at_its_bench_time() -> None:
 
 
 def test_an_axis_that_turns_slow_arrives_later_and_stays_slow() -> None:
-    at = befallen(SlowAxis(device="stage_z", kind="slow", move=1, after_s=0.5, share=0.25))
+    at = with_faults(SlowAxis(device="stage_z", kind="slow", move=1, after_s=0.5, share=0.25))
     at.write(*RUN, ON, TASK, target=20_000)
     at.wait(0.4)
     assert at.drive.velocity_mm_s(at.bench.now_us) == pytest.approx(20)
@@ -354,7 +354,7 @@ def test_an_axis_that_turns_slow_arrives_later_and_stays_slow() -> None:
 
 
 def test_a_limit_switch_that_closes_stops_the_axis_on_its_way() -> None:
-    at = befallen(AxisFault(device="stage_z", kind="limit-switch", move=2, after_s=0.5))
+    at = with_faults(AxisFault(device="stage_z", kind="limit-switch", move=2, after_s=0.5))
     at.write(*RUN, ON, TASK, target=20_000)
     at.wait(2)
     at.write(*RUN, ON)
@@ -365,7 +365,7 @@ def test_a_limit_switch_that_closes_stops_the_axis_on_its_way() -> None:
 
 
 def test_a_runaway_axis_passes_its_target_and_obeys_no_other_until_it_is_stopped() -> None:
-    at = befallen(AxisFault(device="stage_z", kind="runaway", move=1, after_s=0.2))
+    at = with_faults(AxisFault(device="stage_z", kind="runaway", move=1, after_s=0.2))
     at.write(*RUN, ON, TASK, target=10_000)
     at.wait(1)
     at.write(*RUN, ON, TASK, target=5_000, pos_stw1=0x9100)
@@ -382,7 +382,7 @@ def test_a_runaway_axis_passes_its_target_and_obeys_no_other_until_it_is_stopped
 
 
 def test_a_stuck_axis_is_a_following_error_for_ever() -> None:
-    at = befallen(AxisFault(device="stage_z", kind="stuck", move=1, after_s=0.5))
+    at = with_faults(AxisFault(device="stage_z", kind="stuck", move=1, after_s=0.5))
     at.write(*RUN, ON, TASK, target=50_000)
     at.wait(2)
     stands = at.position

@@ -204,7 +204,7 @@ def test_missing_world_settings_are_refused_and_none_are_the_defaults(tmp_path: 
 # --- fault plans -----------------------------------------------------------------------------
 
 
-def befallen(tmp_path: Path, **fault: object) -> tuple[World, Path]:
+def with_fault(tmp_path: Path, **fault: object) -> tuple[World, Path]:
     """A World with one fault, and where its log is."""
     plan = FaultPlan.model_validate({"fault": [fault]})
     log = tmp_path / "world.jsonl"
@@ -224,7 +224,7 @@ def injected(log: Path) -> list[tuple[int, str, str]]:
 
 
 def test_a_spike_comes_so_long_after_its_acquisition_began(tmp_path: Path) -> None:
-    of, log = befallen(
+    of, log = with_fault(
         tmp_path, device="force_sensor", kind="spike", acquisition=2, after_s=0.004,
         for_s=0.003, force_N=12.0,
     )  # fmt: skip
@@ -240,7 +240,7 @@ def test_a_spike_comes_so_long_after_its_acquisition_began(tmp_path: Path) -> No
 
 
 def test_a_fault_without_an_acquisition_comes_at_its_bench_time(tmp_path: Path) -> None:
-    of, _ = befallen(tmp_path, device="daq", kind="overrun", after_s=0.025)
+    of, _ = with_fault(tmp_path, device="daq", kind="overrun", after_s=0.025)
     heard: list[int] = []
     of.on_fault("daq", lambda fault, t_us: heard.append(t_us))
     pass_time(of, steps=2)
@@ -250,7 +250,7 @@ def test_a_fault_without_an_acquisition_comes_at_its_bench_time(tmp_path: Path) 
 
 
 def test_a_clipped_amplitude_stays_clipped_whatever_is_asked_for(tmp_path: Path) -> None:
-    of, _ = befallen(tmp_path, device="generator", kind="clipped", after_s=1.0, amplitude_V=0.5)
+    of, _ = with_fault(tmp_path, device="generator", kind="clipped", after_s=1.0, amplitude_V=0.5)
     drive(of, 1.0)
     pass_time(of, 999_000)
     whole = np.ptp(sampled(of, at_us=900_000)[:, 0])
@@ -265,7 +265,7 @@ def test_a_clipped_amplitude_stays_clipped_whatever_is_asked_for(tmp_path: Path)
 
 
 def test_a_clock_that_jumps_continues_from_there(tmp_path: Path) -> None:
-    of, _ = befallen(tmp_path, device="clock", kind="clock-jump", after_s=0.015, by_s=2.0)
+    of, _ = with_fault(tmp_path, device="clock", kind="clock-jump", after_s=0.015, by_s=2.0)
     pass_time(of)
     assert of.now_us == 10_000
     pass_time(of)
@@ -285,7 +285,7 @@ def test_a_clock_that_jumps_continues_from_there(tmp_path: Path) -> None:
 def test_a_faulty_sensor_does_not_sense_the_force_that_acts(
     tmp_path: Path, kind: str, keys: dict[str, Any], sensed: list[float]
 ) -> None:
-    of, _ = befallen(tmp_path, device="force_sensor", kind=kind, after_s=0.02, **keys)
+    of, _ = with_fault(tmp_path, device="force_sensor", kind=kind, after_s=0.02, **keys)
     of.weigh((1.0, 2.0, -22.0))  # the film, where no stage is mounted, presses with 25 N
     pass_time(of, steps=3)
     before, after = of.force_N(np.array([0.01, 0.03]))
