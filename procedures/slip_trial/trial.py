@@ -90,23 +90,17 @@ class SlipTrialRun(PressedTrial):
     def _ramp(self, arrival: ArrivalWatch) -> Callable[[Tick], bool]:
         """Begin the ramp; the returned tick raises the tangential force until the skin slips as a
         whole and a little further, or until the end of the ramp, and holds F_n."""
-        settings, along, force = self.settings, self.settings.along, self.recorder.force
+        settings = self.settings
         ramp = ForceRamp(
             settings.ramp_N_s, settings.speed_mm_s, self.series.rates.tick_s, self.delay_s
         )
-        first_mm, first_N, begin_s = self.x.latest.position_mm, force.tangential_N, 0.0
+        ask = self._asking(ramp)
         slipped_mm = speed_mm_s = 0.0
 
         def pull(tick: Tick) -> bool:
-            nonlocal begin_s, slipped_mm, speed_mm_s
+            nonlocal slipped_mm, speed_mm_s
             self.hold_tick(tick)
-            if tick.number == 0:
-                begin_s = tick.began_s
-            polled, since_s = self.x.latest, tick.began_s - begin_s
-            travel_mm = along * (polled.position_mm - first_mm)
-            force_N = along * (force.tangential_N - first_N)
-            polled_s, measured_s = polled.at_s - begin_s, force.measured_s - begin_s
-            asked_mm_s = ramp.step(since_s, polled_s, travel_mm, measured_s, force_N)
+            since_s, travel_mm, asked_mm_s = ask(tick)
             if asked_mm_s != speed_mm_s:
                 speed_mm_s = asked_mm_s
                 self.x.start_move(settings.end_mm, speed_mm_s)
@@ -119,11 +113,28 @@ class SlipTrialRun(PressedTrial):
 
         return pull
 
+    def _asking(self, ramp: ForceRamp) -> Callable[[Tick], tuple[float, float, float]]:
+        """Begin to count way and force from here; the returned function of a tick returns the time
+        since the first one in s, the way of x in mm, and the speed in mm/s that the ramp asks."""
+        along, force = self.settings.along, self.recorder.force
+        first_mm, first_N, begin_s = self.x.latest.position_mm, force.tangential_N, 0.0
+
+        def ask(tick: Tick) -> tuple[float, float, float]:
+            nonlocal begin_s
+            if tick.number == 0:
+                begin_s = tick.began_s
+            polled, since_s = self.x.latest, tick.began_s - begin_s
+            travel_mm = along * (polled.position_mm - first_mm)
+            force_N = along * (force.tangential_N - first_N)
+            polled_s, measured_s = polled.at_s - begin_s, force.measured_s - begin_s
+            return since_s, travel_mm, ramp.step(since_s, polled_s, travel_mm, measured_s, force_N)
+
+        return ask
+
     def _weight(self, load_N: float) -> Callable[[Tick], bool]:
         """Begin to lower a weight; the returned tick loads the contact with it and holds F_n, until
         it was held for long enough or is lost."""
-        settings, along, force, x = self.settings, self.settings.along, self.recorder.force, self.x
-        record = self.record
+        settings, record, x = self.settings, self.record, self.x
         ramp = ForceRamp(
             settings.ramp_N_s,
             settings.speed_mm_s,
@@ -131,26 +142,20 @@ class SlipTrialRun(PressedTrial):
             self.delay_s,
             holds_N=load_N,
         )
-        first_mm, first_N, begin_s = x.latest.position_mm, force.tangential_N, 0.0
+        ask = self._asking(ramp)
         from_mm: float | None = None
         held_s = load_N / settings.ramp_N_s + settings.hold_for_s
         speed_mm_s = 0.0
 
         def pull(tick: Tick) -> bool:
-            nonlocal begin_s, speed_mm_s, from_mm
+            nonlocal speed_mm_s, from_mm
             self.hold_tick(tick)
-            if tick.number == 0:
-                begin_s = tick.began_s
-            polled, since_s = x.latest, tick.began_s - begin_s
-            travel_mm = along * (polled.position_mm - first_mm)
-            force_N = along * (force.tangential_N - first_N)
-            polled_s, measured_s = polled.at_s - begin_s, force.measured_s - begin_s
-            asked_mm_s = ramp.step(since_s, polled_s, travel_mm, measured_s, force_N)
+            since_s, travel_mm, asked_mm_s = ask(tick)
             if asked_mm_s != speed_mm_s:
                 speed_mm_s = asked_mm_s
                 to_mm = settings.end_mm if speed_mm_s > 0 else settings.start_mm
                 if abs(speed_mm_s) < SLOWEST_mm_s:
-                    to_mm = polled.position_mm
+                    to_mm = x.latest.position_mm
                 x.start_move(to_mm, max(abs(speed_mm_s), SLOWEST_mm_s))
             # A fast ramp counts as followed with much of the weight missing: from its end on, what
             # still moves is the weight's way.

@@ -51,12 +51,13 @@ def regrip_study(
         from rig.evaluation.scoring.seeds import seed_range
         from rig.evaluation.wire.regrip_study import RegripStudy, as_object, table
 
+        drawn, wanted = seed_range(seeds).seeds(), _shares(shares)
         chosen = _strategies(strategies)
         progress = WireProgress("regrip-study", 1)
         weights = []
         try:
             study = RegripStudy(user_cache(), progress)
-            for weight in study.weights(seed_range(seeds).seeds(), _shares(shares), chosen):
+            for weight in study.weights(drawn, wanted, chosen):
                 weights.append(weight)
                 if weight.failed:
                     say(f"seed {weight.seed}, {weight.share:g}, {weight.strategy}: {weight.failed}")
