@@ -4,6 +4,9 @@ nothing else.
 Every row passes through the same scalar operations in the same order, and all state is in one
 record. The events therefore do not depend on how the rows arrive: one by one, in blocks or as a
 whole file. The compiler must not reorder operations, so fast mathematics stays off.
+
+All of it is one module because numba's cache checks the file of the function that is called, not
+the files of those it calls.
 """
 
 from __future__ import annotations
