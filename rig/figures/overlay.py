@@ -153,6 +153,8 @@ def _in_words(key: str, value: Any) -> str:
     if key in ("sample", "film"):
         return str(value) if key in str(value) else f"{key} {value or 'not named'}"
     name = name_without_unit(key).replace("_", " ")
+    if isinstance(value, bool):
+        return f"{'with' if value else 'without'} {name}"
     number = f"{value:g}" if isinstance(value, int | float) else str(value)
     return f"{name} {number} {unit_of(key) or ''}".rstrip()
 
@@ -284,15 +286,15 @@ def _account(
     accounts: tuple[tuple[Callable[[SlipInstants], float | None], str], ...] = (
         (
             lambda one: None if one.true is None else one.true.whole_s,
-            "the whole ridge slips (true)",
+            "the whole ridge slipped (true)",
         ),
-        (lambda one: one.detected.slip_s, "the slip is detected"),
-        (lambda one: one.measured_s, "$F_t/F_n$ is largest"),
+        (lambda one: one.detected.slip_s, "the slip was detected"),
+        (lambda one: one.measured_s, "$F_t/F_n$ was largest"),
     )
     for account, words in accounts:
         if all(account(one) is not None for one in every):
             return account, words
-    return (lambda _: None), "the motion begins"
+    return (lambda _: None), "the motion began"
 
 
 def draw_rolls(runs: Sequence[RunFile]) -> Figure:

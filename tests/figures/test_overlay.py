@@ -12,7 +12,14 @@ from matplotlib.axes import Axes
 from recorded import FAST_SLIDE, ROLL, SWEEP, TWO_SLIDES, unpack
 
 from rig.core.errors import ConfigurationError
-from rig.figures.overlay import draw_overlay, draw_rolls, draw_slips, draw_sweeps, names_of
+from rig.figures.overlay import (
+    _in_words,
+    draw_overlay,
+    draw_rolls,
+    draw_slips,
+    draw_sweeps,
+    names_of,
+)
 from rig.figures.slip_instants import true_slips
 from rig.figures.style import STYLE
 from rig.files.runfile.reader import RunFile
@@ -41,7 +48,7 @@ def test_slides_are_aligned_where_the_ridge_slips_and_named_by_what_differs(fold
         "speed 1 mm/s, distance 0.3 mm",
         "speed 0.7 mm/s, distance 0.25 mm",
     ]
-    assert figure.axes[-1].get_xlabel() == "Time since the whole ridge slips (true) (s)"
+    assert figure.axes[-1].get_xlabel() == "Time since the whole ridge slipped (true) (s)"
     curves = [line for line in difference.get_lines() if len(line.get_xdata()) > 2]
     assert len(curves) == 3, "both trials of the second run"
     t, v_d = curves[0].get_data()
@@ -115,3 +122,9 @@ def test_what_cannot_be_laid_over_each_other_is_refused(
 ) -> None:
     with pytest.raises(ConfigurationError, match=words):
         draw_overlay([folder / name for name in files])
+
+
+def test_a_setting_that_is_on_or_off_is_named_in_words() -> None:
+    assert _in_words("regrip", True) == "with regrip"
+    assert _in_words("regrip", False) == "without regrip"
+    assert _in_words("normal_force_N", 4.0) == "normal force 4 N"
