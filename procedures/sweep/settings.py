@@ -120,7 +120,7 @@ class SweepSettings(Settings):
     def _consistent(self) -> SweepSettings:
         if self.highest_Hz <= self.lowest_Hz:
             raise ValueError(
-                f"highest_Hz {self.highest_Hz:g} is not above lowest_Hz {self.lowest_Hz:g}"
+                f"lowest_Hz {self.lowest_Hz:g} Hz is not below highest_Hz {self.highest_Hz:g} Hz"
             )
         for frequency in self.frequencies_Hz or (self.highest_Hz,):
             if self.rate_at(frequency) < 2.5 * frequency:

@@ -54,7 +54,7 @@ def test_any_range_ends_within_its_bounds(low, high):
 
 
 def test_a_range_upside_down_is_refused():
-    with pytest.raises(ValidationError, match="highest_Hz 100 is not above lowest_Hz 200"):
+    with pytest.raises(ValidationError, match="lowest_Hz 200 Hz is not below highest_Hz 100 Hz"):
         FrequencyPlanSettings(lowest_Hz=200, highest_Hz=100)
 
 

@@ -256,7 +256,7 @@ def test_all_that_is_wrong_is_reported_at_once_with_its_experiment() -> None:
         "experiment 2: procedure = 'slide' is unknown; known are path-trial, roll-trial, ",
         "defaults: procedure = 'roll' is unknown",
         "defaults.sweep.load_N = 'heavy': is not a number of N",
-        "experiment 3: sweep-001: highest_Hz 20000 is not above lowest_Hz 30000",
+        "experiment 3: sweep-001: lowest_Hz 30000 Hz is not below highest_Hz 20000 Hz",
     ]
     for words in expected:
         assert sum(line.startswith(words) for line in lines) == 1, (words, lines)

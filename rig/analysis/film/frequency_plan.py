@@ -52,7 +52,7 @@ class FrequencyPlanSettings(Settings):
     def _has_a_range(self) -> Self:
         if self.highest_Hz <= self.lowest_Hz:
             raise ValueError(
-                f"highest_Hz {self.highest_Hz:g} is not above lowest_Hz {self.lowest_Hz:g}"
+                f"lowest_Hz {self.lowest_Hz:g} Hz is not below highest_Hz {self.highest_Hz:g} Hz"
             )
         return self
 
