@@ -32,7 +32,13 @@ def curve_of(readings: Sequence[Reading]) -> ResponseCurve:
         degrees=_column(readings, "degrees"),
         preloads=_column(readings, "preload"),
         preload_errors=_column(readings, "preload_error"),
+        loads=_column(readings, "load_amplitude") if has_several_loads(readings) else None,
     )
+
+
+def has_several_loads(readings: Sequence[Reading]) -> bool:
+    """Return whether the points were measured under different loads."""
+    return len({reading["load_set_N"] for reading in readings}) > 1
 
 
 def figures(readings: Sequence[Reading]) -> dict[str, Any]:

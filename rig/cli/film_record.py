@@ -63,6 +63,7 @@ def analysed(run: RunFile) -> SweepAnalysis:
         degrees=degrees,
         preloads=preloads,
         preload_errors=_column(run, "preload_error"),
+        loads=_column(run, "load_amplitude"),
     )
 
 

@@ -96,6 +96,44 @@ def test_what_the_preload_does_is_no_dependence_on_the_load():
     assert found.probability > 1e-3
 
 
+def preloads_beside(load, random):
+    """Preloads in N that a stage holds in steps, 3 mN deeper by decade of load."""
+    return 25 + 0.05 * random.standard_normal(load.size) + 0.003 * np.log10(load)
+
+
+def test_a_dependence_on_the_load_is_not_taken_for_one_on_the_preload():
+    """It is fitted beside it, and chi-square, corner and level are those of the film."""
+    frequencies, responses, covariances, loads = data2(exponent=0.005, scale=0.1)
+    preloads = preloads_beside(loads, np.random.default_rng(3))
+    moved = responses * 10 ** (0.02 * (preloads - 25) / 20)
+    found = analyse(frequencies, moved, covariances, preloads=preloads, loads=loads)
+    assert found.fit.preload_effect.covers(0.02)
+    assert found.fit.preload_effect.standard_error < 0.003
+    assert found.linearity.slope.covers(0.1)
+    assert found.fit.chi_square / found.fit.degrees == pytest.approx(1, abs=0.2)
+    assert found.corner.covers(2000.0)
+    at_mean_load_dB = 0.1 * np.log10(loads).mean() + 0.02 * (preloads.mean() - 25)
+    assert found.level.covers(20 * math.log10(1.2e-4) + at_mean_load_dB)
+    assert "at the mean load 1.25 N" in found.sentences()[1]
+
+
+def test_preloads_that_vibration_has_disturbed_do_not_dilute_their_effect():
+    """A force that is sampled near its vibration's frequency is off by up to half a newton."""
+    effects = []
+    for seed in range(8):
+        frequencies, responses, covariances, loads = data2(scale=0.05, seed=seed)
+        random = np.random.default_rng([seed, 1])
+        preloads = preloads_beside(loads, random)
+        errors = np.where(np.abs(frequencies - 900) < 300, 0.05 * loads, 0.0006)
+        moved = responses * 10 ** (0.02 * (preloads - 25) / 20)
+        seen = preloads + errors * random.standard_normal(loads.size)
+        found = load_linearity(frequencies, moved, covariances, loads, None, seen, errors)
+        effects.append(found.preload_effect)
+    assert sum(effect.covers(0.02) for effect in effects) >= 6
+    error = np.mean([effect.standard_error for effect in effects]) / math.sqrt(len(effects))
+    assert np.mean([effect.value for effect in effects]) == pytest.approx(0.02, abs=3 * error)
+
+
 @pytest.mark.thorough
 def test_intervals_of_the_slope_cover_zero_in_95_percent():
     covered = sum(load_linearity(*data2(seed=seed)).slope.covers(0.0) for seed in range(200))

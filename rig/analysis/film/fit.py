@@ -27,6 +27,7 @@ from rig.analysis.estimate import COVERAGE_95, Estimate
 from rig.analysis.film.model import FilmModel
 from rig.analysis.response.complex_response import DB_PER_RELATIVE, Reals
 from rig.analysis.response.curve import CurveError, ResponseCurve
+from rig.analysis.scatter import NO_SCATTER, explaining_error
 
 MISFIT_PROBABILITY = 1e-3
 """A chi-square with a probability below this is not explained by noise alone."""
@@ -36,13 +37,9 @@ BREAK_BAND_HZ = (500.0, 2000.0)
 """Band in which a break from 20 to 40 dB/decade is searched, around the 1.2 kHz of the earlier
 claim."""
 
-_LARGEST_ERROR = 100.0
-"""Largest relative model error that is searched."""
 _MOST_ROUNDS = 12
 _SAME_ERROR = 0.01
 """Relative change of a model error below which it has converged."""
-_NO_ERROR = 1e-7
-"""Model errors below this are taken as zero."""
 _MOST_STEPS = 100
 _NO_PROGRESS = 1e-7
 """Change of chi-square at which the fit has converged: the parameters are then within 3e-4 of their
@@ -78,7 +75,8 @@ class FilmFit:
     chi_square: float
     """Chi-square with the measured covariances alone."""
     degrees: int
-    """Degrees of freedom: 2 n - m, and one less if an effect of the preload was fitted."""
+    """Degrees of freedom: 2 n - m, and one less each if an effect of the preload and of the load
+    was fitted."""
     gain_error: float
     """Relative model error of the gain; 0 if noise explains the residuals."""
     phase_error: float
@@ -227,7 +225,7 @@ def fit_film(curve: ResponseCurve, start: FilmModel) -> FilmFit:
     for _ in range(_MOST_ROUNDS):
         model = minimised(curve.with_relative_error(*errors), model)
         before, errors = errors, _explaining_errors(curve, model)
-        if np.allclose(before, errors, rtol=_SAME_ERROR, atol=_NO_ERROR):
+        if np.allclose(before, errors, rtol=_SAME_ERROR, atol=NO_SCATTER):
             break
     weighted = curve.with_relative_error(*errors)
     jacobian = weighted.whitened(model.log_jacobian(curve.frequencies))
@@ -236,7 +234,7 @@ def fit_film(curve: ResponseCurve, start: FilmModel) -> FilmFit:
         weighted=weighted,
         covariance=_inverse(jacobian @ jacobian.T),
         chi_square=chi_square(curve, model),
-        degrees=2 * len(curve) - len(start.vector) - (curve.preloads_N is not None),
+        degrees=2 * len(curve) - len(start.vector) - len(curve.unknown_effects),
         gain_error=errors[0],
         phase_error=errors[1],
         deviance=chi_square(weighted, model) + _log_determinant(weighted),
@@ -315,22 +313,6 @@ def _explaining_errors(curve: ResponseCurve, model: FilmModel) -> tuple[float, f
         explaining_error(residual.real, variances[:, 0, 0], degrees),
         explaining_error(residual.imag, variances[:, 1, 1], degrees),
     )
-
-
-def explaining_error(residuals: Reals, variances: Reals, degrees: float) -> float:
-    """Returns the additional error of every point that reduces chi-square to ``degrees``, by
-    bisection; 0 if none is needed (Mandel and Paule 1970)."""
-    squares = np.square(residuals)
-    if (squares / variances).sum() <= degrees:
-        return 0.0
-    low, high = 0.0, _LARGEST_ERROR
-    for _ in range(60):
-        middle = (low + high) / 2
-        if (squares / (variances + middle**2)).sum() > degrees:
-            low = middle
-        else:
-            high = middle
-    return high if high > _NO_ERROR else 0.0
 
 
 def _bounds(curve: ResponseCurve, model: FilmModel) -> tuple[Reals, Reals]:

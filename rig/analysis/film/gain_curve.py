@@ -21,6 +21,7 @@ from dataclasses import asdict, dataclass
 from functools import cached_property
 from typing import Any
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from rig.analysis.estimate import Estimate
@@ -218,9 +219,10 @@ class SweepAnalysis:
 
     def _level_sentence(self, truth: FilmTruth | None) -> str:
         how = "measured" if truth is None else "recovered"
-        text = f"b {how}: {self.level} re 1 V/N at 1 Hz (asymptote)"
+        text = f"b {how}: {self.level} re 1 V/N at 1 Hz (asymptote{self._at_load()})"
         if truth is not None:
-            text += f" (World: {truth.level_dB:.3f} dB at the nominal preload)"
+            one_newton = " and 1 N" if truth.gain_per_load_decade_dB else ""
+            text += f" (World: {truth.level_dB:.3f} dB at the nominal preload{one_newton})"
         if self.plain is None:
             return text + "."
         return (
@@ -229,6 +231,13 @@ class SweepAnalysis:
             f"{self.plain.rms_dB:.2f} dB; depends on the grid; line with free slope: "
             f"{self.plain.slope_dB_decade:.2f} dB/decade)."
         )
+
+    def _at_load(self) -> str:
+        """Returns the load at which the level is stated, if there are several."""
+        if self.curve.loads_N is None:
+            return ""
+        mean_N = 10 ** float(np.log10(self.curve.loads_N).mean())
+        return f", at the mean load {mean_N:.3g} N"
 
     def _preload_sentence(self, effect: Estimate) -> str:
         assert self.curve.preloads_N is not None
@@ -287,14 +296,20 @@ def analyse(
     Points may be in any order. ``degrees`` (n,) are the degrees of freedom of each covariance and
     ``preloads`` (n,) the static forces in N, with ``preload_errors`` (see
     :meth:`ResponseCurve.of`). ``bounds`` belong to the verdicts. ``loads`` (n,) are peak
-    loads in N, distortions (n,) are fractions. ``given`` is the circuit to compare with, Table 1 by
-    default.
+    loads in N; if there are several at a frequency, an effect of the load is fitted beside that of
+    the preload, and the level is that at their geometric mean. Distortions (n,) are fractions.
+    ``given`` is the circuit to compare with, Table 1 by default.
 
     Raises CurveError for points that cannot be analysed: those that :meth:`ResponseCurve.of` and
     :func:`fit_with_drops` refuse, and those that neither first order nor the alternative model
     fits.
     """
-    curve = ResponseCurve.of(frequencies, responses, covariances, degrees, preloads, preload_errors)
+    points = (frequencies, responses, covariances)
+    linearity = (
+        None if loads is None else load_linearity(*points, loads, degrees, preloads, preload_errors)
+    )
+    several_loads = None if linearity is None else loads
+    curve = ResponseCurve.of(*points, degrees, preloads, preload_errors, several_loads)
     fit = fit_with_drops(curve)
     if fit.preload_effect is not None:
         curve = curve.with_preload_errors(fit.preload_effect.value / DB_PER_RELATIVE)
@@ -305,11 +320,7 @@ def analyse(
         slopes=slopes(curve, fit),
         plain=plain_fit(curve, fit.model),
         circuit=compare_circuit(curve, fit.level, fit.corner, given),
-        linearity=None
-        if loads is None
-        else load_linearity(
-            frequencies, responses, covariances, loads, degrees, preloads, preload_errors
-        ),
+        linearity=linearity,
         distortion=None
         if load_distortion is None or film_distortion is None
         else distortion_summary(frequencies, load_distortion, film_distortion),

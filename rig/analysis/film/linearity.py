@@ -24,9 +24,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from rig.analysis.chi_square import probability_above
 from rig.analysis.estimate import Estimate
-from rig.analysis.film.fit import MISFIT_PROBABILITY, explaining_error
+from rig.analysis.film.fit import MISFIT_PROBABILITY
 from rig.analysis.response.complex_response import Reals
 from rig.analysis.response.curve import CurveError, ResponseCurve
+from rig.analysis.scatter import explaining_error
 from rig.analysis.verdict import Bounds, Verdict, all_of, equivalence
 
 LEAST_LOAD_RATIO = 1.5

@@ -4,9 +4,12 @@ Points may be in any order, repeat a frequency or leave some out. They are sorte
 result depends on the order of measurement.
 
 If the preload of each point is known, the gain may depend on it by an unknown factor: a film that
-creeps under its stage is followed in steps, and its points then differ slightly. Whatever such a
-factor could explain is removed from residuals and derivatives alike. This is equivalent to a joint
-fit with that factor free, and every interval includes the cost of not knowing it.
+creeps under its stage is followed in steps, and its points then differ slightly. Under several
+loads it may depend on the load as well, by an unknown slope over its logarithm. Whatever these two
+could explain is removed from residuals and derivatives alike. This is equivalent to a joint fit
+with both free, and every interval includes the cost of not knowing them. Removing one of them alone
+would not do: the preload is slightly different under each load, so that an effect of the load would
+pass for one of the preload.
 """
 
 from __future__ import annotations
@@ -19,6 +22,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rig.analysis.response.complex_response import DB_PER_RELATIVE, Complexes, Reals
+from rig.analysis.scatter import explaining_error
 from rig.core.errors import ExitCode, RigError
 
 SAME_PRELOAD_N = 1e-6
@@ -42,9 +46,12 @@ class ResponseCurve:
     covariances: Reals
     """Covariances of the (real, imaginary) parts in (V/N)², (n, 2, 2)."""
     preloads_N: Reals | None = None
-    """Static force at each point, (n,); None if unknown or the same everywhere."""
+    """Static force at each point, (n,), as :func:`_likely` makes it of the measured ones; None if
+    unknown or the same everywhere."""
     preload_errors_N: Reals | None = None
     """Standard error of this force, (n,); None if unknown."""
+    loads_N: Reals | None = None
+    """Peak load at each point, (n,), if the gain may depend on it; None otherwise."""
 
     @classmethod
     def of(
@@ -55,6 +62,7 @@ class ResponseCurve:
         degrees: ArrayLike | None = None,
         preloads: ArrayLike | None = None,
         preload_errors: ArrayLike | None = None,
+        loads: ArrayLike | None = None,
     ) -> ResponseCurve:
         """Checks and sorts frequencies (n,) in Hz, responses (n,) in V/N, covariances (n, 2, 2) and
         preloads (n,) in N.
@@ -64,7 +72,8 @@ class ResponseCurve:
         A mean whose weights were estimated is less accurate than these weights suggest: its
         variance is larger by 1 + 4 / degrees (P. Meier, Biometrics 9 (1953) 59, for many points),
         and the covariances are enlarged by this factor. Preloads that are not finite are taken as
-        unknown, and so are ``preload_errors`` (n,), their standard errors.
+        unknown, and so are ``preload_errors`` (n,), their standard errors. ``loads`` (n,) are peak
+        loads in N, positive and different at some frequency, on which the gain may depend.
 
         Raises CurveError, which names the argument and the value, for unequal lengths, values that
         are not finite, frequencies that are not positive, covariances that are not positive
@@ -79,12 +88,16 @@ class ResponseCurve:
         order = np.lexsort((response.imag, response.real, frequency))
         preload = _varied(preloads, frequency.size)
         uncertain = None if preload is None else _finite(preload_errors, frequency.size)
+        if preload is not None and uncertain is not None:
+            preload, uncertain = _likely(preload, uncertain)
+            preload = _varied(preload, frequency.size)
         return cls(
             frequency[order],
             response[order],
             covariance[order],
             None if preload is None else preload[order],
             None if uncertain is None else uncertain[order],
+            None if loads is None else np.asarray(loads, dtype=float)[order],
         )
 
     def __len__(self) -> int:
@@ -129,6 +142,7 @@ class ResponseCurve:
             self.covariances[chosen],
             None if self.preloads_N is None else self.preloads_N[chosen],
             None if self.preload_errors_N is None else self.preload_errors_N[chosen],
+            None if self.loads_N is None else self.loads_N[chosen],
         )
 
     def with_preload_errors(self, effect: float) -> ResponseCurve:
@@ -149,26 +163,23 @@ class ResponseCurve:
         """Returns gain + j phase (..., n) as (..., 2 n) reals, of unit variance if the errors are
         right.
 
-        Whatever an unknown effect of the preload could explain is removed.
+        Whatever unknown effects of preload and load could explain is removed.
         """
         white = self._scaled(relative)
-        if self._preload_direction is not None:
-            along = self._preload_direction
-            white -= (white @ along)[..., None] * along
+        along = self._unknown_directions
+        white -= (white @ along) @ along.T
         return white
 
     def freed(self, relative: Complexes) -> Complexes:
-        """Returns gain + j phase (n,) without the effect of the preload that explains most of
+        """Returns gain + j phase (n,) without the effects of preload and load that explain most of
         them."""
-        if self.preload_excess is None:
-            return relative
-        return relative - self.preload_effect(relative) * self.preload_excess
+        return relative - self._amounts(relative) @ self.unknown_effects
 
     def preload_effect(self, relative: Complexes) -> float:
-        """Returns the change of the gain per N of preload that explains most of `relative` (n,)."""
+        """Returns the change of the gain per N of preload that explains most of `relative` (n,),
+        beside an effect of the load where there may be one."""
         assert self.preload_excess is not None, "the preloads are not known"
-        push = self._scaled(self.preload_excess)
-        return float(push @ self._scaled(relative)) / float(push @ push)
+        return float(self._amounts(relative)[0])
 
     @cached_property
     def preload_excess(self) -> Complexes | None:
@@ -179,18 +190,31 @@ class ResponseCurve:
         excess: Complexes = self.preloads_N - self.preloads_N.mean() + 0j
         return excess
 
+    @cached_property
+    def unknown_effects(self) -> Complexes:
+        """Changes of the gain, (k, n), whose amounts are free in every fit: that by a newton of
+        preload, if the preloads are known, then that by a decade of load, if there are several."""
+        found = [] if self.preload_excess is None else [self.preload_excess]
+        if self.loads_N is not None:
+            decades = np.log10(self.loads_N)
+            found.append(decades - decades.mean() + 0j)
+        return np.array(found, dtype=complex).reshape(len(found), len(self))
+
+    def _amounts(self, relative: Complexes) -> Reals:
+        """Returns the amounts (k,) of the unknown effects that explain most of `relative` (n,)."""
+        columns = self._scaled(self.unknown_effects).T
+        return np.asarray(np.linalg.lstsq(columns, self._scaled(relative), rcond=None)[0], float)
+
     def _scaled(self, relative: Complexes) -> Reals:
         gain, mixed, phase = self._factor
         first = relative.real / gain
         return np.concatenate([first, (relative.imag - mixed * first) / phase], axis=-1)
 
     @cached_property
-    def _preload_direction(self) -> Reals | None:
-        if self.preload_excess is None:
-            return None
-        push = self._scaled(self.preload_excess)
-        direction: Reals = push / np.linalg.norm(push)
-        return direction
+    def _unknown_directions(self) -> Reals:
+        """Orthonormal columns (2 n, k) that span the unknown effects, scaled as residuals are."""
+        directions: Reals = np.linalg.qr(self._scaled(self.unknown_effects).T)[0]
+        return directions
 
     @cached_property
     def _factor(self) -> tuple[Reals, Reals, Reals]:
@@ -216,6 +240,21 @@ def _varied(preloads: ArrayLike | None, size: int) -> Reals | None:
     if found.shape != (size,):
         raise CurveError(f"preloads: {found.size} values for {size} frequencies")
     return found if np.isfinite(found).all() and np.ptp(found) > SAME_PRELOAD_N else None
+
+
+def _likely(preloads: Reals, errors: Reals) -> tuple[Reals, Reals]:
+    """Returns the most likely preloads and their standard errors, from measured ones, all (n,).
+
+    A mean force that vibration has disturbed may be off by more than the preloads differ. Taken as
+    it is, it makes the effect of the preload look smaller (regression dilution). Each is therefore
+    moved towards the middle of all by the part of its deviation that its error accounts for
+    (regression calibration: Carroll et al., Measurement Error in Nonlinear Models, 2006, ch. 4).
+    """
+    middle = np.median(preloads)
+    variances = np.square(np.maximum(errors, SAME_PRELOAD_N))
+    spread = explaining_error(preloads - middle, variances, preloads.size)
+    kept = spread**2 / (spread**2 + variances)
+    return middle + kept * (preloads - middle), errors * np.sqrt(kept)
 
 
 def points_of(column: Callable[[str], Reals]) -> tuple[Reals, Complexes, Reals]:
