@@ -56,6 +56,7 @@ def test_a_plan_lists_every_run_and_foretells_the_night(rig: Any) -> None:
     assert not (rig.folder / "results").exists()
 
 
+@pytest.mark.thorough
 def test_a_plan_as_json_says_what_its_table_says(rig: Any) -> None:
     ended = rig.run("batch", "plan", write(rig, SWEEPS), "--json")
     assert ended.code == 0, ended.stderr

@@ -6,6 +6,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
+from tiers import mostly_thorough
 from typer.testing import CliRunner
 
 import rig
@@ -97,7 +98,10 @@ def test_the_data_of_a_slide_are_kept_and_explain_themselves(tmp_path: Path):
     assert json.loads(shown) == again["settings"], "the settings can be given back"
 
 
-@pytest.mark.parametrize("taken", ["skin-slide.h5", "skin-slide-deformed.svg"])
+@pytest.mark.parametrize(
+    "taken",
+    mostly_thorough(["skin-slide.h5", "skin-slide-deformed.svg"], default=["skin-slide.h5"]),
+)
 def test_neither_data_nor_figures_are_overwritten(tmp_path: Path, taken: str):
     (tmp_path / taken).write_text("mine")
     settings = tmp_path / "slide.json"
@@ -108,6 +112,7 @@ def test_neither_data_nor_figures_are_overwritten(tmp_path: Path, taken: str):
     assert f"{tmp_path}/skin-slide-deformed-2.svg" in said
 
 
+@pytest.mark.thorough
 def test_a_roll_is_drawn(tmp_path: Path):
     settings = tmp_path / "roll.json"
     settings.write_text(json.dumps({"press": SHORT["press"], "roll_s": 0.1, "settle_s": 0.02}))

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from typing import Any
 
+import pytest
 import recorded_run as run
 
 from rig.files.journal.writer import JournalWriter
 
 
+@pytest.mark.thorough
 def test_an_interrupted_run_is_shown_and_verified_from_both_of_its_files(rig: Any) -> None:
     with JournalWriter.create(rig.folder / "run.rigj", run.header(notes="first try")) as writer:
         for number in (0, 1):

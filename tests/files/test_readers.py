@@ -106,6 +106,7 @@ def test_nexusformat_finds_nothing_wrong_in_it(file: Path) -> None:
     assert verify(file) == []
 
 
+@pytest.mark.thorough
 def test_trials_without_end_share_axes_and_each_of_them_opens(tmp_path: Path) -> None:
     """One axis lists all who use it, in an attribute that ends at 64 KiB."""
     trials = tuple(f"trial-{number:03d}" for number in range(1, 71))

@@ -55,6 +55,7 @@ def test_a_sweep_has_the_film_that_was_drawn_with_units(rig: Any) -> None:
         assert drop.attrs["units"] == "Hz"
 
 
+@pytest.mark.thorough
 def test_the_file_of_a_batch_has_it(rig: Any) -> None:
     plan = rig.folder / "b.toml"
     plan.write_text(
@@ -70,6 +71,7 @@ def test_the_file_of_a_batch_has_it(rig: Any) -> None:
     assert is_film_of_seed(world_of(file), seed)
 
 
+@pytest.mark.thorough
 def test_the_file_of_a_resumed_run_has_it_with_the_results_of_all_points(rig: Any) -> None:
     sweep = rig.start("sweep", "--frequencies", "3,4,5,6,300,400", "--seed", "3", "--no-figures")
     sweep.wait_for("1/6")
