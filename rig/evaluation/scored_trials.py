@@ -23,6 +23,7 @@ from rig.evaluation.front_ends import through_front_end
 from rig.evaluation.labelled_trials import Kind, LabelledTrial, labelled_trial
 from rig.evaluation.scoring.baselines import BaselineSettings, baseline_score
 from rig.evaluation.scoring.contenders import FACTORS, Contender
+from rig.evaluation.scoring.ideal import ideal_report
 from rig.evaluation.scoring.outcomes import FOUND_WITHIN_S, Truth, judge
 from rig.evaluation.scoring.patterns import roll_pattern
 from rig.evaluation.scoring.results import ScoredTrial
@@ -113,6 +114,7 @@ def judge_one(
         outcomes=tuple(outcomes[0] for outcomes in judged),
         found=np.array([[one.found for one in each] for each in swept], bool),
         alarmed=np.array([[one.alarmed for one in each] for each in swept], bool),
+        possible=ideal_report(volts, rate_Hz, truth),
     )
 
 

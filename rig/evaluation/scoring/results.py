@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.evaluation.scoring.contenders import FACTORS, Named
-from rig.evaluation.scoring.outcomes import SLIPS, TrialOutcome, Truth
+from rig.evaluation.scoring.outcomes import SLIPS, DetectorReport, TrialOutcome, Truth
 from rig.evaluation.scoring.roc import AXES, ROLL_ALARMS, Roc, roc
 from rig.evaluation.scoring.tables import BINS, NAMES, Score, by_trait, score
 
@@ -35,6 +35,9 @@ class ScoredTrial:
     a sweep."""
     alarmed: NDArray[np.bool_]
     """True where there was any alarm at each of the swept thresholds, (detectors, k)."""
+    possible: DetectorReport | None = None
+    """What an ideal observer finds in it (`rig.evaluation.scoring.ideal`); None where nobody has
+    computed it."""
 
 
 @dataclass(frozen=True)

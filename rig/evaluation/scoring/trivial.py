@@ -1,6 +1,7 @@
 """Trivial answers, scored beside the detectors: how close they come shows what a figure is worth.
 
-They know the truth, or ignore it altogether, and see no signal.
+They know the truth, or ignore it altogether, and see no signal. One other answer stands beside
+them: what an ideal observer finds, who knows the truth and has seen the signals.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rig.core.settings import Settings
+from rig.evaluation.scoring.ideal import IdealSettings
 from rig.evaluation.scoring.outcomes import (
     EARLY_WITHIN_S,
     FOUND_WITHIN_S,
@@ -25,6 +27,8 @@ from rig.evaluation.scoring.seeds import SeedRange
 
 BLIND_S = 0.05
 """Delay of the blind alarm that knows nothing of the trials."""
+POSSIBLE = "possible"
+"""Name of what an ideal observer finds."""
 ALWAYS_EVERY_S = 0.01
 """Interval between the alarms of the answer that always alarms: shorter than the time in which a
 slip is found."""
@@ -46,11 +50,12 @@ class AlwaysSettings(Settings):
 
 @dataclass(frozen=True)
 class TrivialAnswer:
-    """An answer that does not depend on the signals."""
+    """An answer that no detector could give: it does not depend on the signals, or it is that of an
+    ideal observer."""
 
     name: str
     """Name in the tables."""
-    settings: BlindSettings | AlwaysSettings
+    settings: BlindSettings | AlwaysSettings | IdealSettings
     """Its parameters."""
 
     @property
@@ -58,8 +63,12 @@ class TrivialAnswer:
         """None: it has seen no trials, or those that it is scored on, which its name then says."""
         return None
 
-    def report(self, truth: Truth) -> DetectorReport:
+    def report(self, trial: ScoredTrial) -> DetectorReport:
         """Returns its alarms in a trial."""
+        truth = trial.truth
+        if isinstance(self.settings, IdealSettings):
+            assert trial.possible is not None
+            return trial.possible
         if isinstance(self.settings, BlindSettings):
             at_s = truth.motion_s + self.settings.delay_s
             within = not at_s > truth.record_s
@@ -79,10 +88,12 @@ def with_trivial_answers(
         name = f"blind {1e3 * best_s:.0f} ms (best here)"
         answers.append(TrivialAnswer(name, BlindSettings(delay_s=best_s)))
     answers.append(TrivialAnswer("always", AlwaysSettings()))
+    if all(one.possible is not None for one in judged):
+        answers.append(TrivialAnswer(POSSIBLE, IdealSettings()))
 
     def scored(one: ScoredTrial) -> ScoredTrial:
         traits = one.outcomes[0].traits if one.outcomes else {}
-        own = tuple(judge(one.truth, answer.report(one.truth), traits) for answer in answers)
+        own = tuple(judge(one.truth, answer.report(one), traits) for answer in answers)
         return replace(one, outcomes=(*one.outcomes, *own))
 
     return tuple(answers), [scored(one) for one in judged]
