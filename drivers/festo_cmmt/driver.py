@@ -87,7 +87,7 @@ from drivers.shared.stage import (
 )
 from rig.core.clock import Clock, WallClock
 from rig.core.errors import InstrumentError
-from rig.instruments.roles import Identity, Reach
+from rig.instruments.roles import Identity, LastSeen, Reach
 
 ROLES = ("stage_z", "stage_x")
 """The roles this driver can play; which one, its settings say."""
@@ -181,6 +181,11 @@ class FestoAxis:
     def misreadings(self) -> int:
         """See `CountsMisreadings`."""
         return self._travel.misreadings
+
+    def last_seen(self) -> LastSeen | None:
+        """See `RemembersPosition`."""
+        seen_s = self._seen_at_s
+        return None if seen_s < 0 else LastSeen(self._mm(self._seen.position), seen_s, seen_s)
 
     def homed(self) -> bool:
         """Return whether the drive knows where it is (ZSW1.11)."""

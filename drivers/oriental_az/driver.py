@@ -85,7 +85,7 @@ from drivers.shared.stage import (
 )
 from rig.core.clock import Clock, WallClock
 from rig.core.errors import InstrumentError, RigError
-from rig.instruments.roles import Identity, Reach
+from rig.instruments.roles import Identity, LastSeen, Reach
 
 ROLES = ("stage_z", "stage_x")
 """The roles this driver can play; which one, its settings say."""
@@ -180,6 +180,14 @@ class AzAxis:
     def misreadings(self) -> int:
         """See `CountsMisreadings`."""
         return self._travel.misreadings
+
+    def last_seen(self) -> LastSeen | None:
+        """See `RemembersPosition`."""
+        seen_s = self._position_at_s
+        if seen_s < 0:
+            return None
+        answered_s = max(seen_s, self._state_at_s)
+        return LastSeen(self._mm(self._position.feedback), seen_s, answered_s)
 
     def homed(self) -> bool:
         """Return whether the drive knows where it is (ABSPEN)."""

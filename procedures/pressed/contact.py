@@ -31,6 +31,7 @@ from rig.core.errors import (
     UnsafeError,
 )
 from rig.files.journal.layout import Column
+from rig.instruments.roles import RemembersPosition
 from rig.run.trip import TripError
 
 if TYPE_CHECKING:
@@ -357,10 +358,8 @@ def unload(run: Run, pressed: str, came_from_mm: float) -> None:
     remains afterwards fails the run; UnsafeError where it is over the limit that was watched.
     """
     stage = run.bench.stage_z
-    try:
-        stage.stop()
-    except InstrumentError:
-        stage.stop()  # one answer was lost or spoilt: there is time for a second request
+    say_if_lost(run)
+    _stop_z(run)
     timed_out = False
     lost = ""
     try:
@@ -375,7 +374,7 @@ def unload(run: Run, pressed: str, came_from_mm: float) -> None:
                 raise
             if trip is not None:
                 run.fail(trip)
-            stage.stop()
+            _stop_z(run)
             _go_clear(run, came_from_mm)
         stands_mm = stage.position_mm()
         if timed_out:
@@ -395,7 +394,7 @@ def unload(run: Run, pressed: str, came_from_mm: float) -> None:
     except InstrumentError as error:
         if timed_out:
             raise _still_pressed(run, pressed, error) from error
-        stage.stop()  # one answer lost on the way does not stop it
+        _stop_z(run)  # one answer lost on the way does not stop it
         force_N = run.force_from_now_N(SETTLED_S)
         what = (
             f"the stage stands and the {pressed} may still be pressed: {error.one_line()}; "
@@ -407,6 +406,58 @@ def unload(run: Run, pressed: str, came_from_mm: float) -> None:
         run.fail(InstrumentError("stage_z", "unload", what, hint))
         return
     _judge_what_remains(run, pressed, stands_mm)
+
+
+def _stop_z(run: Run) -> None:
+    """Stop z; one answer that is lost or spoilt is asked for again.
+
+    Where it does not answer in time, or not twice, that is said at once, with where it was last
+    seen and what is pressed: nothing says more until the guard has tried in vain, seconds later.
+    The exception of the second stop says so, too.
+    """
+    stage = run.bench.stage_z
+    try:
+        stage.stop()
+        return
+    except InstrumentTimeoutError as error:
+        _say_not_reached(run, error)
+    except InstrumentError:
+        pass
+    try:
+        stage.stop()
+    except InstrumentError as error:
+        _say_not_reached(run, error)
+        cause = f"{error.cause}; {_last_known(run)}"
+        raise InstrumentError(error.device, error.command, cause, error.hint) from error
+
+
+def say_if_lost(run: Run) -> None:
+    """Say at once, before it is tried again, where z was last seen and what is pressed if the run
+    has ended because z did not answer."""
+    for error in run.lost:
+        if error.device == "stage_z":
+            _say_not_reached(run, error)
+
+
+def _say_not_reached(run: Run, error: InstrumentError) -> None:
+    run.say_not_safe(
+        f"not safe yet: stage_z: {error.command}: {error.cause}; {_last_known(run)}; it is asked "
+        "again. An e-stop on the drives' power needs no answer"
+    )
+
+
+def _last_known(run: Run) -> str:
+    """Return in words where z was last seen and what the force sensor reads; asks z nothing."""
+    stage = run.bench.stage_z
+    seen = stage.last_seen() if isinstance(stage, RemembersPosition) else None
+    where = "where it stands is not known"
+    if seen is not None:
+        now_s = run.clock.now()
+        where = (
+            f"it has not answered for {now_s - seen.answered_s:.1f} s and was last seen at "
+            f"{seen.position_mm:.3f} mm, {now_s - seen.seen_s:.1f} s ago"
+        )
+    return f"{where}, and {_read_by_the_sensor(run.latest_force_N(SETTLED_S))}"
 
 
 def _still_pressed(run: Run, pressed: str, error: InstrumentError) -> UnsafeError:

@@ -23,6 +23,7 @@ from procedures.pressed.contact import (
     first_ways_s,
     force_zero_of,
     park,
+    say_if_lost,
     stream_force,
     travel_s,
     unload,
@@ -391,6 +392,7 @@ def arm_pressed(
 def _lift(run: Run, what: str, stop: Callable[[], None], came_from_mm: float) -> None:
     """Stop, what moves first; then away from the object, if the drive still can. An instrument that
     does not answer its stop does not keep the skin pressed."""
+    say_if_lost(run)
     try:
         run.arming.begin(what, stop)
     except RigError as error:  # its own off says so, too: up is what matters here

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, runtime_checkable
 
 from rig.core.errors import LimitError
 
@@ -112,6 +112,30 @@ class CountsMisreadings(Protocol):
     def misreadings(self) -> int:
         """Number of positions since connecting that the next answer did not confirm; they are not
         used."""
+        ...
+
+
+class LastSeen(NamedTuple):
+    """What a drive has answered last, with bench times in s."""
+
+    position_mm: float
+    """The latest position that it has answered."""
+    seen_s: float
+    """Time of that answer."""
+    answered_s: float
+    """Time of its latest answer of any kind."""
+
+
+@runtime_checkable
+class RemembersPosition(Protocol):
+    """The interface of a stage whose driver knows where its axis was last seen.
+
+    Optional: without it a run that cannot reach the drive any more says only what is pressed.
+    """
+
+    def last_seen(self) -> LastSeen | None:
+        """Return what the drive has answered last; None if it has answered no position. Asks
+        nothing, so it returns at once."""
         ...
 
 

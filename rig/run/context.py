@@ -52,8 +52,13 @@ class Run:
         self.tell: Callable[[str], None] = lambda message: None
         """Shows a message to the operator, for the observers of the run. It may have to wait for a
         terminal: never call it while a force is held."""
+        self.warn_at_once: Callable[[str], None] = lambda message: None
+        """Shows a warning to the operator without waiting for anything, from any thread."""
         self.failures: list[RigError] = []
         """Failures that were reported to `fail`."""
+        self.lost: tuple[InstrumentTimeoutError, ...] = ()
+        """Calls to instruments that did not answer, if the run has ended because of them."""
+        self._not_safe_said = False
         self.made_safe: list[str] = []
         """Effects of the shutdown actions since the bench was last made safe, in their order, as
         parts of a sentence: "generator off". An action that failed in part is not included."""
@@ -164,6 +169,11 @@ class Run:
         Returns None if the force sensor is not read or sends nothing. Made for shutdown actions,
         which it does not interrupt."""
         return None if self._force is None else self._force.largest_from_now_N(seconds)
+
+    def latest_force_N(self, seconds: float) -> float | None:  # noqa: N802
+        """Return the largest mean force along any axis within the latest `seconds`, in N, without
+        waiting. Returns None if the force sensor is not read or has sent nothing lately."""
+        return None if self._force is None else self._force.largest_latest_N(seconds)
 
     @contextlib.contextmanager
     def first_cause(self) -> Iterator[None]:
@@ -287,8 +297,26 @@ class Run:
     def note_making_safe(self) -> None:
         """Record that the run ends and is about to make the bench safe, for who follows it. Waits
         for nothing and raises nothing: neither may come before the bench is safe."""
+        self._note("making-safe", "the bench is being made safe")
+
+    def begin_making_safe(self) -> None:
+        """Forget what was said and done when the bench was last made safe."""
+        self.made_safe.clear()
+        self._not_safe_said = False
+
+    def say_not_safe(self, text: str) -> None:
+        """Say and record at once, while the bench is being made safe, that a part of that has not
+        worked yet; the first time only. Waits for nothing and raises nothing, as
+        `note_making_safe`."""
+        if self._not_safe_said:
+            return
+        self._not_safe_said = True
+        self.warn_at_once(text)
+        self._note("not-safe-yet", text)
+
+    def _note(self, code: str, text: str) -> None:
         try:
-            self.event("info", "making-safe", "the bench is being made safe")
+            self.event("info", code, text)
         except JournalMovedError as moved:  # said to the first that puts something, and only once
             self.warnings.append(moved.one_line())
         except Exception:  # noqa: BLE001 - a failed recorder is reported when it is closed

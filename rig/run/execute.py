@@ -24,7 +24,7 @@ from rig.bench.connect import connect
 from rig.bench.connected import Bench
 from rig.bench.plan import BenchPlan
 from rig.core.clock import Clock
-from rig.core.errors import ExitCode, RigError
+from rig.core.errors import ExitCode, InstrumentTimeoutError, RigError
 from rig.files.errors import RecordingError
 from rig.files.journal.reader import read_journal
 from rig.files.journal.recorder import Recorder
@@ -142,6 +142,7 @@ class _Execution:
         )
         self.run.references = PressReferences(job.results, bench.plan, job.sample, job.accept)
         self.run.tell = lambda message: self.observers.event("info", message)
+        self.run.warn_at_once = self.observers.warn_at_once
         self.phases = Phases()
         self.loop = PointLoop(
             job,
@@ -185,6 +186,7 @@ class _Execution:
             unregister_interlocks()
             self._end_interlocks()
         self._save()
+        self.observers.end()
         if self.outcome.off_failures:
             self._hand_over()
         else:
@@ -254,13 +256,16 @@ class _Execution:
         """Run the shutdown actions, undisturbed by stop requests and by drives and threads that
         fail meanwhile; return those that failed."""
         self.phases.enter(RunPhase.MAKING_SAFE)
-        self.run.made_safe.clear()
+        self.run.begin_making_safe()
         with self.bench.links.making_safe():
             return self.run.arming.make_safe(self.guard.beat, keep_watching)
 
     def _make_safe(self) -> None:
         """Switch everything off, and inform the guard if that has worked."""
         self.run.note_making_safe()
+        self.run.lost = tuple(
+            error for error in self.outcome.failures if isinstance(error, InstrumentTimeoutError)
+        )
         self.observers.making_safe()
         failures = self._switch_off(False)
         self.outcome.duration_s = self.bench.clock.now() - self._begun_s

@@ -206,6 +206,17 @@ class ForceMonitor:
             return None
         return float(np.abs(frames.force_N.mean(axis=0)).max())
 
+    def largest_latest_N(  # noqa: N802
+        self, seconds: float
+    ) -> float | None:
+        """Return the largest mean force along any axis of the latest `seconds`, in N, without
+        waiting; None if no frame has come, or none lately."""
+        kept = self._kept(max(1, round(seconds * self._rate)))
+        if not kept or self.older_s > STALE_S:
+            return None
+        latest_N = np.concatenate([frames.force_N[-n:] for frames, n in kept])
+        return float(np.abs(latest_N.mean(axis=0)).max())
+
     def check(self) -> None:
         """Raise the failure of the reader's thread; a trip is raised once."""
         self.check_trip()

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import logging
+import queue
 import threading
 from collections.abc import Callable, Sequence, Set
 from pathlib import Path
@@ -68,9 +69,11 @@ class RunObserver:
         """Take note that the run file is complete."""
 
 
+Call = Callable[[RunObserver], None]
+
 ANNOUNCED_S = 5.0
-"""Longest wait for observers to take note that the bench is being made safe: one that blocks must
-not keep the data from being saved."""
+"""Longest wait for observers to take note of what is announced while the bench is made safe: one
+that blocks must not keep the data from being saved."""
 
 
 class Observers(RunObserver):
@@ -81,11 +84,14 @@ class Observers(RunObserver):
         self._warn = warn
         """Function that records a warning; called once for each observer that fails."""
         self._failed: set[int] = set()
-        self._making_safe = threading.Event()
+        self._announced: queue.SimpleQueue[Call | None] = queue.SimpleQueue()
+        self._changed = threading.Condition()
+        self._pending = 0
+        """Announcements that the observers have not taken note of yet."""
         # Started here, before anything moves: making safe must not depend on a thread that the
         # computer may refuse to start by then.
-        self._announcer = threading.Thread(target=self._announce, name="observers", daemon=True)
-        start_thread(self._announcer)
+        announcer = threading.Thread(target=self._take_announced, name="observers", daemon=True)
+        start_thread(announcer)
 
     def planned(self, points: Sequence[Point], recorded: Set[str], overhead_s: float) -> None:
         """See `RunObserver`."""
@@ -110,7 +116,15 @@ class Observers(RunObserver):
     def making_safe(self) -> None:
         """Report the state ``making safe`` without waiting for the observers: one that blocks must
         not delay the shutdown actions. The next call of another method waits for it."""
-        self._making_safe.set()
+        self._announce(lambda one: one.state(MAKING_SAFE))
+
+    def warn_at_once(self, message: str) -> None:
+        """Show a warning, from any thread, without waiting for the observers, as `making_safe`."""
+        self._announce(lambda one: one.event("warning", message))
+
+    def end(self) -> None:
+        """End the thread that announces, after what has been announced."""
+        self._announced.put(None)
 
     def saving(self) -> None:
         """See `RunObserver`."""
@@ -120,16 +134,24 @@ class Observers(RunObserver):
         """See `RunObserver`."""
         self._each(lambda one: one.saved(run_file))
 
-    def _each(self, call: Callable[[RunObserver], None]) -> None:
-        if self._making_safe.is_set():
-            self._announcer.join(ANNOUNCED_S)
+    def _each(self, call: Call) -> None:
+        with self._changed:
+            self._changed.wait_for(lambda: self._pending == 0, ANNOUNCED_S)
         self._call_each(call)
 
-    def _announce(self) -> None:
-        self._making_safe.wait()
-        self._call_each(lambda one: one.state(MAKING_SAFE))
+    def _announce(self, call: Call) -> None:
+        with self._changed:
+            self._pending += 1
+        self._announced.put(call)
 
-    def _call_each(self, call: Callable[[RunObserver], None]) -> None:
+    def _take_announced(self) -> None:
+        while (call := self._announced.get()) is not None:
+            self._call_each(call)
+            with self._changed:
+                self._pending -= 1
+                self._changed.notify_all()
+
+    def _call_each(self, call: Call) -> None:
         for observer in self._observers:
             try:
                 call(observer)

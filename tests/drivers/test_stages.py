@@ -14,6 +14,7 @@ from elsewhere import elsewhere
 from stages.cases import CASES, StageCase
 
 from rig.core.errors import InstrumentError, LimitError
+from rig.instruments.roles import RemembersPosition
 
 EVERY = pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
 PATIENCE_S = 10.0
@@ -45,6 +46,25 @@ def assert_can_move(it: StageCase) -> None:
     target = it.seen() + 1.0
     it.go(target, 10.0)
     assert it.position == pytest.approx(target, abs=CLOSE)
+
+
+LINEAR = [case for case in CASES if case.quantities[0] == "position"]
+
+
+@pytest.mark.parametrize("case", LINEAR, ids=lambda case: case.name)
+def test_where_a_linear_stage_was_last_seen_is_known_without_asking_it(case: Any) -> None:
+    with running(case) as it:
+        it.go(20.0, 25.0)
+        there = it.seen()
+        asked_s = it.clock.now()
+        it.let_pass(0.3)
+        it.said()
+        seen = it.stage.last_seen()
+        assert isinstance(it.stage, RemembersPosition)
+        assert not it.said(), "it is not asked"
+        assert seen.position_mm == pytest.approx(there, abs=1e-6)
+        assert seen.seen_s == pytest.approx(asked_s, abs=0.02)
+        assert seen.answered_s == pytest.approx(asked_s, abs=0.02)
 
 
 # --- moving ----------------------------------------------------------------------------------

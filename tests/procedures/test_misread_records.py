@@ -17,12 +17,12 @@ from rig.analysis.response.sine_fit import fit_sine
 RATE_Hz, TONE_Hz, SAMPLES = 10_000.0, 100.0, 2000
 
 
-def record(spike: float) -> np.ndarray:
-    """A tone of 1 in noise of 1e-3, one sample of which is off by `spike`."""
+def record(spike: float, at: int = 1234) -> np.ndarray:
+    """A tone of 1 in noise of 1e-3, the sample number `at` of which is off by `spike`."""
     t = np.arange(SAMPLES) / RATE_Hz
     samples = np.cos(2 * np.pi * TONE_Hz * t)
     samples += np.random.default_rng(1).normal(scale=1e-3, size=SAMPLES)
-    samples[1234] += spike
+    samples[at] += spike
     return samples
 
 
@@ -76,6 +76,20 @@ def test_a_signal_that_is_disturbed_in_every_record_is_used_and_said(
     (text,) = told
     assert "3 records at 100 Hz in a row have samples far beyond their noise" in text
     assert "load_cell, film" in text
+
+
+@pytest.mark.parametrize("at", [0, 1, SAMPLES - 1])
+def test_a_misread_sample_at_the_ends_of_a_record_is_noticed(at: int) -> None:
+    """Found by an attack: the first sample of a block has one bit turned over."""
+    assert fit_sine(record(0.25, at), RATE_Hz, TONE_Hz).lone_residual > 0.2
+
+
+@pytest.mark.parametrize("samples_in_a_period", [2.2, 3.0, 4.0, 5.3])
+def test_ringing_from_the_first_sample_on_is_no_misread_one(samples_in_a_period: float) -> None:
+    turns = np.arange(SAMPLES) / samples_in_a_period
+    ringing = np.exp(-np.arange(SAMPLES) / 10) * np.cos(2 * np.pi * turns)
+    found = fit_sine(record(0.0) + 0.5 * ringing, RATE_Hz, TONE_Hz)
+    assert found.lone_residual == 0.0
 
 
 def test_a_transient_is_no_misread_sample(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -4,6 +4,7 @@ is warned once."""
 from __future__ import annotations
 
 import inspect
+import threading
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ from made_up import Example, run_of
 from rig.core.errors import ExitCode
 from rig.core.settings import Settings
 from rig.files.runfile.reader import RunFile
-from rig.run.observers import RunObserver
+from rig.run.observers import Observers, RunObserver
 
 METHODS = [
     name
@@ -139,3 +140,24 @@ def test_the_bench_is_safe_before_an_observer_that_hangs_is_waited_for(
     outcome = run_of(procedure, tmp_path, monkeypatch, Hanging())
     assert outcome.code is ExitCode.DONE, outcome.failures
     assert "off" in log_when_it_went_on
+
+
+def test_what_is_said_at_once_waits_for_no_observer() -> None:
+    """One hangs: who warns goes on all the same, and the warning is shown when that is over."""
+    let_on, shown, seen = threading.Event(), threading.Event(), list[str]()
+
+    class Hanging(RunObserver):
+        """Takes note when it is let."""
+
+        def event(self, level: str, message: str) -> None:
+            assert let_on.wait(10)
+            seen.append(f"{level}: {message}")
+            shown.set()
+
+    observers = Observers([Hanging()], seen.append)
+    observers.warn_at_once("not safe yet")
+    assert seen == []
+    let_on.set()
+    observers.end()
+    assert shown.wait(10)
+    assert seen == ["warning: not safe yet"]

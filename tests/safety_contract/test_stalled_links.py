@@ -3,8 +3,8 @@ waits to be fed: every other drive is fed meanwhile, and what is pressed is lift
 
 A drive waits for 5 s, and a call on a silent instrument takes 7 s or more. So a drive that were fed
 by whoever waits for that instrument would stop where it presses. A busy computer stalls for less.
-Rolls are walked in virtual time alone (tests/soak/test_nightly_walk.py): what a simulated head
-presses may take a busy computer longer to compute than it lasts.
+What a simulated head presses may take a busy computer longer to compute than it lasts: then a roll
+does not come to the request, and is skipped.
 """
 
 from __future__ import annotations
@@ -33,6 +33,12 @@ FIRST_RECORD = "acquisition = 1\nafter_s = 0.5\n"
 LATER = "acquisition = 8\n"
 """When the film vibrates under its preload."""
 SLIP = ("slip-trial", "plate", "--distance", "1mm", "--speed", "0.5mm/s")
+TURN = 'move = 2\nof = "rotary"\n'
+"""The roll itself, under the force; the first turn goes to where it begins."""
+ROLL = (
+    "roll-trial", "semi-spherical-object", "--angle", "2deg", "--turn-speed", "1deg/s",
+    "--start=-3mm", "--alignment", "none",
+)  # fmt: skip
 SWEEP = ("sweep", "film-clamp", "--frequencies", "210,310,410")
 STALLS = {
     "slip: daq, a block in the slide": (SLIP, "daq", "WAV", SLIDE, FOR_EVER),
@@ -44,6 +50,16 @@ STALLS = {
     "slip: force, its frames": (SLIP, "force_sensor.stream", "", SLIDE, f"{SILENT}for_s = 8.0\n"),
     # Nothing but its end is asked of a stream that runs, and then nothing is pressed any more.
     "slip: force, the end of its stream": (SLIP, "force_sensor", "", FIRST_RECORD, FOR_EVER),
+    "roll: daq, a block in the roll": (ROLL, "daq", "WAV", TURN, FOR_EVER),
+    "roll: daq, the end of the record": (ROLL, "daq", "STOP", FIRST_RECORD, FOR_EVER),
+    "roll: rotary, a look": (ROLL, "rotary", "get pos", TURN, FOR_EVER),
+    "roll: rotary, its way back": (ROLL, "rotary", "move abs", TURN, FOR_EVER),
+    "roll: rotary, its stop": (ROLL, "rotary", "stop", TURN, FOR_EVER),
+    "roll: x, a look": (ROLL, "stage_x", "FC3 100", TURN, FOR_EVER),
+    "roll: x, its stop": (ROLL, "stage_x", "FC16", TURN, FOR_EVER),
+    "roll: z, one look": (ROLL, "stage_z", "FC3 100", TURN, SILENT),
+    "roll: z, one target": (ROLL, "stage_z", "FC16", TURN, SILENT),
+    "roll: force, its frames": (ROLL, "force_sensor.stream", "", TURN, f"{SILENT}for_s = 8.0\n"),
     "sweep: generator, a frequency": (SWEEP, "generator", "SOUR1:FREQ", LATER, FOR_EVER),
     "sweep: generator, an amplitude": (SWEEP, "generator", "SOUR1:VOLT", LATER, FOR_EVER),
     "sweep: generator, its output": (SWEEP, "generator", "OUTP1", LATER, FOR_EVER),
@@ -55,6 +71,10 @@ STALLS = {
 PAUSES = {
     "slip: daq, a pause": (SLIP, "daq", "", SLIDE, PAUSE),
     "slip: z, one late answer": (SLIP, "stage_z", "FC3 100", SLIDE, LATE),
+    "roll: daq, a pause": (ROLL, "daq", "", TURN, PAUSE),
+    "roll: rotary, a pause": (ROLL, "rotary", "", TURN, PAUSE),
+    "roll: rotary, one late answer": (ROLL, "rotary", "get pos", TURN, LATE),
+    "roll: z, one late answer": (ROLL, "stage_z", "FC3 100", TURN, LATE),
     "sweep: generator, a pause": (SWEEP, "generator", "", LATER, PAUSE),
     "sweep: daq, a pause": (SWEEP, "daq", "", LATER, PAUSE),
     "sweep: daq, one late answer": (SWEEP, "daq", "WAV", LATER, LATE),
@@ -66,6 +86,8 @@ EACH_LINK = (
     "slip: x, its stop",
     "slip: z, one look",
     "slip: force, its frames",
+    "roll: rotary, a look",
+    "roll: z, one look",
     "sweep: generator, an amplitude",
     "sweep: daq, a record",
     "slip: daq, a pause",

@@ -58,6 +58,13 @@ def attack(seed: int) -> Trial:
     chance = random.Random(f"attack {seed}")
     procedure = chance.choice(("slip-trial", "slip-trial", "sweep", "roll-trial"))
     stages = chance.choice(STAGES)
+    fault = attack_on(chance, procedure, stages)
+    arguments = (procedure, *OPTIONS[procedure], "--stages", stages, "--seed", str(seed % 1000))
+    return Trial(seed, arguments, world_of(procedure, [fault]), (fault,))
+
+
+def attack_on(chance: random.Random, procedure: str, stages: str) -> dict[str, Any]:
+    """One fault of one link of a trial on these stages."""
     able = devices_by_fault(ON_A_LINE[stages])
     device = chance.choice(LINKS[procedure])
     kind = chance.choice([kind for kind in KINDS if device in able[kind]])
@@ -71,8 +78,7 @@ def attack(seed: int) -> Trial:
         fault |= {"every": 3, "count": 0}
     if kind == "flip":
         fault |= {"byte": chance.randint(-6, 20), "bit": chance.randint(0, 7)}
-    arguments = (procedure, *OPTIONS[procedure], "--stages", stages, "--seed", str(seed % 1000))
-    return Trial(seed, arguments, world_of(procedure, [fault]), (fault,))
+    return fault
 
 
 def _moment(chance: random.Random, procedure: str) -> dict[str, Any]:

@@ -9,7 +9,7 @@ import json
 import re
 import shutil
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -31,6 +31,15 @@ PRESSED_N = 0.5
 """A force after the end that nobody may leave unsaid."""
 NOT_KNOWN = "it is not known whether"
 """What a warning says where the force sensor is silent after the way up."""
+AZ_PRESSES = ("az", "az-festo")
+SAID_S = 2.0
+"""Longest time after the last answer of z until it is said that it is not reached."""
+LAST_KNOWN = re.compile(
+    r"it has not answered for ([0-9.]+) s and was last seen at [0-9.]+ mm, [0-9.]+ s ago, and "
+    r"(?:force_sensor reads [0-9.e-]+ N|the force is not known)"
+)
+"""What a run says of a stage that it does not reach; its guard may know more."""
+PLACE_AND_FORCE = re.compile(r" mm\b.*(?: N\b|not known)")
 CODES = {"disk": (0, 1), "else": (0, 3, 4, 5, 7)}
 NAMES = {
     FORCE_STREAM: ("force",),
@@ -59,6 +68,11 @@ class Ran:
         """The World's."""
         path = self.folder / "world.jsonl"
         return [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
+
+    @property
+    def worlds(self) -> list[list[dict[str, Any]]]:
+        """Its Worlds' logs: one."""
+        return [self.log]
 
     @property
     def errors(self) -> list[str]:
@@ -101,10 +115,17 @@ def breaches(ran: Ran) -> list[str]:
     return [
         *_ending(ran),
         *_telling(ran),
-        *_at_rest(ran),
+        *at_rest(ran),
         *_files(ran),
-        *_samples(ran),
+        *rows_as_sent(ran),
     ]
+
+
+def said_unheard_s(ran: Ran) -> float | None:
+    """For how long z had not answered, at most, when it was said that it is not reached; None where
+    that was not said."""
+    said = re.findall(f"not safe yet: .*?{LAST_KNOWN.pattern}", ran.stderr)
+    return max(map(float, said), default=None)
 
 
 def _ending(ran: Ran) -> Iterator[str]:
@@ -114,7 +135,7 @@ def _ending(ran: Ran) -> Iterator[str]:
         yield f"exit code {ran.code}"
     if "Traceback" in ran.stderr or "internal error" in ran.stderr.lower():
         yield "an internal error"
-    if not ran.faults_met and ran.code != DONE:
+    if not ran.faults_met and ran.code != DONE and not holds_worse(ran):
         yield f"exit code {ran.code} although nothing was injected"
     if not ran.log or ran.log[-1]["what"] != "end":
         yield "the World did not end by itself"
@@ -127,7 +148,12 @@ def _telling(ran: Ran) -> Iterator[str]:
     if not ran.errors:
         yield f"exit code {ran.code} without a sentence"
         return
-    for line in ran.errors:
+    yield from told_about(ran, ran.errors)
+
+
+def told_about(ran: Ran, errors: Sequence[str]) -> Iterator[str]:
+    """The `errors` of a trial that failed name what was injected, and a remedy."""
+    for line in errors:
         if "; " not in line and not line.startswith("error: NOT SAFE"):
             yield f"no remedy: {line}"
     injected = {device for device, _ in ran.faults_met}
@@ -136,11 +162,11 @@ def _telling(ran: Ran) -> Iterator[str]:
         words.add("torque limit")  # which alone bounds the force then, as docs/safety.md declares
     if RUNAWAY in {kind for _, kind in ran.faults_met}:
         words.add("force along")  # an axis that presses on is the force's to tell
-    if not any(word in line for word in words for line in ran.errors):
-        yield f"no sentence names {', '.join(sorted(injected))}: {ran.errors[0]}"
+    if not any(word in line for word in words for line in errors):
+        yield f"no sentence names {', '.join(sorted(injected))}: {errors[0]}"
 
 
-def _at_rest(ran: Ran) -> Iterator[str]:
+def at_rest(ran: Ran) -> Iterator[str]:
     """The World's own watch; what could not be made safe has been told with exit code 7."""
     for violation in ran.values("violation"):
         told_unsafe = ran.code == UNSAFE and "NOT SAFE" in ran.stderr
@@ -151,6 +177,34 @@ def _at_rest(ran: Ran) -> Iterator[str]:
         told = ran.code == UNSAFE or (not fine and NOT_KNOWN in ran.stderr)
         if last_N > (PRESSED_N if fine else ran.trial.limit_N) and not told:
             yield f"{last_N:.3g} N are still pressed, and exit code {ran.code} does not tell so"
+
+
+def holds_worse(ran: Ran) -> bool:
+    """Whether a trial without a fault is invalid only because the force was not held well enough,
+    and says so: with an AZ as z that depends on what the seed draws (docs/safety.md, what differs
+    by stage)."""
+    if ran.code != DONE_WITH_FAILURES or ran.trial.stages not in AZ_PRESSES:
+        return False
+    why: list[str] = []
+    for path in ran.files("*.h5"):
+        with RunFile.open(path) as run:
+            why += [one["invalid"] for one in run.readings() if one.get("invalid")]
+    parts = [part for one in why for part in one.split("; ")]
+    return bool(parts) and all(part.startswith("force error") for part in parts)
+
+
+def left_unsaid(ran: Ran) -> Iterator[str]:
+    """What is left pressed is said as not safe, with place and force, and where z is not reached
+    within `SAID_S`."""
+    if not any(last_N > PRESSED_N for last_N in ran.values("last-force")):
+        return
+    told = ("NOT SAFE", "not safe", "pressed")
+    lines = [line for line in ran.stderr.splitlines() if any(word in line for word in told)]
+    if ran.code != UNSAFE or not any(PLACE_AND_FORCE.search(line) for line in lines):
+        yield "what is left pressed is not said with place and force"
+    unheard_s = said_unheard_s(ran)
+    if unheard_s is not None and unheard_s > SAID_S:
+        yield f"that z does not answer is said {unheard_s:g} s after its last answer"
 
 
 def _files(ran: Ran) -> Iterator[str]:
@@ -183,7 +237,7 @@ def _files(ran: Ran) -> Iterator[str]:
         yield f"points told {told}, kept {kept}"
 
 
-def _samples(ran: Ran) -> Iterator[str]:
+def rows_as_sent(ran: Ran) -> Iterator[str]:
     """Every row in the file is one that was sent, in its order, once."""
     blocks = [x["value"] for x in ran.log if x["what"] == "block"]
     frames = [crc for x in ran.log if x["what"] == "frames" for crc in x["value"]]

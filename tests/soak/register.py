@@ -14,11 +14,12 @@ import os
 import subprocess
 import sys
 from collections import Counter, defaultdict
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
+from typing import Any
 
-from .invariants import DONE, DONE_WITH_FAILURES, Ran
+from .invariants import DONE, DONE_WITH_FAILURES, PRESSED_N, Ran, said_unheard_s
 
 PRESSING = ("pressed", "released")
 """What the World's monitor writes into the log."""
@@ -42,13 +43,18 @@ class Entry:
     over_limit_s: float
     """Longest time without a break over the force limit, in s of bench time."""
     pressed_s: float | None
-    """Time from the first fault until nothing was pressed, in s of bench time; None where nothing
-    was pressed at the fault, or where the run did not end by it."""
+    """Time from the first fault until nothing was pressed any more, in s of bench time; None where
+    nothing was pressed after the fault, or to the end, or where the run did not end by it."""
     violations: tuple[str, ...] = ()
     told: str = ""
     """The trial in words."""
     cpu_s: float | None = field(default=None, compare=False)
     """Processor time of the trial with its judgement, in s."""
+    left_N: float | None = None
+    """Largest true force that was left pressed at the end of a World; None in earlier registers."""
+    unheard_s: float | None = None
+    """For how long z had not answered when it was said that it does not, with place and force, in s
+    of bench time; None where that was not said."""
 
 
 def entry_of(series: str, ran: Ran, violations: Sequence[str], cpu_s: float | None = None) -> Entry:
@@ -68,21 +74,26 @@ def entry_of(series: str, ran: Ran, violations: Sequence[str], cpu_s: float | No
         tuple(violations),
         ran.trial.told,
         None if cpu_s is None else round(cpu_s, 2),
+        max(ran.values("last-force"), default=None),
+        said_unheard_s(ran),
     )
 
 
 def pressed_after_s(ran: Ran) -> float | None:
-    """Return how long the object was pressed after the first fault, in s of bench time; None where
-    it was not pressed then, or not released."""
-    injected = [x["t_us"] for x in ran.log if x["what"] == "injected"]
-    changes = [(x["value"]["at_us"], x["what"]) for x in ran.log if x["what"] in PRESSING]
-    if not injected:
+    """Return how long something was pressed after the first fault, in s of bench time; None where
+    nothing was, or where it was not released. A batch has a World for each attempt at a run: the
+    longest time of them."""
+    found = [_pressed_after_s(world) for world in ran.worlds]
+    return max((one for one in found if one is not None), default=None)
+
+
+def _pressed_after_s(world: Sequence[Mapping[str, Any]]) -> float | None:
+    injected = [x["t_us"] for x in world if x["what"] == "injected"]
+    changes = [(x["value"]["at_us"], x["what"]) for x in world if x["what"] in PRESSING]
+    if not injected or not changes or changes[-1][1] == "pressed":
         return None
-    before = [what for t_us, what in changes if t_us <= injected[0]]
-    after = [t_us for t_us, what in changes if t_us > injected[0] and what == "released"]
-    if not after or before[-1:] != ["pressed"]:
-        return None
-    return round((after[0] - injected[0]) * 1e-6, 4)
+    released_us = changes[-1][0]
+    return round((released_us - injected[0]) * 1e-6, 4) if released_us > injected[0] else None
 
 
 def commit() -> str:
@@ -119,24 +130,31 @@ def read(file: Path) -> list[Entry]:
 def figures(entries: Iterable[Entry]) -> str:
     """Return a table by kind: how many trials met it, how many of them broke an invariant, the
     largest true force of those that met it alone and the longest time over the limit, how many were
-    pressed at the fault and the longest time until they were not, and the exit codes."""
+    pressed after the fault and the longest time until they were not, how many were left pressed,
+    after how long at most z was said not to answer, and the exit codes."""
     entries = list(entries)
     by_kind: dict[str, list[Entry]] = defaultdict(list)
     for entry in entries:
         for kind in entry.kinds or ("nothing met",):
             by_kind[kind].append(entry)
-    columns = f"{'alone':>5s} {'largest/N':>9s} {'over/s':>7s} {'pressed':>7s} {'longest/s':>9s}"
+    columns = (
+        f"{'alone':>5s} {'largest/N':>9s} {'over/s':>7s} {'pressed':>7s} {'longest/s':>9s} "
+        f"{'left':>4s} {'said/s':>6s}"
+    )
     lines = [f"{'kind':16s} {'n':>5s} {'broke':>5s} {columns}  exit codes"]
     for kind, met in sorted(by_kind.items()):
         alone = [one for one in met if one.kinds in ((kind,), ())]
         pressed = [one.pressed_s for one in alone if one.pressed_s is not None]
+        left = [one for one in alone if (one.left_N or 0.0) > PRESSED_N]
+        said = [one.unheard_s for one in alone if one.unheard_s is not None]
         codes = Counter(one.code for one in met)
         shown = " ".join(f"{code}:{codes[code]}" for code in sorted(codes))
         lines.append(
             f"{kind:16s} {len(met):5d} {sum(bool(one.violations) for one in met):5d} "
             f"{len(alone):5d} {_largest(one.largest_N for one in alone):>9s} "
             f"{_largest((one.over_limit_s for one in alone), 3):>7s} "
-            f"{len(pressed):7d} {_largest(pressed):>9s}  {shown}"
+            f"{len(pressed):7d} {_largest(pressed):>9s} {len(left):4d} {_largest(said):>6s}"
+            f"  {shown}"
         )
     for what in ("procedure", "stages", "commit"):
         counted = Counter(getattr(one, what) for one in entries)

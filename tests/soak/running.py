@@ -7,7 +7,7 @@ import os
 import shutil
 import subprocess
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -29,6 +29,13 @@ def run(server: Server, trial: Trial, folder: Path, patience_s: float = PATIENCE
         *trial.arguments, "--json", "--no-figures", "--world", "world.toml",
         "--fault", "fault.toml", "--world-log", "world.jsonl",
     ]  # fmt: skip
+    return Ran(trial, *finished(server, arguments, folder, patience_s), folder)
+
+
+def finished(
+    server: Server, arguments: Sequence[str], folder: Path, patience_s: float
+) -> tuple[int, str, str]:
+    """Run a command in the folder to its end, or kill it; its exit code, stdout and stderr."""
     process = server.start(arguments, folder)
     with process.stdout, process.stderr, ThreadPoolExecutor(2) as readers:
         said = [readers.submit(pipe.read) for pipe in (process.stdout, process.stderr)]
@@ -38,7 +45,7 @@ def run(server: Server, trial: Trial, folder: Path, patience_s: float = PATIENCE
             process.kill()
             code = process.wait()
         stdout, stderr = (one.result() for one in said)
-    return Ran(trial, code, stdout, stderr, folder)
+    return code, stdout, stderr
 
 
 def run_series(
@@ -50,6 +57,7 @@ def run_series(
     file: Path | None,
     until_s: float,
     patience_s: float,
+    take: Callable[[Server, Trial, Path, float], Ran] = run,
 ) -> list[register.Entry]:
     """Run the trials of the seeds that the register `file` does not have, until the monotonic clock
     is at `until_s`; return their entries.
@@ -66,7 +74,7 @@ def run_series(
             continue
         trial = draw(seed)
         before_s = server.processor_time_s() + _own_processor_time_s()
-        ran = run(server, trial, folder / str(seed), patience_s)
+        ran = take(server, trial, folder / str(seed), patience_s)
         found = judge(ran)
         cpu_s = server.processor_time_s() + _own_processor_time_s() - before_s
         entry = register.entry_of(series, ran, found, cpu_s)

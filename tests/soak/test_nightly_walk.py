@@ -18,7 +18,7 @@ from forked_rig import server
 from drivers.simulated.faults.plan import devices_by_fault
 
 from .attacks import KINDS, LINKS, OPTIONS, left_pressed
-from .invariants import breaches
+from .invariants import breaches, left_unsaid
 from .running import run
 from .trials import ON_A_LINE, STAGES, Trial, world_of
 
@@ -46,7 +46,7 @@ def test_a_fault_at_any_request_breaks_nothing(
         ran = run(server(), trial, tmp_path / str(at))
         if not ran.faults_met:
             break
-        if found := [*breaches(ran), *left_pressed(ran)]:
+        if found := [*breaches(ran), *left_pressed(ran), *left_unsaid(ran)]:
             broken[at] = found
         else:
             shutil.rmtree(ran.folder)

@@ -16,8 +16,9 @@ import pytest
 from forked_rig import server
 from tiers import mostly_thorough
 
-from .invariants import Ran, breaches
-from .running import run
+from .batches import BatchTrial, batch_breaches, run_batch
+from .invariants import Ran, breaches, said_unheard_s
+from .running import PATIENCE_S, run
 from .trials import Fault, Trial, draw, shrunk, world_of
 
 TRIALS = 33
@@ -114,6 +115,22 @@ def test_a_seed_is_replayed_exactly(tmp_path: Path) -> None:
     first, again = (run(server(), trial, tmp_path / name) for name in ("first", "again"))
     assert first.faults_met
     assert (first.code, first.log) == (again.code, again.log)
+
+
+@pytest.mark.thorough
+def test_a_batch_whose_bench_is_not_safe_says_so_at_once_and_begins_nothing_more(
+    tmp_path: Path,
+) -> None:
+    """No connection to z works any more while the film is pressed in its first run."""
+    lost = {"device": "stage_z", "kind": "silence", "count": 0, "acquisition": 3, "after_s": 0.05}
+    arguments = ("batch", "run", "attacked.toml", "--json")
+    trial = BatchTrial(1, arguments, "", (lost,), procedures=("sweep", "sweep"))
+    ran = run_batch(server(), trial, tmp_path / "batch", PATIENCE_S)
+    assert batch_breaches(ran) == []
+    assert ran.code == 7
+    assert max(ran.values("last-force")) > 1.0
+    assert said_unheard_s(ran) is not None
+    assert [attempt.number for attempt in ran.attempts] == [1]
 
 
 def test_a_plan_is_shrunk_to_what_it_takes_to_fail() -> None:

@@ -230,12 +230,10 @@ def fit_sine(
 
 
 def _lone(sizes: Reals) -> float:
-    """Return the largest of the residuals' sizes (n,) if its neighbours are much smaller. The first
-    ones have no neighbours before them: they are where a transient is largest."""
+    """Return the largest of the residuals' sizes (n,) if its neighbours are much smaller; at the
+    ends of a record those on one side."""
     at = int(sizes.argmax())
-    if at < LONE:
-        return 0.0
-    around = np.concatenate((sizes[at - LONE : at], sizes[at + 1 : at + 1 + LONE]))
+    around = np.concatenate((sizes[max(0, at - LONE) : at], sizes[at + 1 : at + 1 + LONE]))
     return float(sizes[at]) if around.max() < LONE_SHARE * sizes[at] else 0.0
 
 
