@@ -28,9 +28,14 @@ class BenchFactory(Protocol):
         """Start the bench as a separate process whose time the caller advances."""
         ...
 
-    def serve(self, options: dict[str, Any], ready: Callable[[str], None]) -> None:
+    def serve(
+        self,
+        options: dict[str, Any],
+        ready: Callable[[str], None],
+        tell: Callable[[str], None] = ...,
+    ) -> None:
         """Run the bench in real time until stopped; `ready` is called with the text of its bench
-        file."""
+        file, `tell` with each line that who runs it should see."""
         ...
 
 

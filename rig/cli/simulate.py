@@ -56,7 +56,7 @@ def simulate(
         chosen: dict[str, Any] = {} if stages is None else {"stages": stages}
         factory: BenchFactory = load(BENCHES, "simulated")
         chosen["replace"] = _replaced(replace or [])
-        factory.serve({"fixture": fixture, **chosen, "seed": seed, **paths}, ready)
+        factory.serve({"fixture": fixture, **chosen, "seed": seed, **paths}, ready, say)
         say("the simulated bench has ended")
 
 

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import re
 import signal
+import time
 import tomllib
 
 import pytest
 
+from drivers.simulated.bench.process import Lateness
 from rig.files.runfile.reader import RunFile
 from rig.files.verify import verify
 
@@ -34,6 +36,27 @@ def test_the_same_sweep_runs_on_a_bench_file_in_real_time(rig, bench_file):
     with RunFile.open(file) as run:
         assert run.header.title.startswith("SIMULATED")
         assert run.header.bench_toml == bench_file.read_text()
+
+
+def test_a_simulated_bench_that_falls_behind_real_time_says_so(rig):
+    """The computer does something else for a while: no instrument is to blame for that."""
+    serving = rig.start("simulate", "--write", "b.toml", "--world-log", str(rig.world_log))
+    serving.wait_for("Ctrl-C ends it")
+    serving.send(signal.SIGSTOP)
+    time.sleep(0.5)
+    serving.send(signal.SIGCONT)
+    serving.wait_for("the computer is too busy for it in real time")
+    serving.send(signal.SIGINT)
+    ended = serving.finish()
+    told = re.search(r"the simulated bench was late by ([0-9.]+) s", ended.stderr)
+    assert float(told[1]) > 0.4, ended.stderr
+    assert [e["value"] for e in rig.log() if e["what"] == "late"]
+
+
+def test_a_bench_that_is_late_again_says_so_when_it_is_twice_as_late():
+    lateness = Lateness()
+    late_s = [lateness.note(at_s) for at_s in (0.0, 0.02, 0.16, 0.46, 0.86, 1.66, 1.68)]
+    assert [round(one, 2) for one in late_s if one] == [0.28, 0.78]
 
 
 @pytest.mark.thorough

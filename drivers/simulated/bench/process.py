@@ -36,11 +36,42 @@ from rig.core.errors import ConfigurationError, InstrumentError, RigError
 
 SETTLE_EVERY_S = 0.02
 """Interval in s at which drives in real time check what has happened to them."""
+LATE_S = 0.2
+"""Time in s by which a bench in real time is late enough to be told: frames of a force sensor that
+are 0.25 s old hold a run."""
 
 
-async def serve(options: Options, ready: Callable[[dict[str, Any]], None]) -> None:
+class Lateness:
+    """By how much a bench whose time follows real time has been late, for who runs it.
+
+    While the computer does something else, or computes a contact for longer than that lasts, no
+    instrument answers: a program then finds an instrument silent that has nothing to do with it.
+    """
+
+    def __init__(self) -> None:
+        self._latest_s: float | None = None
+        self._told_s = LATE_S / 2
+
+    def note(self, now_s: float) -> float | None:
+        """Note that the bench does its work at this time, which it should every `SETTLE_EVERY_S`.
+        Return by how many seconds it is late where that is worth saying: more than `LATE_S`, and
+        twice what was said before."""
+        before_s, self._latest_s = self._latest_s, now_s
+        late_s = 0.0 if before_s is None else now_s - before_s - SETTLE_EVERY_S
+        if late_s < 2 * self._told_s:
+            return None
+        self._told_s = late_s
+        return late_s
+
+
+async def serve(
+    options: Options,
+    ready: Callable[[dict[str, Any]], None],
+    tell: Callable[[str], None] = lambda text: None,
+) -> None:
     """Run a bench until it is stopped; `ready` gets ``control_port``, ``bench_toml``,
-    ``recorded_toml`` and the ``models`` of its instruments by role."""
+    ``recorded_toml`` and the ``models`` of its instruments by role. `tell` shows a line to who
+    runs a bench in real time."""
     for asked, known in ((options.fixture, Fixture), (options.stages, Stages)):
         if asked not in get_args(known):
             raise ConfigurationError(
@@ -76,7 +107,14 @@ async def serve(options: Options, ready: Callable[[dict[str, Any]], None]) -> No
             monitor.check(world.now_us)
 
     async def follow_real_time() -> None:
+        lateness = Lateness()
         while True:
+            if (late_s := lateness.note(loop.time())) is not None:
+                world.log("world", "late", round(late_s, 3), "world")
+                tell(
+                    f"warning: the simulated bench was late by {late_s:.2g} s: the computer is too "
+                    "busy for it in real time. A run may have found an instrument silent meanwhile"
+                )
             settle()
             if monitor is not None:
                 monitor.check(world.now_us)

@@ -113,16 +113,20 @@ def start(options: dict[str, Any]) -> StartedBench:
     return StartedBench(Options(**{**options, "slaved": True}))
 
 
-def serve(options: dict[str, Any], ready: Callable[[str], None]) -> None:
+def serve(
+    options: dict[str, Any],
+    ready: Callable[[str], None],
+    tell: Callable[[str], None] = lambda text: None,
+) -> None:
     """Run a bench here in real time until SIGINT, SIGQUIT or SIGTERM.
 
-    `ready` gets the bench file's text.
+    `ready` gets the bench file's text; `tell` shows a line to who runs it.
     """
     import asyncio
 
     from drivers.simulated.bench import process
 
-    asyncio.run(process.serve(Options(**options), lambda said: ready(said["bench_toml"])))
+    asyncio.run(process.serve(Options(**options), lambda said: ready(said["bench_toml"]), tell))
 
 
 def alone(core: Any, role: str, **options: Any) -> AbstractContextManager[Any]:
