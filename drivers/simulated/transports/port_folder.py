@@ -25,12 +25,15 @@ class PortFolder:
         if it cannot be made."""
         remove_leftovers()
         while True:
+            # Another start may remove the folder at any time before it is locked.
             self.path = Path(tempfile.mkdtemp(prefix=PREFIX))
-            self._lock = os.open(self.path, os.O_RDONLY | os.O_DIRECTORY)
+            try:
+                self._lock = os.open(self.path, os.O_RDONLY | os.O_DIRECTORY)
+            except FileNotFoundError:
+                continue
             fcntl.flock(self._lock, fcntl.LOCK_EX)
             if self.path.exists():
                 return
-            # Another start has removed it before it was locked.
             os.close(self._lock)
 
     def remove(self) -> None:

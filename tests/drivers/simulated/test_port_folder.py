@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import subprocess
 import sys
+import tempfile
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -60,3 +62,21 @@ def test_the_next_start_removes_what_a_killed_simulator_left_and_nothing_else(
     alive.communicate("")
     PortFolder().remove()
     assert sorted(path.name for path in temporary.iterdir()) == sorted((foreign.name, link.name))
+
+
+def test_a_folder_that_another_start_removes_before_it_is_locked_is_made_again(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    made = []
+
+    def removed_at_first(prefix: str, make: Callable[..., str] = tempfile.mkdtemp) -> str:
+        made.append(make(prefix=prefix))
+        if len(made) == 1:
+            Path(made[0]).rmdir()
+        return made[-1]
+
+    monkeypatch.setattr("tempfile.mkdtemp", removed_at_first)
+    folder = PortFolder()
+    assert [str(folder.path)] == made[1:]
+    assert folder.path.exists()
+    folder.remove()
