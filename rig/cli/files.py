@@ -27,7 +27,8 @@ LONGEST_LINE = 80
 """Length in characters of several texts from which each is shown in a line of its own."""
 
 Files = Annotated[
-    list[Path], typer.Argument(help="Run files and processed files (.h5) or journals (.rigj).")
+    list[Path],
+    typer.Argument(help="Run files, processed files, files of rig skin (.h5) or journals (.rigj)."),
 ]
 Debug = Annotated[bool, typer.Option("--debug", help="Show tracebacks.")]
 
@@ -102,7 +103,7 @@ def show(
     ] = False,
     debug: Debug = False,
 ) -> None:
-    """Show what a run file, processed file or journal holds."""
+    """Show what a run file, processed file, journal or file of rig skin holds."""
     with reported(debug):
         if overlay:
             from rig.figures.overlay import draw_overlay
@@ -112,9 +113,10 @@ def show(
         shown = _shown_as_json if as_json else _tell
         draws = figures or pdf or figures_to is not None
         from rig.files.checksum import checksum_findings
-        from rig.files.describe import describe, describe_processed, ending_of
+        from rig.files.describe import describe, describe_model, describe_processed, ending_of
         from rig.files.file_kind import kind_of
         from rig.files.journal.reader import read_journal
+        from rig.files.model_file import ModelFile, is_model
         from rig.files.processed.reader import ProcessedFile, is_processed
         from rig.files.runfile.reader import RunFile
         from rig.processing.analyses import analyse as analyse_run
@@ -128,6 +130,14 @@ def show(
                 shown(said if all_settings or as_json else _without_defaults(said, header))
                 continue
             doubts = [f"warning: {path.name}: {found}" for found in checksum_findings(path)]
+            if is_model(path):
+                with ModelFile.open(path) as model:
+                    _say_all(doubts)
+                    said = describe_model(model, all_settings or as_json)
+                    shown(said if as_json else _with_results_in_words(said))
+                if draws:
+                    say(f"{path}: its figures were drawn when it was computed, beside it")
+                continue
             if is_processed(path):
                 with ProcessedFile.open(path) as processed:
                     _say_all(doubts)
@@ -145,15 +155,31 @@ def show(
             _draw_beside(files, figures_to, pdf, say if as_json else _print)
 
 
+def _with_results_in_words(said: dict[str, Any]) -> dict[str, Any]:
+    """Return the description of a model's file with a line for each result, such as
+    ``8501 time: -0.4 to 4.01 N (normal force)``."""
+
+    def line(one: Mapping[str, Any]) -> str:
+        if "shape" in one:
+            value = f"{one['shape']}: {_in_words(one['lowest'])} to {_in_words(one['highest'])}"
+        else:
+            values = one["value"] if "value" in one else one["values"]
+            value = "; ".join(map(_in_words, values if isinstance(values, list) else [values]))
+        return f"{value} {one.get('unit', '')}".rstrip() + f" ({one['meaning']})"
+
+    return said | {"results": {name: line(one) for name, one in said["results"].items()}}
+
+
 def _draw_beside(
     files: list[Path], folder: Path | None, pdf: bool, shown: Callable[[str], None]
 ) -> None:
     """Draw two slip trials with a grip or a weight beside each other, where they are that."""
     from rig.figures.grip import draw_pair
     from rig.files.file_kind import kind_of
+    from rig.files.model_file import is_model
     from rig.files.processed.reader import is_processed
 
-    if any(kind_of(path) == "journal" or is_processed(path) for path in files):
+    if any(kind_of(path) == "journal" or is_processed(path) or is_model(path) for path in files):
         return
     for drawn in draw_pair(files, folder, pdf):
         shown(f"figure: {drawn}")

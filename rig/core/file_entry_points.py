@@ -1,4 +1,4 @@
-"""Entry points whose names say to which files they belong: figures and analyses.
+"""Entry points whose names say to which files they belong: figures, overlays and analyses.
 
     creep = "lab.creep_figure:draw"               of every run file of the procedure `creep`
     "slip-trial.friction" = "lab.friction:draw"   a further one, of slip trials
@@ -21,8 +21,10 @@ from rig.core.entry_points import OWN_PACKAGE, PROCEDURES, names
 from rig.core.errors import ConfigurationError, RigError
 
 FIGURES = "rig.figures"
+OVERLAYS = "rig.overlays"
+"""Figures of several runs of one procedure (``rig show --overlay``)."""
 ANALYSES = "rig.analyses"
-NOUNS = {FIGURES: "figure", ANALYSES: "analysis"}
+NOUNS = {FIGURES: "figure", OVERLAYS: "overlay", ANALYSES: "analysis"}
 PROCESSED = "processed"
 """Name before the dot of what belongs to processed files."""
 IMPORTED = "import"

@@ -10,14 +10,18 @@ from rig.figures.style import NO_BREAK
 from rig.files.describe import bench_name, mounted_on
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Sequence
 
     from rig.files.runfile.reader import RunFile
 
 
+MOST_CORNERS = 5
+"""Most corners of a path or course that are named one by one."""
+
+
 def circumstances(run: RunFile) -> str:
-    """Return in one line what a run states of object, speed, angle, start, preload, sample, bench
-    and date, to be wrapped between them. The film and the load of a sweep are in its title."""
+    """Return in one line what a run states of object, speed, angle, start, path, preload, sample,
+    bench and date, to be wrapped between them. Film and load of a sweep are in its title."""
     return in_one_line(statements(run))
 
 
@@ -38,11 +42,43 @@ def statements(run: RunFile) -> list[str]:
         parts.append(f"{angle:g} deg")
     if (start := settings.get("start_mm")) is not None:
         parts.append(f"start {start:g} mm")
+    parts += _courses(run)
     if header.sample.name:
         parts.append(f"sample {header.sample.name}")
     parts.append(bench_name(header))
     parts.append(str(header.start_time or "")[:16].replace("T", " "))
     return [part for part in parts if part]
+
+
+def _courses(run: RunFile) -> list[str]:
+    """Return the path of x, the course of the force and the angles of a roll, where a run has
+    them."""
+    settings = run.settings
+    found = [
+        course(what, settings[values], unit, settings[times])
+        for what, values, unit, times in (
+            ("x from start", "path_positions_mm", "mm", "path_times_s"),
+            ("F_n times", "force_shares", "", "force_times_s"),
+            ("angle", "profile_angles_deg", "deg", "profile_times_s"),
+        )
+        if settings.get(times)
+    ]
+    return ["x rests", *found] if settings.get("path_times_s") in ((), []) else found
+
+
+def course(what: str, values: Sequence[float], unit: str, times_s: Sequence[float]) -> str:
+    """Return a course in words.
+
+    >>> course("x from start", [0, 0.3, 0], "mm", [0, 0.6, 1.2])
+    'x from start 0, 0.3, 0 mm at 0, 0.6, 1.2 s'
+    >>> course("x from start", [0, 1, -1, 1, -1, 0], "mm", [0, 1, 3, 5, 7, 8])
+    'x from start -1 to 1 mm, 6 corners in 8 s'
+    """
+    if len(values) > MOST_CORNERS:
+        extent = f"{min(values):g} to {max(values):g} {unit}".rstrip()
+        return f"{what} {extent}, {len(values)} corners in {times_s[-1]:g} s"
+    each = (", ".join(f"{one:g}" for one in row) for row in (values, times_s))
+    return f"{what} {next(each)} {unit}".rstrip() + f" at {next(each)} s"
 
 
 def film_of(run: RunFile) -> str:

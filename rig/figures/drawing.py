@@ -131,7 +131,7 @@ class _Drawing:
     def add(self, registered: RegisteredFigure, opened: Any) -> None:
         """Draw one registered figure; an exception of it becomes a warning."""
         try:
-            for suffix, figure in _figures(registered, opened).items():
+            for suffix, figure in figures_by(registered, opened).items():
                 if suffix in self._suffixes:
                     self._warn(f"{registered} was left out: another one has its file name")
                 else:
@@ -177,8 +177,10 @@ def _open(file: Path, stack: ExitStack) -> tuple[Any, str, bool]:
     return run, kind, bool(run.outcome.simulated)
 
 
-def _figures(registered: RegisteredFigure, opened: Any) -> dict[str, Figure]:
-    """Return the figures that the registered function draws, by the suffix of each file name."""
+def figures_by(registered: RegisteredFigure, opened: Any) -> dict[str, Figure]:
+    """Return the figures that the registered function draws of an open file, or of several, by the
+    suffix of each file name. Raises whatever the function raises, TypeError and ValueError for
+    what is no figure and no suffix."""
     from matplotlib.figure import Figure
 
     given = registered.load()(opened)

@@ -1,7 +1,9 @@
 """Several runs of one kind in one figure, told apart by what differs between them.
 
 Sweeps are drawn over the frequency, slip and path trials over the time since the slip, or since the
-motion begins where not all of them slipped by the same account, and rolls over the angle.
+motion begins where not all of them slipped by the same account, and rolls over the angle. What
+draws the runs of a procedure is an entry point of the group ``rig.overlays``, named as figures are
+(`rig.core.file_entry_points`): a function of the open run files.
 """
 
 from __future__ import annotations
@@ -15,10 +17,11 @@ import matplotlib as mpl
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.core.errors import ConfigurationError
+from rig.core.errors import ConfigurationError, is_stop
+from rig.core.file_entry_points import OVERLAYS, entries_of, in_words, strays
 from rig.core.settings import name_without_unit, unit_of
 from rig.figures.circumstances import film_of, in_one_line, statements
-from rig.figures.drawing import Drawn
+from rig.figures.drawing import Drawn, figures_by
 from rig.figures.pressed import scale_to, seconds
 from rig.figures.slip_instants import SlipInstants, detections_of, instants_of
 from rig.figures.style import (
@@ -58,22 +61,29 @@ SAME_FREQUENCY = 1e-6
 
 def draw_overlay(files: Sequence[Path], folder: Path | None = None, pdf: bool = False) -> Drawn:
     """Draw several run files of one kind in one figure, beside the first file or in `folder`,
-    under a name that is not taken.
+    under a name that is not taken. An overlay of another package that fails is a warning.
 
     Raises ConfigurationError for fewer than two files, for files of several kinds or of one that
-    has no such figure, and for files without a completed point; RunFileError for one that cannot
-    be read.
+    has no such figure, for files without a completed point, and if every overlay fails;
+    RunFileError for one that cannot be read.
     """
     if len(files) < 2:
         raise ConfigurationError("--overlay draws several runs in one figure", "name two or more")
     with ExitStack() as stack:
         runs = [_opened(path, stack) for path in files]
-        figure = DRAWN_BY[_kind_of(runs)](runs)
+        figures, warnings = _figures_of(runs)
+        if not figures:
+            raise ConfigurationError(f"no overlay was drawn: {'; '.join(warnings)}")
         simulated = any(run.outcome.simulated for run in runs)
-        place = _free_place(files[0] if folder is None else folder / files[0].name)
+        place = _free_place(files[0] if folder is None else folder / files[0].name, list(figures))
         try:
             place.parent.mkdir(parents=True, exist_ok=True)
-            return Drawn(tuple(save(figure, place, simulated, pdf)))
+            saved = [
+                picture
+                for suffix, figure in figures.items()
+                for picture in save(figure, _ending(place, suffix), simulated, pdf)
+            ]
+            return Drawn(tuple(saved), tuple(warnings))
         except OSError as error:
             raise ConfigurationError(
                 f"{place.parent} cannot be written to ({error.strerror or error})",
@@ -103,22 +113,52 @@ def _kind_of(runs: Sequence[RunFile]) -> str:
             f"--overlay draws runs of one kind: {each}", "name files of one procedure"
         )
     (kind,) = kinds
-    if kind not in DRAWN_BY:
-        raise ConfigurationError(
-            f"--overlay does not know how to draw a {kind}", f"it draws {', '.join(DRAWN_BY)}"
-        )
     return kind
 
 
-def _free_place(file: Path) -> Path:
-    """Return the file's name with the first ending that no picture has yet."""
+def _figures_of(runs: Sequence[RunFile]) -> tuple[dict[str, Figure], list[str]]:
+    """Return the overlays of the runs, by the suffix of each file name, and a sentence for each
+    one that could not be drawn."""
+    kind = _kind_of(runs)
+    if not (registered := entries_of(OVERLAYS, kind)):
+        raise ConfigurationError(
+            f"--overlay does not know how to draw a {kind}",
+            "a package can add what draws it: docs/add-a-figure.md",
+        )
+    figures: dict[str, Figure] = {}
+    warnings = list(strays(OVERLAYS, (kind,)))
+    for one in registered:
+        try:
+            for suffix, figure in figures_by(one, runs).items():
+                if suffix in figures:
+                    warnings.append(f"{one} was left out: another one has its file name")
+                else:
+                    figures[suffix] = figure
+        # A package may raise anything, and call sys.exit() where it was meant as a program.
+        except (Exception, SystemExit) as error:
+            if is_stop(error):
+                raise
+            warnings.append(f"{one} could not be drawn: {in_words(error)}")
+    return figures, warnings
+
+
+def _free_place(file: Path, suffixes: Sequence[str]) -> Path:
+    """Return the file's name with the first ending with which no picture has its name yet."""
     number = 1
     while True:
-        ending = "-overlay" if number == 1 else f"-overlay-{number}"
-        place = file.with_stem(file.stem + ending)
-        if not any(place.with_suffix(kind).exists() for kind in (".png", ".svg", ".pdf")):
+        place = _ending(file, "-overlay" if number == 1 else f"-overlay-{number}")
+        pictures = [
+            _ending(place, suffix).with_suffix(kind)
+            for suffix in suffixes
+            for kind in (".png", ".svg", ".pdf")
+        ]
+        if not any(picture.exists() for picture in pictures):
             return place
         number += 1
+
+
+def _ending(place: Path, suffix: str) -> Path:
+    return place.with_stem(place.stem + suffix)
 
 
 def names_of(runs: Sequence[RunFile]) -> list[str]:
@@ -345,12 +385,3 @@ def _look(number: int) -> dict[str, Any]:
         "color": PALETTE[number % len(PALETTE)],
         "linestyle": DASHES[number // len(PALETTE) % len(DASHES)],
     }
-
-
-DRAWN_BY: dict[str, Callable[[Sequence[RunFile]], Figure]] = {
-    "sweep": draw_sweeps,
-    "slip-trial": draw_slips,
-    "path-trial": draw_slips,
-    "roll-trial": draw_rolls,
-}
-"""What draws several runs of a procedure in one figure."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import tomllib
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,7 +16,11 @@ from rig.files.runfile.reader import RecordedOutcome
 
 if TYPE_CHECKING:
     from rig.detector.events import SlipEvent
+    from rig.files.model_file import ModelFile, Quantity
     from rig.files.processed.reader import ProcessedFile
+
+MOST_VALUES = 16
+"""Most values of a result that are shown one by one."""
 
 
 def describe(file: Path, header: RunHeader, outcome: RecordedOutcome) -> dict[str, Any]:
@@ -97,6 +102,49 @@ def describe_processed(file: ProcessedFile) -> dict[str, Any]:
             for trial in file.trial_ids()
         },
     }
+
+
+def describe_model(file: ModelFile, all_settings: bool) -> dict[str, Any]:
+    """Return what a file of the skin model holds as JSON-able values: of each result unit, meaning
+    and shape, and its values where they are few, else the range of them."""
+    changed = file.changed_settings()
+    settings: Any = file.settings
+    if not all_settings and changed is not None:
+        settings = changed or "all at their defaults; --all shows them"
+    return {
+        "file": str(file.path),
+        "title": file.title,
+        "simulated": True,
+        "program": file.program,
+        "settings": settings,
+        "results": {name: _quantity(one) for name, one in file.results().items()},
+    }
+
+
+def _quantity(one: Quantity) -> dict[str, Any]:
+    import numpy as np
+
+    values = np.asarray(one.values)
+    found = {"meaning": one.meaning, "unit": one.unit or None}
+    if values.size <= MOST_VALUES:
+        found["value" if values.ndim == 0 else "values"] = _finite(values.tolist())
+    else:
+        length = ", ".join(f"{n} {axis}" for n, axis in zip(values.shape, one.axes, strict=True))
+        known = values[np.isfinite(values)]
+        ends = (known.min(), known.max()) if known.size else (np.float64("nan"),) * 2
+        found |= {
+            "shape": length,
+            "lowest": _finite(ends[0].item()),
+            "highest": _finite(ends[1].item()),
+        }
+    return {name: value for name, value in found.items() if value is not None or "val" in name}
+
+
+def _finite(values: Any) -> Any:
+    """Return numbers as JSON has them: None for one that is not finite."""
+    if isinstance(values, list):
+        return [_finite(value) for value in values]
+    return values if math.isfinite(values) else None
 
 
 def _event(event: SlipEvent) -> str:

@@ -2,7 +2,8 @@
 
     /entry                 title, definition, program_name with its version
     /entry/settings_json   all settings, to be given back with --settings
-    /entry/parameters      the same as fields with units
+    /entry/parameters      the same as fields with units; the attribute is_default says whether a
+                           value is the usual one
     /entry/data            the results, each with its unit, its meaning and the names of its axes
 
 Everything in such a file is computed; nothing is measured.
@@ -11,7 +12,8 @@ Everything in such a file is computed; nothing is measured.
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,8 +22,12 @@ import numpy as np
 
 import rig
 from rig.core.settings import Settings, leaves
+from rig.files.errors import RunFileError, in_words
+from rig.files.file_kind import IN_WORDS, kind_of
 from rig.files.hdf5.nexus import array_field, group, set_attributes, text_field, write_note
+from rig.files.hdf5.open_file import OpenFile, definition_of
 from rig.files.hdf5.publishing import publishing
+from rig.files.hdf5.safe_reading import DAMAGE, refuse_links, text_of, whole
 
 if TYPE_CHECKING:
     import h5py
@@ -75,6 +81,7 @@ def write_model(
 def _write_parameters(place: h5py.Group, settings: Mapping[str, Settings]) -> None:
     for name, one in settings.items():
         made = group(place, name, "NXcollection")
+        usual = {path: value for path, value, _ in leaves(type(one)())}
         for path, value, unit in leaves(one):
             if value is None:
                 continue
@@ -82,6 +89,7 @@ def _write_parameters(place: h5py.Group, settings: Mapping[str, Settings]) -> No
             if not isinstance(value, bool | int | float | str):
                 plain = json.dumps(value, default=_as_plain)
             field = made.create_dataset(path.replace(".", "/"), data=plain)
+            field.attrs["is_default"] = bool(value == usual.get(path))
             if unit:
                 field.attrs["units"] = unit
 
@@ -98,3 +106,100 @@ def _write_result(data: h5py.Group, name: str, result: Quantity) -> None:
     else:
         field = data.create_dataset(name, data=values)
         set_attributes(field, {"units": result.unit, "long_name": result.meaning})
+
+
+def is_model(path: Path) -> bool:
+    """Return whether a file says that it is one of the skin model. False for a damaged one."""
+    return definition_of(path) == DEFINITION
+
+
+class ModelFile(OpenFile):
+    """An open file of the skin model; use it as a context. Whatever is wrong with it is a
+    RunFileError that names it."""
+
+    @classmethod
+    def open(cls, path: Path) -> ModelFile:
+        """Open a file of the skin model. RunFileError if it cannot be read or is another kind."""
+        import h5py
+
+        if (kind := kind_of(path)) != "hdf5":
+            raise RunFileError(path, IN_WORDS[kind])
+        with _naming(path):
+            file = h5py.File(path, "r")
+        opened = cls(path, file)
+        try:
+            with _naming(path):
+                refuse_links(file)
+                if text_of(opened.entry["definition"]) != DEFINITION:
+                    raise RunFileError(path, "an HDF5 file, but not one of `rig skin`")
+                _ = opened.title, opened.settings, opened.results()
+        except RunFileError:
+            file.close()
+            raise
+        return opened
+
+    @property
+    def title(self) -> str:
+        """What was computed, with the mark SIMULATED."""
+        with _naming(self.path):
+            return text_of(self.entry["title"])
+
+    @property
+    def program(self) -> str:
+        """The command that has computed it, with its version."""
+        with _naming(self.path):
+            name = self.entry["program_name"]
+            return f"{text_of(name)} {name.attrs['version']}"
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """All settings, nested, as ``--settings`` and ``--skin`` take them."""
+        with _naming(self.path):
+            found = json.loads(text_of(self.entry["settings_json/data"]))
+            return {str(name): value for name, value in found.items()}
+
+    def changed_settings(self) -> dict[str, Any] | None:
+        """Return the settings that differ from their defaults, by dotted names; None in a file of
+        a version that did not record which they are."""
+        found: dict[str, Any] = {}
+        with _naming(self.path):
+            for name, field in _fields(self.entry["parameters"]):
+                if "is_default" not in field.attrs:
+                    return None
+                if not field.attrs["is_default"]:
+                    value = whole(field)
+                    found[name] = value.decode() if isinstance(value, bytes) else value.item()
+        return found
+
+    def results(self) -> dict[str, Quantity]:
+        """Return what was computed, by name."""
+        with _naming(self.path):
+            return {
+                name: Quantity(
+                    whole(field),
+                    str(field.attrs.get("units", "")),
+                    str(field.attrs["long_name"]),
+                    tuple(map(str, field.attrs.get("axes", ()))),
+                )
+                for name, field in self.entry["data"].items()
+            }
+
+
+def _fields(place: h5py.Group, prefix: str = "") -> Iterator[tuple[str, h5py.Dataset]]:
+    """Yield each field below a group by its dotted name."""
+    for name, item in place.items():
+        if hasattr(item, "items"):
+            yield from _fields(item, f"{prefix}{name}.")
+        else:
+            yield f"{prefix}{name}", item
+
+
+@contextmanager
+def _naming(path: Path) -> Iterator[None]:
+    """Raise RunFileError, which names the file, for whatever a damaged one raises."""
+    try:
+        yield
+    except RunFileError:
+        raise
+    except DAMAGE as error:
+        raise RunFileError(path, f"not a readable file of rig skin: {in_words(error)}") from error

@@ -33,6 +33,7 @@ from rig.files.runfile.sample_walk import SampleWalk
 if TYPE_CHECKING:
     import h5py
 
+    from rig.files.model_file import ModelFile
     from rig.files.processed.reader import ProcessedFile
 
 AnyFile = TypeVar("AnyFile")
@@ -85,11 +86,14 @@ def verdict(file: Path | str) -> FileVerdict:
         return _verdict_on_journal(file)
     if kind != "hdf5":
         return FileVerdict((IN_WORDS[kind],), "")
+    from rig.files.model_file import is_model
     from rig.files.processed.reader import is_processed
 
     extent, findings = "", list(checksum_findings(file))
     if is_processed(file):
         return _verdict_on_processed(file, findings)
+    if is_model(file):
+        return _verdict_on_model(file, findings)
     try:
         with RunFile.open(file) as run:
             for check in _CHECKS:
@@ -124,6 +128,19 @@ def _verdict_on_processed(file: Path, findings: list[str]) -> FileVerdict:
             findings += _guarded(_datasets, processed)
             findings += _guarded(ProcessedFile.findings, processed)
             extent = processed.extent()
+    except RunFileError as error:
+        findings.append(error.reason)
+    return FileVerdict(tuple(findings), extent)
+
+
+def _verdict_on_model(file: Path, findings: list[str]) -> FileVerdict:
+    from rig.files.model_file import ModelFile
+
+    extent = ""
+    try:
+        with ModelFile.open(file) as model:
+            findings += _guarded(_datasets, model)
+            extent = f"{model.program}, {len(model.results())} results"
     except RunFileError as error:
         findings.append(error.reason)
     return FileVerdict(tuple(findings), extent)
@@ -188,7 +205,7 @@ def _guarded(check: Callable[[AnyFile], Iterator[str]], run: AnyFile) -> list[st
     return found
 
 
-def _datasets(run: RunFile | ProcessedFile) -> Iterator[str]:
+def _datasets(run: RunFile | ProcessedFile | ModelFile) -> Iterator[str]:
     """Checksums of the datasets: every byte is read."""
     import h5py
 

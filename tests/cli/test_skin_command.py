@@ -1,15 +1,18 @@
 """``rig skin``: figures that say they are simulated, data on stdout, refusals as one error."""
 
 import json
+import re
 from pathlib import Path
 
 import h5py
 import numpy as np
 import pytest
+from click.testing import Result
 from tiers import mostly_thorough
 from typer.testing import CliRunner
 
 import rig
+from rig.cli.app import build
 from rig.cli.skin import app
 
 SHORT = {
@@ -70,12 +73,29 @@ def test_a_slide_from_edited_settings_is_drawn_and_summed_up(tmp_path: Path):
     assert len(summary["ridge_whole_slip_s"]) == 9
 
 
-def test_the_data_of_a_slide_are_kept_and_explain_themselves(tmp_path: Path):
-    settings = tmp_path / "slide.json"
-    settings.write_text(json.dumps(SHORT))
-    arguments = ("slide", "--settings", str(settings), "--elements", "4", "--json")
-    summary = json.loads(run(*arguments, "--results", str(tmp_path)))
-    with h5py.File(tmp_path / "skin-slide.h5") as file:
+@pytest.fixture(scope="module")
+def kept(cache_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict]:
+    """The data of a slide on a skin of 4 elements a ridge, and the summary that was printed."""
+    folder = tmp_path_factory.mktemp("slide")
+    (folder / "slide.json").write_text(json.dumps(SHORT))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("RIG_CACHE", str(cache_folder))
+        arguments = ("slide", "--settings", str(folder / "slide.json"), "--elements", "4", "--json")
+        summary = json.loads(run(*arguments, "--results", str(folder)))
+    return folder / "skin-slide.h5", summary
+
+
+@pytest.fixture(scope="module")
+def kept_slide(kept: tuple[Path, dict]) -> Path:
+    """The file of that slide."""
+    return kept[0]
+
+
+def test_the_data_of_a_slide_are_kept_and_explain_themselves(
+    kept: tuple[Path, dict], tmp_path: Path
+):
+    kept_slide, summary = kept
+    with h5py.File(kept_slide) as file:
         entry = file["entry"]
         assert entry["title"][()].decode().startswith("SIMULATED Slide at 0.5 mm/s")
         assert entry["program_name"].attrs["version"] == rig.__version__
@@ -96,6 +116,64 @@ def test_the_data_of_a_slide_are_kept_and_explain_themselves(tmp_path: Path):
     (tmp_path / "again.json").write_text(json.dumps(again["settings"]))
     shown = run("slide", "--settings", str(tmp_path / "again.json"), "--show-settings")
     assert json.loads(shown) == again["settings"], "the settings can be given back"
+
+
+def invoked(*arguments: str | Path) -> Result:
+    """What a command of `rig` has done."""
+    words = list(map(str, arguments))
+    return CliRunner().invoke(build(words), words)
+
+
+def shown(*arguments: str | Path) -> str:
+    """What a command of `rig` prints on stdout."""
+    result = invoked(*arguments)
+    assert result.exit_code == 0, result.output
+    return result.stdout
+
+
+def test_rig_show_sums_up_what_was_computed(kept_slide: Path):
+    said = shown("show", kept_slide)
+    assert "title: SIMULATED Slide at 0.5 mm/s under 1 N" in said
+    assert f"program: rig skin {rig.__version__}" in said
+    settings, results = said.split("results:")
+    assert "skin.elements_per_ridge: 4" in settings
+    assert "settings.press.loading_s: 0.05" in settings
+    assert "speed_mm_s" not in settings, "it has its default"
+    assert "speed_mm_s: 0.5" in shown("show", "--all", kept_slide)
+    assert re.search(r"  F_n: \d+ time: \S+ to 1\S* N \(normal force\)", results)
+    assert re.search(r"  ridge_whole_slip: (\S+; ){8}\S+ s \(slip of the whole ridge\)", results)
+
+
+def test_rig_show_gives_it_to_programs(kept_slide: Path):
+    said = json.loads(shown("show", "--json", kept_slide))
+    assert said["simulated"] is True
+    assert said["settings"]["skin"]["elements_per_ridge"] == 4
+    with h5py.File(kept_slide) as file:
+        force = file["entry/data/F_n"][:]
+        slips = file["entry/data/ridge_whole_slip"][:]
+    found = said["results"]["F_n"]
+    assert (found["lowest"], found["highest"]) == (force.min(), force.max())
+    assert found["unit"] == "N"
+    assert found["shape"] == f"{force.size} time"
+    expected = [value if np.isfinite(value) else None for value in slips]
+    assert said["results"]["ridge_whole_slip"]["values"] == expected
+
+
+def test_rig_verify_knows_such_a_file(kept_slide: Path, tmp_path: Path):
+    assert "sound (rig skin" in shown("verify", kept_slide)
+    damaged = tmp_path / "damaged.h5"
+    damaged.write_bytes(kept_slide.read_bytes().replace(b"long_name", b"lang_name"))
+    result = invoked("show", damaged)
+    assert result.exit_code == 8
+    assert "not a readable file of rig skin" in result.stderr
+
+
+def test_another_programs_file_is_still_refused_clearly(tmp_path: Path):
+    with h5py.File(tmp_path / "theirs.h5", "w") as file:
+        file["x"] = [1, 2]
+    result = invoked("show", tmp_path / "theirs.h5")
+    assert result.exit_code == 8
+    assert "an HDF5 file, but not a run file: it has no journal header" in result.stderr
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import sys
+from collections.abc import Callable
+from importlib import invalidate_caches
 from pathlib import Path
 
 import matplotlib as mpl
@@ -10,6 +13,10 @@ import pytest
 from legible import faults
 from matplotlib.axes import Axes
 from recorded import FAST_SLIDE, ROLL, SWEEP, TWO_SLIDES, unpack
+
+sys.path.insert(0, str(Path(__file__).parent.parent / "files"))
+
+import recorded_trials as trials
 
 from rig.core.errors import ConfigurationError
 from rig.figures.overlay import (
@@ -128,3 +135,91 @@ def test_a_setting_that_is_on_or_off_is_named_in_words() -> None:
     assert _in_words("regrip", True) == "with regrip"
     assert _in_words("regrip", False) == "without regrip"
     assert _in_words("normal_force_N", 4.0) == "normal force 4 N"
+
+
+PACKAGE = """
+from matplotlib.figure import Figure
+
+def plain(runs):
+    figure = Figure()
+    figure.suptitle(" and ".join(run.header.procedure for run in runs))
+    return figure
+
+def fails(runs):
+    raise RuntimeError("no such column")
+
+def number(runs):
+    return 3
+"""
+
+
+@pytest.fixture
+def declare(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[str], None]:
+    """Declares overlays of a package of a laboratory."""
+    info = tmp_path / "site" / "lab_overlays-1.dist-info"
+    info.mkdir(parents=True)
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: lab-overlays\nVersion: 1\n")
+    (tmp_path / "site" / "lab_overlays.py").write_text(PACKAGE)
+    monkeypatch.syspath_prepend(str(tmp_path / "site"))
+
+    def declare(lines: str) -> None:
+        (info / "entry_points.txt").write_text(f"[rig.overlays]\n{lines}\n")
+        invalidate_caches()
+
+    return declare
+
+
+def lab_trials(folder: Path) -> list[Path]:
+    """Two run files of a procedure that this project does not know."""
+    return [
+        trials.write_trials(
+            folder / f"lab-{n}.rigj", {"trial-1": trials.slipping()}, procedure="lab-trial"
+        )
+        for n in (1, 2)
+    ]
+
+
+def test_a_package_draws_its_own_procedures_over_each_other(
+    declare: Callable[[str], None], tmp_path: Path
+) -> None:
+    files = lab_trials(tmp_path)
+    with pytest.raises(ConfigurationError, match="does not know how to draw a lab-trial"):
+        draw_overlay(files)
+    declare("lab-trial = lab_overlays:plain\nlab-trial.more = lab_overlays:plain")
+    drawn = draw_overlay(files)
+    assert [path.name for path in drawn.files if path.suffix == ".png"] == [
+        "lab-1-overlay.png",
+        "lab-1-overlay-more.png",
+    ]
+    assert "lab-trial and lab-trial" in drawn.files[1].read_text("utf-8")
+    assert drawn.warnings == ()
+    again = draw_overlay(files)
+    assert again.files[-1].name == "lab-1-overlay-2-more.svg", "nothing is overwritten"
+
+
+def test_a_packages_overlay_stands_beside_that_of_this_project(
+    declare: Callable[[str], None], folder: Path, tmp_path: Path
+) -> None:
+    declare(
+        "sweep = lab_overlays:plain\nsweep.bad = lab_overlays:fails\n"
+        "sweep.no = lab_overlays:number\nswep.x = lab_overlays:plain"
+    )
+    drawn = draw_overlay([folder / SWEEP, folder / SWEEP], tmp_path)
+    assert [path.name for path in drawn.files] == [
+        f"{Path(SWEEP).stem}-overlay.png",
+        f"{Path(SWEEP).stem}-overlay.svg",
+    ]
+    stray, own_first, fails, number = drawn.warnings
+    assert "the overlay swep.x" in stray
+    assert "did you mean sweep?" in stray
+    assert "left out: another one has its file name" in own_first
+    assert fails.endswith("of lab-overlays could not be drawn: RuntimeError: no such column")
+    assert "returned int where a Figure is expected" in number
+
+
+def test_where_every_overlay_fails_the_command_says_why(
+    declare: Callable[[str], None], tmp_path: Path
+) -> None:
+    declare("lab-trial = lab_overlays:fails")
+    with pytest.raises(ConfigurationError, match=r"no overlay was drawn: .*no such column"):
+        draw_overlay(lab_trials(tmp_path))

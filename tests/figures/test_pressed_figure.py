@@ -2,10 +2,20 @@
 
 from __future__ import annotations
 
+import sys
+from pathlib import Path
+
 import numpy as np
+import pytest
 from matplotlib.figure import Figure
 
+sys.path.insert(0, str(Path(__file__).parent.parent / "files"))
+
+import recorded_trials as trials
+
+from rig.figures.circumstances import statements
 from rig.figures.pressed import scale_to
+from rig.files.runfile.reader import RunFile
 
 
 def test_an_axis_is_scaled_by_the_values_that_are_given_and_not_by_what_is_drawn() -> None:
@@ -17,3 +27,31 @@ def test_an_axis_is_scaled_by_the_values_that_are_given_and_not_by_what_is_drawn
     assert 3.0 < high < 4.5
     scale_to(axes, [np.array([np.nan])])
     assert axes.get_ylim() == (low, high)
+
+
+@pytest.mark.parametrize(
+    ("settings", "said", "unsaid"),
+    [
+        (
+            {"path_times_s": [0, 0.6, 1.2], "path_positions_mm": [0, 0.3, 0],
+             "force_times_s": [0, 1], "force_shares": [1, 1.3]},
+            ["x from start 0, 0.3, 0 mm at 0, 0.6, 1.2 s", "F_n times 1, 1.3 at 0, 1 s"],
+            "x rests",
+        ),
+        ({"path_times_s": [], "path_positions_mm": []}, ["x rests"], "from start"),
+        (
+            {"profile_times_s": [0, 1, 2], "profile_angles_deg": [0, 3, 0], "angle_deg": 3.5},
+            ["angle 0, 3, 0 deg at 0, 1, 2 s"],
+            "3.5 deg",
+        ),
+    ],
+)  # fmt: skip
+def test_the_heading_says_along_which_path_a_trial_went(tmp_path, settings, said, unsaid):
+    file = trials.write_trials(
+        tmp_path / "one.rigj", {"trial-1": trials.slipping()}, settings=settings
+    )
+    with RunFile.open(file) as run:
+        found = statements(run)
+    for one in said:
+        assert one in found
+    assert not any(unsaid in one for one in found)

@@ -5,8 +5,25 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
+from rig.files.file_kind import kind_of
+from rig.files.hdf5.safe_reading import DAMAGE, refuse_links, text_of
+
 if TYPE_CHECKING:
     import h5py
+
+
+def definition_of(path: Path) -> str:
+    """Return what a file says that it is; "" for a damaged or foreign one."""
+    import h5py
+
+    if kind_of(path) != "hdf5":
+        return ""
+    try:
+        with h5py.File(path, "r") as file:
+            refuse_links(file)
+            return text_of(file["entry/definition"])
+    except DAMAGE:
+        return ""
 
 
 class OpenFile:

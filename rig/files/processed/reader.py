@@ -18,7 +18,7 @@ from rig.detector.events import EventKind, SlipEvent
 from rig.detector.settings import DetectorSettings
 from rig.files.errors import RunFileError, in_words
 from rig.files.file_kind import IN_WORDS, kind_of
-from rig.files.hdf5.open_file import OpenFile
+from rig.files.hdf5.open_file import OpenFile, definition_of
 from rig.files.hdf5.safe_reading import DAMAGE, refuse_links, text_of, texts_of, whole
 from rig.files.journal.values import SIMULATED
 from rig.files.processed.values import (
@@ -33,16 +33,7 @@ from rig.files.processed.values import (
 
 def is_processed(path: Path) -> bool:
     """Return whether a file says that it is a processed file. False for a damaged one."""
-    import h5py
-
-    if kind_of(path) != "hdf5":
-        return False
-    try:
-        with h5py.File(path, "r") as file:
-            refuse_links(file)
-            return text_of(file["entry/definition"]) == DEFINITION
-    except DAMAGE:
-        return False
+    return definition_of(path) == DEFINITION
 
 
 class ProcessedFile(OpenFile):
