@@ -26,6 +26,7 @@ from .attacks import attack_on, left_pressed
 from .invariants import (
     DONE,
     DONE_WITH_FAILURES,
+    LIMIT,
     UNSAFE,
     Ran,
     at_rest,
@@ -47,6 +48,8 @@ SETTINGS: dict[str, dict[str, Any]] = {
 """What `attacks.OPTIONS` sets, as a batch file has it."""
 FOR_EVER = 100
 """Attempts at a run, more than any batch makes."""
+ENDS_A_BATCH = {"unsafe": UNSAFE, "interlock": LIMIT}
+"""Kinds of failure after which a batch begins nothing, and its exit codes."""
 STARTED = "queued", "done", "failed"
 
 
@@ -232,17 +235,17 @@ def _ending(ran: BatchRan) -> Iterator[str]:
     if "Traceback" in ran.stderr or "internal error" in ran.stderr.lower():
         yield "an internal error"
     states = dict(ran.ask("SELECT number, state FROM run"))
-    unsafe = [n for n, one in enumerate(ran.attempts) if one.kind == "unsafe"]
-    if unsafe:
-        expected = UNSAFE
+    ends = [n for n, one in enumerate(ran.attempts) if one.kind in ENDS_A_BATCH]
+    if ends:
+        expected = ENDS_A_BATCH[ran.attempts[ends[0]].kind]
     else:
         expected = DONE_WITH_FAILURES if "failed" in states.values() else DONE
         if "queued" in states.values():
             yield f"runs are left although every bench was safe: {states}"
     if ran.code != expected:
         yield f"exit code {ran.code} instead of {expected}"
-    if unsafe and unsafe[0] != len(ran.attempts) - 1:
-        yield "an attempt was begun on a bench that is not safe"
+    if ends and ends[0] != len(ran.attempts) - 1:
+        yield f"an attempt was begun after one that was {ran.attempts[ends[0]].kind}"
     if strange := {*states.values()} - {*STARTED}:
         yield f"runs are {', '.join(sorted(strange))}"
     lines = ran.stdout.strip().splitlines()
@@ -253,7 +256,7 @@ def _ending(ran: BatchRan) -> Iterator[str]:
     codes = dict(ran.ask("SELECT number, code FROM run"))
     for number, state in states.items():
         befallen = number == _batch(ran).attacked and ran.faults_met
-        if befallen or unsafe or (state, codes[number]) == ("done", DONE):
+        if befallen or ends or (state, codes[number]) == ("done", DONE):
             continue
         latest = [one for one in ran.attempts if one.number == number][-1]
         if state != "done" or not holds_worse(latest):

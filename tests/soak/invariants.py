@@ -25,7 +25,7 @@ from rig.files.verify import verify
 
 from .trials import TALLER, UNNOTICED, Trial
 
-DONE, DONE_WITH_FAILURES, UNSAFE = 0, 5, 7
+DONE, LIMIT, DONE_WITH_FAILURES, UNSAFE = 0, 4, 5, 7
 RUNAWAY = "runaway"
 PRESSED_N = 0.5
 """A force after the end that nobody may leave unsaid."""
@@ -250,7 +250,7 @@ def rows_as_sent(ran: Ran) -> Iterator[str]:
                     if waveform.stream in ("waveform", "strips"):
                         yield from _blocks(waveform.path, rows, blocks, used)
                     elif waveform.stream == "bridges":
-                        yield from _frames(waveform.path, rows, frames)
+                        yield from _frames(waveform.path, rows, frames, status == "kept")
 
 
 def _blocks(
@@ -277,10 +277,16 @@ def _is_block(rows: np.ndarray, blocks: list[dict[str, Any]], number: int) -> bo
     return zlib.crc32(block.tobytes()) == blocks[number]["crc32"]
 
 
-def _frames(name: str, rows: np.ndarray, frames: list[int]) -> Iterator[str]:
-    """The rows are a gapless stretch of the frames that the sensor sent."""
+def _frames(name: str, rows: np.ndarray, frames: list[int], kept: bool) -> Iterator[str]:
+    """The rows are frames that the sensor sent, in their order: a gapless stretch of them where the
+    record is kept. One with a gap over which the run was made safe is not."""
     recorded = [zlib.crc32(row.tobytes()) for row in rows.astype(">f4")]
     if not recorded:
+        return
+    if not kept:
+        later = iter(frames)
+        if not all(crc in later for crc in recorded):  # each is looked for after the one before
+            yield f"{name}: {len(recorded)} frames are not all sent, or not in this order"
         return
     starts = [at for at, crc in enumerate(frames) if crc == recorded[0]]
     if not any(frames[at : at + len(recorded)] == recorded for at in starts):
