@@ -31,7 +31,7 @@ from rig.core.errors import (
     UnsafeError,
 )
 from rig.files.journal.layout import Column
-from rig.instruments.roles import RemembersPosition
+from rig.instruments.roles import LastSeen, LinearStage, RemembersPosition
 from rig.run.trip import TripError
 
 if TYPE_CHECKING:
@@ -448,8 +448,7 @@ def _say_not_reached(run: Run, error: InstrumentError) -> None:
 
 def _last_known(run: Run) -> str:
     """Return in words where z was last seen and what the force sensor reads; asks z nothing."""
-    stage = run.bench.stage_z
-    seen = stage.last_seen() if isinstance(stage, RemembersPosition) else None
+    seen = _last_seen(run.bench.stage_z)
     where = "where it stands is not known"
     if seen is not None:
         now_s = run.clock.now()
@@ -458,6 +457,13 @@ def _last_known(run: Run) -> str:
             f"{seen.position_mm:.3f} mm, {now_s - seen.seen_s:.1f} s ago"
         )
     return f"{where}, and {_read_by_the_sensor(run.latest_force_N(SETTLED_S))}"
+
+
+def _last_seen(stage: LinearStage) -> LastSeen | None:
+    try:
+        return stage.last_seen() if isinstance(stage, RemembersPosition) else None
+    except Exception:  # noqa: BLE001 - a driver of another package; the stop that follows matters
+        return None
 
 
 def _still_pressed(run: Run, pressed: str, error: InstrumentError) -> UnsafeError:

@@ -117,6 +117,7 @@ def test_late_ticks_beside_a_slow_daq(rig):
         ended = one.run(
             "slip-trial", "--bench", str(bench), "--tick", "500", "--distance", "1mm",
             "--speed", "1mm/s", "--block", "100ms", "--json", "--no-figures",
+            "--accept", "each slide has a bench of its own",  # whose way to the force is short
         )  # fmt: skip
         serving.send(signal.SIGINT)
         serving.finish()
