@@ -292,9 +292,11 @@ def summary_of(readings: Sequence[Reading], names: Sequence[str]) -> dict[str, A
     return found | _touch_gains_of(readings) | force_zero_of(readings) | put_in
 
 
-def _slips_of(readings: Sequence[Reading]) -> dict[str, list[float]]:
+def _slips_of(readings: Sequence[Reading]) -> dict[str, list[float | None]]:
     """Return every incipient slip that the detector found during the trials: the trial, the time in
-    its record, the time at which the program knew it, and the confidence."""
+    its record, the time at which the program knew it, the confidence, and the amplitudes by which
+    the detector decided, where it states them: the predictive signal P_A and the impulse P_B of
+    v_d."""
     found = [
         (reading, one)
         for reading in readings
@@ -306,6 +308,11 @@ def _slips_of(readings: Sequence[Reading]) -> dict[str, list[float]]:
         "time_s": [one.time_s for _, one in found],
         "decided_s": [one.decided_s for _, one in found],
         "confidence": [one.confidence for _, one in found],
+        **{
+            name: amplitudes
+            for name in ("predictive_mV", "impulse_mV")
+            if any(amplitudes := [getattr(one, name) for _, one in found])
+        },
     }
 
 

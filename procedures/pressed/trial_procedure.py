@@ -41,7 +41,9 @@ class TrialProcedure(Procedure):
     point_name = ("trial", "trials")
     method = (
         "Counts, and means and standard deviations over the valid trials; the error of a mean is "
-        "that of the trials' scatter, of a single trial its own"
+        "that of the trials' scatter, of a single trial its own. Slips are those that the detector "
+        "of the settings found during the trials, with the low-passed v_d (P_A) and the largest "
+        "high-passed v_d (P_B) at the sample of its decision"
     )
     summary_keys: ClassVar[tuple[str, ...]] = (
         "force_error_rms_percent",

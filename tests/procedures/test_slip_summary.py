@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from procedures.slip_trial import SlipTrial
-from rig.files.journal.detections import Detection, to_text
+from rig.detector.events import SlipEvent
+from rig.files.journal.detections import Detection, detection_of, from_text, to_text
 
 
 def reading(static: float | None, **changes: object) -> dict[str, object]:
@@ -55,7 +58,7 @@ def test_strips_gains_and_the_last_zero_of_the_force_are_reported() -> None:
 
 
 def test_the_summary_has_errors_of_the_means_and_the_instants_of_slip() -> None:
-    slip = Detection("incipient slip", 2178, 2.178, 2.18, 0.7)
+    slip = Detection("incipient slip", 2178, 2.178, 2.18, 0.7, "", 1.8, 21.2)
     before = Detection("predictive", 1384, 1.384, 1.4, 0.5)
     trials = [
         reading(0.60) | {"trial": 1.0, "detections": to_text([before, slip])},
@@ -67,9 +70,29 @@ def test_the_summary_has_errors_of_the_means_and_the_instants_of_slip() -> None:
         "time_s": [2.178],
         "decided_s": [2.18],
         "confidence": [0.7],
+        "predictive_mV": [1.8],
+        "impulse_mV": [21.2],
     }
     assert found["standard_errors"]["mean_static_friction"] == pytest.approx(0.02)
     one = reading(0.6) | {"static_friction_error": 0.004}
     alone = SlipTrial(SlipTrial.Settings()).summarise([one])
     assert alone["standard_errors"]["mean_static_friction"] == 0.004
     assert "slips" not in alone
+    old = reading(0.6) | {
+        "trial": 1.0,
+        "detections": to_text([before, replace(slip, predictive_mV=None, impulse_mV=None)]),
+    }
+    said = SlipTrial(SlipTrial.Settings()).summarise([old])["slips"]
+    assert list(said) == ["trial", "time_s", "decided_s", "confidence"], "it states no amplitudes"
+
+
+def test_the_amplitudes_by_which_a_detector_decided_stay_with_the_detection() -> None:
+    features = {"predictive_mV": 1.8, "impulse_mV": 21.2, "threshold_mV": 10.0}
+    event = SlipEvent("incipient slip", 2178, 2.178, 0.7, features=features)
+    (found,) = from_text(to_text([detection_of(event, 2.18)]))
+    assert (found.predictive_mV, found.impulse_mV) == (1.8, 21.2)
+    other = SlipEvent("incipient slip", 2178, 2.178, 0.7)
+    assert detection_of(other, 2.18).impulse_mV is None
+    of_before = '[{"kind": "incipient slip", "sample": 1, "time_s": 0.1, "decided_s": 0.2, '
+    (older,) = from_text(of_before + '"confidence": 0.5, "reason": ""}]')
+    assert older.predictive_mV is None

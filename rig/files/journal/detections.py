@@ -55,6 +55,11 @@ class Detection:
     """Time on the run's clock, since the record began, at which the program knew it."""
     confidence: float
     reason: str = ""
+    predictive_mV: float | None = None
+    """Predictive signal at that row, P_A of a slip; None in recordings of before and for a detector
+    that does not state it."""
+    impulse_mV: float | None = None
+    """Largest impulse of v_d until that row, P_B of a slip; None likewise, 0 before any."""
 
     def in_words(self, point: str, detector: str) -> str:
         """Return what an event of the journal says of it."""
@@ -69,7 +74,14 @@ class Detection:
 def detection_of(event: SlipEvent, decided_s: float) -> Detection:
     """Return an event of a detector that was known at `decided_s`."""
     return Detection(
-        event.kind, event.sample, event.time_s, decided_s, event.confidence, event.reason
+        event.kind,
+        event.sample,
+        event.time_s,
+        decided_s,
+        event.confidence,
+        event.reason,
+        event.features.get("predictive_mV"),
+        event.features.get("impulse_mV"),
     )
 
 
