@@ -1,8 +1,14 @@
-"""Every row of the contract in docs/safety-contract.md, 20 times: how often it held.
+"""Every row of the contract in docs/safety-contract.md, 20 times: how often it held, by row.
 
-Run with ``pytest -m benchmark -n 0 -s tests/benchmarks/bench_contract.py``. The repetitions take
-the combinations of stages and DAQ in turn: `RIG_REPEATS=8` is once on each, `RIG_BENCH=az/U2542A`
-stays on one, ``-k killed`` looks at one row.
+Run with ``pytest -m benchmark -n 0 -s tests/benchmarks/bench_contract.py``. A repetition is one
+pytest over the tests of all rows; the repetitions take the combinations of stages and DAQ in turn.
+
+    RIG_REPEATS=8           so many repetitions: once on each combination
+    RIG_BENCH=az/U2542A     all on one combination
+    RIG_ROWS=killed         rows with these words only (a regular expression)
+    RIG_SINCE=15205df       rows that the contract of that commit does not have
+    RIG_TIERS=default       without the thorough and nightly cases, which take most of the time
+    RIG_SERIES_S=3600       no further repetition is begun after an hour
 """
 
 from __future__ import annotations
@@ -12,64 +18,121 @@ import os
 import re
 import subprocess
 import sys
+import time
 from collections import Counter
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
 from benches import BENCHES, CHOSEN, Bench, bench_for
-from measured import heading
+from measured import heading, repeats
 
-pytestmark = [pytest.mark.benchmark, pytest.mark.timeout(14_400)]
+pytestmark = [pytest.mark.benchmark, pytest.mark.timeout(28_800)]
 
 REPOSITORY = Path(__file__).parents[2]
-REPEATS = int(os.environ.get("RIG_REPEATS", "20"))
+ROWS = os.environ.get("RIG_ROWS", "")
+SINCE = os.environ.get("RIG_SINCE", "")
+TIERS = os.environ.get("RIG_TIERS", "all")
+SERIES_S = float(os.environ.get("RIG_SERIES_S", "inf"))
 TESTS = re.compile(r"`(tests/[\w/]+\.py::\w+)`")
+PAGES = ("docs/safety-contract.md", "docs/safety.md")
+"""Where the contract is, and where it was in earlier commits."""
 
 
-def contract() -> dict[str, list[str]]:
-    """What happens, and the tests that show what follows."""
-    text = (REPOSITORY / "docs" / "safety-contract.md").read_text()
-    table = text.split("## The contract")[1].split("\n## ")[0]
+def rows_of(page: str) -> dict[str, list[str]]:
+    """What happens, and the tests that show what follows, of the table in a page."""
+    table = page.partition("## The contract\n")[2].split("\n## ")[0]
     rows = [line.split("|") for line in table.splitlines() if line.startswith("| ")]
     return {row[1].strip(): TESTS.findall(row[3]) for row in rows if TESTS.search(row[3])}
 
 
-def held(tests: list[str], bench: Bench, folder: Path) -> tuple[int, list[str]]:
-    """Run them once on a bench: how many cases held, and what those said that did not."""
+def page_at(commit: str) -> str:
+    """The pages of the contract in a commit, one after the other."""
+    shown = [
+        subprocess.run(
+            ("git", "show", f"{commit}:{page}"), cwd=REPOSITORY, capture_output=True, text=True
+        )
+        for page in PAGES
+    ]
+    assert any(one.returncode == 0 for one in shown), shown[0].stderr
+    return "\n".join(one.stdout for one in shown)
+
+
+def contract() -> dict[str, list[str]]:
+    """The rows that were chosen."""
+    rows = rows_of((REPOSITORY / PAGES[0]).read_text())
+    earlier = rows_of(page_at(SINCE)) if SINCE else {}
+    return {
+        what: tests for what, tests in rows.items() if what not in earlier and re.search(ROWS, what)
+    }
+
+
+def held(tests: Sequence[str], bench: Bench, folder: Path) -> tuple[Counter[str], dict[str, str]]:
+    """Run tests once on a bench: how many cases of each held, and what those said that did not."""
     report = folder / "report.xml"
-    command = [sys.executable, "-m", "pytest", "-q", "-n", "0", "-m", "", "-p", "no:cacheprovider"]
+    tier = [] if TIERS == "default" else ["-m", ""]
+    command = [sys.executable, "-m", "pytest", "-q", "-n", "0", *tier, "-p", "no:cacheprovider"]
     subprocess.run(
-        [*command, f"--junitxml={report}", *tests],
+        [*command, f"--junitxml={report}", f"--basetemp={folder / 'cases'}", *tests],
         cwd=REPOSITORY,
         env={**os.environ, "RIG_BENCH": str(bench)},
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
         check=False,
     )
-    good, bad = 0, []
+    good: Counter[str] = Counter()
+    bad: dict[str, str] = {}
     for case in ElementTree.parse(report).iter("testcase"):
+        name = case.get("name", "")
+        test = f"{case.get('classname', '').replace('.', '/')}.py::{name.partition('[')[0]}"
         wrong = [node for node in case if node.tag in ("failure", "error")]
-        skipped = any(node.tag == "skipped" for node in case)
-        good += not wrong and not skipped
-        bad += [
-            f"{bench}: {case.get('name')}: {(node.get('message') or '')[:300]}" for node in wrong
-        ]
+        if wrong:
+            bad[f"{test}{name.removeprefix(name.partition('[')[0])}"] = (
+                f"{bench}: {(wrong[0].get('message') or '')[:300]}"
+            )
+        elif not any(node.tag == "skipped" for node in case):
+            good[test] += 1
     return good, bad
 
 
-@pytest.mark.parametrize("what", contract())
-def test_a_row_of_the_contract_holds_every_time(what: str, tmp_path: Path) -> None:
-    tests = contract()[what]
-    heading(f"{len(tests)} tests of a row, {REPEATS} times: {what}")
-    good, bad = 0, Counter[str]()
+def tell(
+    rows: Mapping[str, Sequence[str]], good: Mapping[str, int], bad: Sequence[tuple[str, str]]
+) -> None:
+    """Print how many cases of each row held, and the words of those that did not."""
+    print("| row | tests | cases that held | of |")
+    print("|---|---|---|---|")
+    for what, tests in rows.items():
+        fine = sum(good.get(test, 0) for test in tests)
+        failed = sum(name.partition("[")[0] in tests for name, _ in bad)
+        print(f"| {what} | {len(tests)} | {fine} | {fine + failed} |")
+    for name, words in bad:
+        print(f"{name}: {words}")
+
+
+def test_the_rows_of_the_contract_hold_every_time(tmp_path: Path) -> None:
+    rows = contract()
+    tests = list(dict.fromkeys(itertools.chain.from_iterable(rows.values())))
+    assert tests, "no row was chosen"
+    heading(f"{len(tests)} tests of {len(rows)} rows, tiers {TIERS}")
+    good: Counter[str] = Counter()
+    bad: list[tuple[str, str]] = []
+    begun_s = time.monotonic()
     benches = [bench_for("")] if CHOSEN else BENCHES
-    for bench in itertools.islice(itertools.cycle(benches), REPEATS):
+    for number, bench in enumerate(itertools.islice(itertools.cycle(benches), repeats(20)), 1):
+        if time.monotonic() - begun_s > SERIES_S:
+            break
         passed, failed = held(tests, bench, tmp_path)
         good += passed
-        bad.update(failed)
-    print(f"{good} of {good + bad.total()} cases held")
-    for words, count in bad.most_common():
-        print(f"{count} times: {words}")
+        bad += failed.items()
+        took_s = time.monotonic() - begun_s
+        print(
+            f"{number}: {bench}: {passed.total()} cases held, {len(failed)} not; {took_s:.0f} s "
+            "since the first",
+            flush=True,
+        )
+        for name, words in failed.items():
+            print(f"  {name}: {words}", flush=True)
+    tell(rows, good, bad)
     assert good
     assert not bad
