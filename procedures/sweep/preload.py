@@ -83,6 +83,9 @@ PATIENCE_S = 15.0
 """Longest time from contact to a held force."""
 GONE_S = 0.1
 """Time without force after which a contact is rejected: something has shaken the sensor."""
+MOST_REJECTED = 5
+"""Number of rejected contacts that end a press. A shake costs one; a stage that shows a place where
+it does not stand touches and lets go for as long as it is commanded from there."""
 CREEP_PATIENCE_S = 60.0
 """Longest time until a held film creeps slowly enough to begin."""
 WORTH_mm = 0.002
@@ -187,7 +190,6 @@ def press(run: Run, target_N: float) -> Preload:
     torque = TorqueWatch(run)
     torque.rest()
     come_close(run, CONTACT_N, FORCE_WINDOW_S, CHECKED_EVERY_S)
-    run.count_press()
     with naming_the_sensor(run, CONTACT_N):
         earlier = EarlierPress(run, target_N)
         pressed = _press_until_confirmed(run, target_N, earlier, torque)
@@ -202,14 +204,26 @@ def press(run: Run, target_N: float) -> Preload:
 def _press_until_confirmed(
     run: Run, target_N: float, earlier: EarlierPress, torque: TorqueWatch
 ) -> Preload:
-    """Approach and press; again where the contact was not confirmed."""
+    """Approach and press; again where the contact was not confirmed, `MOST_REJECTED` times."""
     first_mm, last_mm = contact_range_mm(run.bench)
-    while True:
+    contact_mm = first_mm
+    for number in range(MOST_REJECTED):
+        if number:
+            run.event("warning", "preload", "the contact was not confirmed: the approach continues")
+        run.count_press()
         contact_mm = _approach(run, first_mm, last_mm, target_N, torque)
         pressed = _press_from(run, contact_mm, target_N, earlier.refuse_way, torque)
         if pressed is not None:
             return pressed
-        run.event("warning", "preload", "the contact was not confirmed: the approach continues")
+    # The shutdown action stops z. A stop here could fail and hide the first cause.
+    raise InstrumentError(
+        "stage_z",
+        "approach",
+        f"contact was felt {MOST_REJECTED} times, at last at {contact_mm:.3f} mm, and each time the "
+        f"force was gone within {GONE_S:g} s",
+        "check that nothing shakes the bench, that the object is held, and that the drive of stage_z "
+        "shows where it stands",
+    )
 
 
 def duration_s(fixture: FixtureSettings, target_N: float, homed: bool) -> float:

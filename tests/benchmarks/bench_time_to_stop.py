@@ -76,5 +76,7 @@ def test_time_to_stop_of_a_batch(rig, name, cause):
     print("| state | cause | n | begun after it | generator off | z clear | command ended |")
     print("|---|---|---|---|---|---|---|")
     print(f"| {name} | {cause} | {len(found)} | {begun} | {off} | {clear} | {ended} |", flush=True)
+    if name.startswith("between"):
+        assert begun == 0, "the cause fell into a run, or something was begun after it"
     code = 128 + SIGNALS[cause] if cause in SIGNALS else 4
     assert {one.code for one in found} == {code}

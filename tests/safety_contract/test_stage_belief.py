@@ -50,6 +50,25 @@ def test_a_stage_that_answers_and_does_not_act_ends_the_run_without_more_force(r
         assert "force_sensor reads" in ended.stderr or "NOT SAFE" in ended.stderr
 
 
+@pytest.mark.stages("festo", because="the moment of contact is that of these stages")
+def test_a_stage_that_shows_an_old_place_at_contact_touches_five_times_and_no_more(rig):
+    """The place that it shows freezes just before contact. Commanded from there it touches and lets
+    go; without a bound it did so for as long as the night lasted."""
+    plan = rig.fault(
+        '[[fault]]\ndevice = "stage_z"\nkind = "stale-status"\nmove = 3\nafter_s = 1.343\n'
+    )
+    ended = rig.run(
+        "sweep", "--frequencies", "200", "--load", "0.8N", "--preload", "20N", "--no-figures",
+        "--fault", plan, "--world", rig.world("[watch]\nforce_limit_N = 40.0\nreaction_s = 0.06\n"),
+        "--world-log", str(rig.world_log),
+    )  # fmt: skip
+    assert ended.code in (3, 7), ended.stderr
+    assert "contact was felt 5 times" in ended.errors[0], ended.stderr
+    assert told(rig, "violation") == []
+    assert told(rig, "largest-force")[-1] < 5.0
+    assert len(told(rig, "pressed")) <= 6
+
+
 @pytest.mark.thorough
 @pytest.mark.stages("festo", because="a flipped bit does not pass the checksum of the other's line")
 def test_one_flipped_bit_of_a_position_is_asked_for_again_and_counted_in_the_file(rig):
