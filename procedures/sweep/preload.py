@@ -219,10 +219,10 @@ def _press_until_confirmed(
     raise InstrumentError(
         "stage_z",
         "approach",
-        f"contact was felt {MOST_REJECTED} times, at last at {contact_mm:.3f} mm, and each time the "
-        f"force was gone within {GONE_S:g} s",
-        "check that nothing shakes the bench, that the object is held, and that the drive of stage_z "
-        "shows where it stands",
+        f"contact was felt {MOST_REJECTED} times, at last at {contact_mm:.3f} mm, and each time "
+        f"the force was gone within {GONE_S:g} s",
+        "check that nothing shakes the bench, that the object is held, and that the drive of "
+        "stage_z shows where it stands",
     )
 
 
