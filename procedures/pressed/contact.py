@@ -366,6 +366,8 @@ def unload(run: Run, pressed: str, came_from_mm: float) -> None:
         try:
             _go_clear(run, came_from_mm)
         except InstrumentError as error:
+            if isinstance(error, InstrumentTimeoutError):
+                _say_not_reached(run, error)
             trip = run.tripped()
             timed_out = stage.acknowledge_timeout()
             if isinstance(error, InstrumentTimeoutError | InstrumentLinkError):
@@ -433,10 +435,9 @@ def _stop_z(run: Run) -> None:
 
 def say_if_lost(run: Run) -> None:
     """Say at once, before it is tried again, where z was last seen and what is pressed if the run
-    has ended because z did not answer."""
-    for error in run.lost:
-        if error.device == "stage_z":
-            _say_not_reached(run, error)
+    has ended because z, or an instrument on its line, did not answer."""
+    if "stage_z" in run.silent:
+        _say_not_reached(run, run.lost[0])
 
 
 def _say_not_reached(run: Run, error: InstrumentError) -> None:
@@ -453,7 +454,7 @@ def _last_known(run: Run) -> str:
     if seen is not None:
         now_s = run.clock.now()
         where = (
-            f"it has not answered for {now_s - seen.answered_s:.1f} s and was last seen at "
+            f"stage_z has not answered for {now_s - seen.answered_s:.1f} s and was last seen at "
             f"{seen.position_mm:.3f} mm, {now_s - seen.seen_s:.1f} s ago"
         )
     return f"{where}, and {_read_by_the_sensor(run.latest_force_N(SETTLED_S))}"

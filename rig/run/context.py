@@ -58,6 +58,8 @@ class Run:
         """Failures that were reported to `fail`."""
         self.lost: tuple[InstrumentTimeoutError, ...] = ()
         """Calls to instruments that did not answer, if the run has ended because of them."""
+        self.silent: frozenset[str] = frozenset()
+        """Roles of these instruments, and of those that share a link with one of them."""
         self._not_safe_said = False
         self.made_safe: list[str] = []
         """Effects of the shutdown actions since the bench was last made safe, in their order, as

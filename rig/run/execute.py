@@ -20,7 +20,7 @@ from collections.abc import Iterator
 from datetime import datetime
 
 from rig.bench.apply_calibrations import apply_calibrations
-from rig.bench.connect import connect
+from rig.bench.connect import by_link, connect
 from rig.bench.connected import Bench
 from rig.bench.plan import BenchPlan
 from rig.core.clock import Clock
@@ -156,6 +156,9 @@ class _Execution:
             self.observers,
             outcome,
         )
+        self._on_one_link = [
+            {part.role for part in parts} for parts in by_link(bench.plan.instruments)
+        ]
         self._last_beat = 0.0
         self._guard_missed = False
         """True if it has been reported that the guard has died or does not react."""
@@ -265,6 +268,10 @@ class _Execution:
         self.run.note_making_safe()
         self.run.lost = tuple(
             error for error in self.outcome.failures if isinstance(error, InstrumentTimeoutError)
+        )
+        silent = {error.device for error in self.run.lost}
+        self.run.silent = frozenset(
+            role for roles in self._on_one_link if roles & silent for role in roles
         )
         self.observers.making_safe()
         failures = self._switch_off(False)

@@ -14,7 +14,7 @@ WHILE_PRESSED = {
     "roll-trial": ('move = 2\nof = "rotary"\nafter_s = 0.2\n', ("--angle", "2deg")),
 }
 PLACE_AND_FORCE = (
-    r"it has not answered for (\d\.\d) s and was last seen at 1\d\.\d+ mm, \d+\.\d s ago, and "
+    r"stage_z has not answered for (\d\.\d) s and was last seen at 1\d\.\d+ mm, \d+\.\d s ago, and "
     r"force_sensor reads \d+(\.\d+)? N"
 )
 SAID_S = 2.0

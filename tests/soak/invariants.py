@@ -35,7 +35,7 @@ AZ_PRESSES = ("az", "az-festo")
 SAID_S = 2.0
 """Longest time after the last answer of z until it is said that it is not reached."""
 LAST_KNOWN = re.compile(
-    r"it has not answered for ([0-9.]+) s and was last seen at [0-9.]+ mm, [0-9.]+ s ago, and "
+    r"stage_z has not answered for ([0-9.]+) s and was last seen at [0-9.]+ mm, [0-9.]+ s ago, and "
     r"(?:force_sensor reads [0-9.e-]+ N|the force is not known)"
 )
 """What a run says of a stage that it does not reach; its guard may know more."""
