@@ -68,6 +68,8 @@ MODELS: dict[str, U2300AModel] = {
     "U2542A": U2300AModel(16, 500e3, True, terminals=4),  # simultaneous sampling is unconfirmed
 }
 
+_NOT_KEPT = "check the cable and that nothing else controls the DAQ; then start again"
+
 
 class KeysightU2300ASettings(BaseSettings):
     """Address and wiring of the DAQ."""
@@ -282,7 +284,10 @@ class U2300ADaq:
             )
             if ways.split(",") != ["INP"] * len(channels):
                 raise InstrumentError(
-                    "daq", "CONF:DIG:DIR", f"channels {where} set to INP but read back {ways}"
+                    "daq",
+                    "CONF:DIG:DIR",
+                    f"channels {where} set to INP but read back {ways}",
+                    _NOT_KEPT,
                 )
             self._digital_inputs = channels
         query = f"MEAS:DIG? {where}"
@@ -336,12 +341,15 @@ class U2300ADaq:
         )
         if self._link.number(f"{points}?", samples) != acquisition.samples:
             raise InstrumentError(
-                "daq", points, f"set to {acquisition.samples} but reads back {samples}"
+                "daq", points, f"set to {acquisition.samples} but reads back {samples}", _NOT_KEPT
             )
         rate_S_s = self._link.number("ACQ:SRAT?", rate)
         if not 0 < rate_S_s < math.inf:
             raise InstrumentError(
-                "daq", "ACQ:SRAT", f"set to {acquisition.rate_S_s:g} but reads back {rate}"
+                "daq",
+                "ACQ:SRAT",
+                f"set to {acquisition.rate_S_s:g} but reads back {rate}",
+                _NOT_KEPT,
             )
         self._scaling = self._scaling_at(acquisition, rate_S_s)
         self._configured = (acquisition, continuous)

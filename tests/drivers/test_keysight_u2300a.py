@@ -153,6 +153,7 @@ def test_a_set_up_that_does_not_read_back_is_refused(reply: str, told: str) -> N
             daq.acquire(THREE_ROWS)
         daq.close()
     assert told in caught.value.message
+    assert caught.value.hint, "what to do is said, too"
 
 
 # --- blocks ----------------------------------------------------------------------------------
