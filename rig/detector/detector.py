@@ -23,7 +23,7 @@ from rig.detector.settings import DetectorSettings  # noqa: E402
 
 Reals = NDArray[np.float64]
 
-DETECTOR_VERSION = "2"
+DETECTOR_VERSION = "3"
 """Version of the detector. It is raised with every change of the events that the same parameters
 find in the same rows."""
 NETWORK_RATE_Hz = 1000.0

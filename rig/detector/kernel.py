@@ -32,8 +32,7 @@ PREDICTIVE, SLIP, ROLL, REJECTED, CANNOT_JUDGE, JUDGES_AGAIN = range(6)
     ONE_INVERTED,
     HUM,
     TOO_NOISY,
-    TOO_LIGHT,
-) = range(13)
+) = range(12)
 REASONS = (
     "",
     "not armed: no motion under load preceded it",
@@ -47,7 +46,6 @@ REASONS = (
     "the first touch drives v_1 and v_2 oppositely: one is inverted, or it was not recorded",
     "mains hum: thresholds rise with it",
     "too noisy: a slip would not stand out from the noise",
-    "the ridge hardly touches, or the gain is a tenth of the usual one",
 )
 """Reasons of events that reject or cannot judge, in the order of the constants above."""
 RIG, LITERAL, HIGH_PASSED = range(3)
@@ -75,17 +73,19 @@ ADAPTIVE_IDLE_ms = 4.0
 BACKGROUND_ms = (400.0, 64.0, 400.0)
 """Time constants of further powers of the impulse: of v_d, and two of v_s."""
 
-NO_TOUCH, TOUCHING, TOUCHED = range(3)
-"""Stages of the first touch-down: not yet, under way, over."""
+NO_TOUCH, TOUCHING, TOUCHED, TOUCHING_AGAIN = range(4)
+"""Stages of the first touch-down: not yet, under way, over; and, after one that was light, perhaps
+another."""
 STANDARD_TOUCH = 1720.0
 """Sum of v_s over a touch-down to 4 N on the reference skin, in mV ms. It is 400 to 444 mV ms for
 each N (seeds 0 to 7 of the population, 2.4 to 7.0 N), whatever the speed of pressing: the charge
 of the film follows the force."""
-LEAST_UNIT, LARGEST_UNIT = 1 / 64, 4.0
-"""Bounds of the unit of the touch, as shares of the standard one."""
-LEAST_TOUCH, TOUCH_SIGMAS = 25.0, 50.0
+LEAST_UNIT, LARGEST_UNIT = 0.2, 4.0
+"""Bounds of the unit of the touch, as shares of the standard one. A ridge that is touched more
+lightly than the lower one slips with an impulse that is hardly smaller (decision 0107)."""
+LEAST_TOUCH, TOUCH_SIGMAS = 6.0, 30.0
 """Smallest sum of a touch-down: in mV ms, and in standard deviations of v_s times ms, which is
-three times what noise sums to in 0.3 s."""
+twice what noise sums to in 0.3 s."""
 TOUCH_CALM_ms, LONGEST_TOUCH_ms = 60.0, 3000.0
 """A touch-down is over once v_s has been below `TOUCH_CALM` of its peak for the first of these,
 or after the second."""
@@ -93,9 +93,9 @@ TOUCH_CALM = 0.15
 MOST_NOISE = 5.0
 """Noise above `impulse_Hz`, rms in mV after a standard touch, above which a network of `INPUTS`
 cannot judge: a quarter of the impulse of the reference slide."""
-LEAST_JUDGED_UNIT = 0.1
-"""Touch-down, as a share of the standard one, below which a network of `INPUTS` cannot judge: a
-ridge that touches so lightly slips as soon as anything moves, before there is a shear to see."""
+LIGHT_TOUCH = 0.1
+"""Touch-down, as a share of the standard one, below which it is light. It may have been a drift, so
+that a later one that is not light replaces it."""
 WARM_UP_ms = 64.0
 """Time after which offset and noise are known for the first time, for a network of `INPUTS`."""
 DRIFT_ms = (2000.0, 1000.0)
@@ -160,6 +160,7 @@ STATE = np.dtype(
         ("stage_calm_rows", "i8"),
         ("pressed", "f8", (3,)),  # in the touch-down: sum of v_s, its largest size, peak of v_s
         ("unit", "f8"),  # unit of the touch, as a share of the standard one
+        ("light", "i8"),  # 1 if the touch-down was light
         ("background", "f8", (3,)),  # powers of fast over BACKGROUND_ms
         ("known_rows", "i8"),  # rows on which offset and noise could be measured
         ("noises", "f8", (4, NOISE_PIECES)),  # of the latest pieces
@@ -372,9 +373,7 @@ def _say_whether_it_judges(s: Any, c: Any, events: Any, reported: int) -> int:
         # A beginning that is restless for less than four pieces is not worth an event.
         if s.restless_rows >= 4 * c.quiet_rows:
             reason = NOT_QUIET
-    elif c.adapts and s.unit < LEAST_JUDGED_UNIT:
-        reason = TOO_LIGHT
-    elif c.adapts and s.stage == TOUCHED:
+    elif c.adapts and _has_touched(s):
         # A fifth less is asked for to judge again, so that it does not go to and fro.
         most = MOST_NOISE * s.unit * (0.8 if s.unjudged == TOO_NOISY else 1.0)
         if s.fast_noise[0] > most:
@@ -678,17 +677,27 @@ def _follow_drift(d: float, v: float, s: Any, c: Any) -> None:
 
 
 @njit(cache=True, error_model="numpy")
+def _has_touched(s: Any) -> bool:
+    """Returns whether a touch-down is over and no other, which would replace it, is under way."""
+    touched: bool = s.stage == TOUCHED or s.stage == TOUCHING_AGAIN
+    return touched
+
+
+@njit(cache=True, error_model="numpy")
 def _follow_touch(s: Any, c: Any) -> None:
     """Follows the first touch-down; at its end its size becomes the unit of the network's inputs,
-    and what v_d and v_s are then becomes their offset. One that is too light to be judged, which
-    may be a drift, is replaced by the next."""
-    if s.stage == TOUCHED and (s.unit >= LEAST_JUDGED_UNIT or not c.adapts):
+    and what v_d and v_s are then becomes their offset.
+
+    A light one, which may have been a drift, is replaced by the next that is not light. Until that
+    is known the network judges on: what v_s shows may be a slip as well.
+    """
+    if s.stage == TOUCHED and not (s.light and c.adapts):
         return
     level = abs(s.average[1, 4])
     threshold = _touch_threshold(1, s, c)
-    if s.stage != TOUCHING:
+    if s.stage == NO_TOUCH or s.stage == TOUCHED:
         if level > threshold:
-            s.stage = TOUCHING
+            s.stage = TOUCHING if s.stage == NO_TOUCH else TOUCHING_AGAIN
             s.stage_rows, s.stage_calm_rows = 0, 0
             s.pressed[0], s.pressed[1], s.pressed[2] = 0.0, 0.0, 0.0
         return
@@ -696,9 +705,15 @@ def _follow_touch(s: Any, c: Any) -> None:
     s.pressed[0] += s.average[1, 4] / c.ms
     s.pressed[1] = max(s.pressed[1], abs(s.pressed[0]))
     s.pressed[2] = max(s.pressed[2], level)
+    share = s.pressed[1] / STANDARD_TOUCH
+    if s.stage == TOUCHING_AGAIN and share >= LIGHT_TOUCH:
+        s.stage = TOUCHING
     calm = level < max(threshold, TOUCH_CALM * s.pressed[2])
     s.stage_calm_rows = s.stage_calm_rows + 1 if calm else 0
     if s.stage_calm_rows < TOUCH_CALM_ms * c.ms and s.stage_rows < LONGEST_TOUCH_ms * c.ms:
+        return
+    if s.stage == TOUCHING_AGAIN:
+        s.stage = TOUCHED
         return
     if s.pressed[1] < max(LEAST_TOUCH, TOUCH_SIGMAS * s.noise[1]):
         s.stage = NO_TOUCH
@@ -707,7 +722,8 @@ def _follow_touch(s: Any, c: Any) -> None:
     s.moving_rows = 0
     if not c.adapts:
         return
-    s.unit = min(max(s.pressed[1] / STANDARD_TOUCH, LEAST_UNIT), LARGEST_UNIT)
+    s.light = share < LIGHT_TOUCH
+    s.unit = min(max(share, LEAST_UNIT), LARGEST_UNIT)
     for j in range(2):
         moved = s.average[j, _A - 1]
         s.offset[j] += moved
@@ -801,7 +817,7 @@ def _network_due(s: Any, c: Any) -> bool:
         s.look_rows = c.look_rows
     elif s.look_rows > 0:
         s.look_rows -= 1
-    if s.unjudged != NO_REASON or not (s.armed or (c.adapts and s.stage == TOUCHED)):
+    if s.unjudged != NO_REASON or not (s.armed or (c.adapts and _has_touched(s))):
         return False
     looks: bool = s.look_rows > 0 or s.row % c.idle_rows == 0
     return looks
@@ -826,7 +842,7 @@ def _gather_inputs(s: Any, c: Any, x: Any) -> None:
     x[at + 3] = math.sqrt(s.power[0] / (s.background[0] + noise * noise))
     # 10 mV is the order of a slip's impulse after a standard touch.
     x[at + 4] = 10.0 * s.unit / noise
-    x[at + 5] = 1.0 if s.stage == TOUCHED else 0.0
+    x[at + 5] = 1.0 if _has_touched(s) else 0.0
     _compress(x)
 
 
@@ -930,7 +946,7 @@ def _decide(looks: bool, s: Any, c: Any, events: Any, reported: int) -> int:
             return _report(
                 REJECTED, confidence, reason, s.suspect[0], s.suspect[1], s, events, reported
             )
-    moves = s.stage == TOUCHED and s.moving_rows >= c.rolling_rows
+    moves = _has_touched(s) and s.moving_rows >= c.rolling_rows
     if looks and s.armed and moves and not s.roll_reported:
         s.roll_rows = s.roll_rows + 1 if s.roll > c.roll_probability else 0
         if s.roll_rows >= 4:
