@@ -17,7 +17,7 @@ from rig.evaluation.scoring.ideal import (
     slip_detectability,
     whitened,
 )
-from rig.evaluation.scoring.outcomes import Truth
+from rig.evaluation.scoring.outcomes import Truth, judge
 from rig.evaluation.scoring.trivial import POSSIBLE, with_trivial_answers
 
 RATE_Hz, NOISE_V = 1000.0, 0.2e-3
@@ -73,9 +73,11 @@ def test_of_a_record_the_noise_is_taken_off():
     assert np.sqrt(np.mean(np.square(found))) == pytest.approx(expected, rel=0.1)
 
 
-def test_what_stands_out_is_found_at_the_slip_and_what_does_not_is_not():
+def test_what_stands_out_is_found_at_the_last_moment_and_what_does_not_is_not():
     (found_s,) = ideal_report(recorded(2e-3), RATE_Hz, TRUTH).alarms_s
-    assert found_s == TRUTH.ridge_slip_s
+    assert found_s == TRUTH.window_s()[1]
+    outcome = judge(TRUTH, ideal_report(recorded(2e-3), RATE_Hz, TRUTH), {})
+    assert outcome.found_first
     assert ideal_report(recorded(0.0), RATE_Hz, TRUTH).alarms_s.size == 0
     never = IdealSettings(needed=1e9)
     assert ideal_report(recorded(2e-3), RATE_Hz, TRUTH, never).alarms_s.size == 0

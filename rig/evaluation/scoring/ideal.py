@@ -116,12 +116,13 @@ def slip_detectability(volts: Floats, rate_Hz: float, truth: Truth) -> float:
 def ideal_report(
     volts: Floats, rate_Hz: float, truth: Truth, settings: IdealSettings | None = None
 ) -> DetectorReport:
-    """Returns the alarm of an observer who finds what can be found: at the slip of the whole ridge
-    if that stands out, and none otherwise. Nothing is judged where the process is not known."""
+    """Returns the alarm of an observer who finds what can be found: at the end of the time in which
+    the slip is found, all of which it uses, if the slip stands out, and none otherwise. Nothing is
+    judged where the process is not known."""
     needed = (IdealSettings() if settings is None else settings).needed
     if not truth.slipped:
         return DetectorReport()
     found = slip_detectability(volts, rate_Hz, truth)
     if math.isnan(found):
         return DetectorReport(unjudged_s=((0.0, math.inf),))
-    return DetectorReport(np.array([truth.ridge_slip_s] if found >= needed else []))
+    return DetectorReport(np.array([truth.window_s()[1]] if found >= needed else []))
