@@ -78,9 +78,9 @@ class FestoCmmtSettings(Settings):
     timeout_s: Wiring[float] = Field(default=0.4, gt=0, le=10)
     """Longest wait for an answer; two have to fit into `communication_timeout_ms`, so that one lost
     answer does not stop the drive."""
-    position_unit_mm: float = Field(default=0.001, gt=0, le=1)
+    position_unit_mm: Wiring[float] = Field(default=0.001, gt=0, le=1)
     """Length of one count of position in the drive's parametrisation."""
-    speed_unit_mm_s: float = Field(default=0.001, gt=0, le=1)
+    speed_unit_mm_s: Wiring[float] = Field(default=0.001, gt=0, le=1)
     """Speed of one count."""
     trust_units: bool = False
     """Move although the drive does not report its units, because a person has checked them."""
