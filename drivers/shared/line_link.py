@@ -4,7 +4,8 @@ For instruments that answer every command. What is sent and received, nothing ab
 After a time-out, or a line that cannot be read, the connection is closed, and the next command
 opens it anew. On TCP a late answer dies with its connection. On a serial line it may still come:
 `resync` is a query with an answer of its own form, which is asked again after a failure, and
-everything before its answer is thrown away.
+everything before its answer is thrown away. The same is done where it is the first command of a
+link: a program that used the line before may have left an answer to come.
 """
 
 from __future__ import annotations
@@ -56,6 +57,7 @@ class LineLink:
         self._input = bytearray()
         self._charging = False
         self._failed = False
+        self._used = False
 
     def ask(
         self,
@@ -108,23 +110,34 @@ class LineLink:
         deadline = time.monotonic() + self._timeout_s
         if self._port is None:
             self._port = open_port(self._place, self._baudrate, self._timeout_s)
-            if self._failed and self._resync is not None and not self._place.startswith(SOCKET):
-                self._find_again(self._port, deadline)
-        self._failed = False
+            if self._resync is not None and not self._place.startswith(SOCKET):
+                begins = not self._used and command == self._resync[0]
+                if self._failed or begins:
+                    self._find_again(self._port, deadline)
+        self._failed, self._used = False, True
         self._port.write(command.encode("ascii") + self._terminator)
         line = self._line(self._port, deadline)
         found = answer.fullmatch(line)
         if found is None:
-            raise self.error(command, f"the answer {line[:80]!r} is not what was expected")
+            raise self._unexpected(command, line)
         return found
+
+    def _unexpected(self, command: str, line: str) -> InstrumentError:
+        return self.error(command, f"the answer {line[:80]!r} is not what was expected")
 
     def _find_again(self, port: Port, deadline: float) -> None:
         """Throw away what is left of earlier commands."""
         assert self._resync is not None
         query, answer = self._resync
         port.write(query.encode("ascii") + self._terminator)
-        while answer.fullmatch(self._line(port, deadline)) is None:
-            pass
+        line = None
+        try:
+            while answer.fullmatch(line := self._line(port, deadline)) is None:
+                pass
+        except TimeoutError:
+            if line is None:
+                raise
+            raise self._unexpected(query, line) from None
         quiet_from_s = time.monotonic()
         while time.monotonic() - quiet_from_s < QUIET_S:
             if port.read():
