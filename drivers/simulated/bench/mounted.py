@@ -67,6 +67,8 @@ AZ_LINE = "stages"
 
 ANY_PORT = 502
 """Stands for the drive's port in a bench file that is only recorded."""
+ANY_PLACE = "socket://127.0.0.1:0"
+"""Stands there for the place of an instrument on TCP that has a core."""
 
 ROTARY_START_deg = 8.0
 """Angle of the rotary stage when it is switched on."""
@@ -301,9 +303,9 @@ class Instruments:
     def anywhere(self) -> Endpoints:
         """Return the same without this process's port numbers, for a text that is only recorded."""
         stages = {n: ANY_PORT if hasattr(s, "port") else AZ_LINE for n, s in self.stages.items()}
-        tcp = {role: hasattr(server, "port") for role, (_, server) in self._own.items()}
-        places = {role: "socket://127.0.0.1:0" if tcp[role] else role for role in tcp}
-        return self._endpoints(0, 0, stages, FORCE_SENSOR, ROTARY, places)
+        own = {role: server for role, (_, server) in self._own.items()} | {FORCE_SENSOR: self.force}
+        places = {role: ANY_PLACE if hasattr(s, "port") else role for role, s in own.items()}
+        return self._endpoints(0, 0, stages, places.pop(FORCE_SENSOR), ROTARY, places)
 
     def _endpoints(
         self,

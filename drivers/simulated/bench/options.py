@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import traceback
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
-from rig.core.entry_points import SIMULATORS, find, load
+from rig.core.entry_points import SIMULATORS, BrokenPackageError, find, load
 from rig.core.errors import ConfigurationError
 
 if TYPE_CHECKING:
@@ -90,6 +91,25 @@ def simulator_of(role: str, driver: str) -> type[InstrumentCore]:
 
     found: type[InstrumentCore] = load(SIMULATORS, driver, find_fault)
     return found
+
+
+def fault_of_simulator(replace: Mapping[str, str], error: Exception) -> BrokenPackageError | None:
+    """Return the error that names the package of the simulator whose code took part in `error`, of
+    the drivers in `replace` by role; None where none did."""
+    for role, driver in replace.items():
+        top = simulator_of(role, driver).__module__.split(".")[0]
+        entry = find(SIMULATORS, driver)
+        own = [
+            f"{frame.f_code.co_filename} line {line}"
+            for frame, line in traceback.walk_tb(error.__traceback__)
+            if str(frame.f_globals.get("__name__")).split(".")[0] == top
+        ]
+        if entry is not None and own and top not in ("drivers", "rig"):
+            text = " ".join(str(error).split())
+            return BrokenPackageError(
+                entry, f"cannot be started: {own[-1]}: {type(error).__name__}: {text}"
+            )
+    return None
 
 
 def options_for(drivers: Mapping[str, str]) -> dict[str, Any]:

@@ -27,6 +27,7 @@ from drivers.simulated.bench.options import (
     Options,
     Stages,
     check_replaced,
+    fault_of_simulator,
     fault_plan,
     world_settings,
 )
@@ -210,6 +211,11 @@ def main() -> None:
         asyncio.run(serve(Options(**json.loads(options)), say))
     except RigError as error:
         say({"error": error.message, "hint": error.hint})
+    except Exception as error:
+        fault = fault_of_simulator(json.loads(options).get("replace", {}), error)
+        if fault is None:
+            raise
+        say({"error": fault.message, "hint": fault.hint})
 
 
 if __name__ == "__main__":
