@@ -118,7 +118,13 @@ def settings_from(model: type[Settings], given: Mapping[str, str | None]) -> Set
     try:
         settings = model.model_validate(values)
     except ValidationError as error:
-        findings = [_refused(model, given, item) for item in error.errors()]
+        items = error.errors()
+        places = [item["loc"] for item in items]
+        findings = [
+            _refused(model, given, item)
+            for item in items  # a list of which a value is refused is also said to be too short
+            if not any(other[:-1] == item["loc"] and other for other in places)
+        ]
         raise ConfigurationError("; ".join(findings), "see --help for the settings") from error
     for field in values:
         option, info = f"{option_name(field)} {given[field]}", model.model_fields[field]

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import inspect
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from types import FunctionType
-from typing import Any, get_args
+from typing import Any, get_args, get_origin
 
 from rig.bench.settings import Fixture
 from rig.core.entry_points import PROCEDURES, load
@@ -84,6 +84,7 @@ def _faults(procedure: Any, entry_point: str) -> Iterator[str]:
     yield from _wrong_attributes(procedure)
     yield from _wrong_layout(procedure.layout, procedure.streams)
     yield from _ambiguous_options(procedure.Settings)
+    yield from _no_options(procedure.Settings)
 
 
 def _misspelt(procedure: type[Procedure]) -> Iterator[str]:
@@ -194,6 +195,16 @@ def _wrong_layout(layout: Layout, streams: tuple[StreamPlan, ...]) -> Iterator[s
             yield (
                 f"has a layout whose trace {trace.group!r} shows the channel {unknown[0]!r}, "
                 f"which the stream {trace.stream!r} has not"
+            )
+
+
+def _no_options(model: type[Settings]) -> Iterator[str]:
+    """Yield a fault for each setting of a type that no option can give a value to."""
+    for field, info in model.model_fields.items():
+        if get_origin(info.annotation) in (list, set, frozenset, dict, Sequence):
+            yield (
+                f"has the setting {field!r} of a type that {option_name(field)} cannot give; "
+                "several numbers are tuple[float, ...]"
             )
 
 

@@ -21,7 +21,7 @@ class Example(Settings):
     """Preload."""
     settling_s: float = 0.2
     """Wait."""
-    speeds_mm_s: tuple[float, ...] = (1.0, 5.0)
+    speeds_mm_s: tuple[float, ...] = Field(default=(1.0, 5.0), min_length=1)
     """Speeds."""
     rate_S_s: float | None = None
     """Rate, if not the usual one."""
@@ -140,6 +140,7 @@ def test_given_texts_become_settings() -> None:
         ({"speeds_mm_s": "1,two"}, ["--speeds 1,two"]),
         ({"normal_force_N": "0"}, ["--normal-force 0: must be above 0 N"]),
         ({"normal_force_N": "nan"}, ["--normal-force", "finite"]),
+        ({"speeds_mm_s": "nan"}, ["--speeds nan: must be a finite number; see --help"]),
         ({"cycles": "4.5"}, ["--cycles 4.5: must be a whole number"]),
         ({"cycles": "0"}, ["--cycles 0: must be at least 1"]),
         ({"ratio": "3 N"}, ["--ratio 3 N: takes a bare number"]),

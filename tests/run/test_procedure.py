@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from made_up import LAYOUT, Example, run_of
+from pydantic import Field
 
 from rig.cli.option_groups import group_parameters
 from rig.cli.procedures import ProcedureRequest
@@ -35,6 +36,13 @@ def of_columns(*columns: Column, traces: tuple[Trace, ...] = ()) -> Layout:
     """A layout of columns, the first of which is plotted over itself."""
     plot = Plot("data", columns[0].name, (columns[1].name,))
     return Layout("NXrig_noop", "1", columns, (plot,), traces=traces)
+
+
+class ListOfForces(Settings):
+    """A setting that validates, and that a text on the command line cannot be."""
+
+    forces_N: list[float] = Field(default=[1.0, 2.0])
+    """Forces."""
 
 
 class TwoHolds(Settings):
@@ -114,6 +122,11 @@ FAULTS: dict[str, tuple[dict[str, Any], str]] = {
     "a setting that every procedure has": (
         {"Settings": OwnSeed},
         "has the setting 'seed', whose option --seed every procedure has already",
+    ),
+    "a setting that no option can give": (
+        {"Settings": ListOfForces},
+        "has the setting 'forces_N' of a type that --forces cannot give; several numbers are "
+        "tuple[float, ...]",
     ),
     "one word for points": ({"point_name": "trial"}, "has a point_name that is not a pair"),
 }
