@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Literal
 
 from pydantic import Field, model_validator
+from pydantic.config import JsonDict
 
 from procedures.pressed.settings import PressedSettings, TICK_Hz
 from procedures.roll_trial.profile import Curve, Profile, ThereAndBack
@@ -19,18 +20,21 @@ SETTLED_S = 0.05
 HOMING_ROTARY_S = 1.0
 """Expected time of homing the rotary stage and bringing the object upright."""
 
+NO_PROFILE: JsonDict = {"not_with": "profile_times_s"}
+"""Of a field of the roll there and back, which a curve of angles replaces."""
+
 
 class RollTrialSettings(PressedSettings):
     """Settings of a roll trial."""
 
-    angle_deg: float = 3.5
+    angle_deg: float = Field(default=3.5, json_schema_extra=NO_PROFILE)
     """Angle of the roll from upright and back (paper 5); positive rolls towards +x."""
     turn_speed_deg_s: float | None = Field(default=None, gt=0)
     """Largest speed of the turn. Default: 12 deg/s (paper 5), or as much less as the servo has
     fewer than 100 ticks a second to hold the force: 3 deg/s at 25 Hz."""
     turn_acceleration_deg_s2: float = Field(default=60.0, gt=0)
     """Acceleration of the turn."""
-    stay_s: float = Field(default=0.3, ge=0, le=60)
+    stay_s: float = Field(default=0.3, ge=0, le=60, json_schema_extra=NO_PROFILE)
     """Stay at the angle, before the way back."""
     profile_times_s: tuple[float, ...] = ()
     """Times of a curve of angles, from 0, that replaces --angle."""
@@ -42,9 +46,12 @@ class RollTrialSettings(PressedSettings):
     alignment: Literal["compensate", "measure", "none"] = "compensate"
     """Before the first trial: measure the offset of the rotary axis and compensate for it by x;
     only measure it; or neither."""
-    largest_offset_mm: float = Field(default=1.0, gt=0)
-    """With --alignment measure: refuse to roll if the rotary axis is off by more than this. (2 mm
-    already produces half the tangential force needed to slip.)"""
+    largest_offset_mm: float = Field(
+        default=1.0, gt=0, json_schema_extra={"only_with": {"alignment": ["compensate", "measure"]}}
+    )
+    """Refuse to roll if the rotary axis is off by more than this, with --alignment compensate by
+    more than x can compensate for. (2 mm already produces half the tangential force needed to
+    slip.)"""
     angle_error_deg: float = Field(default=0.02, gt=0)
     """Largest error of the angle at the ends of the roll; a trial above it is marked invalid."""
     force_error_rms_percent: float = Field(default=3.0, gt=0)

@@ -23,6 +23,7 @@ SEEN_S = 0.04
 
 
 RAMPS_ONLY: JsonDict = {"only_with": {"loading": "ramp"}}
+WEIGHTS_ONLY: JsonDict = {"beside": "hold_at_N"}
 """Of a field that has an effect on ramps only; as an option it is refused for a slide."""
 
 
@@ -42,9 +43,9 @@ class SlipTrialSettings(GripSettings):
     hold_at_N: float | None = Field(default=None, gt=0, json_schema_extra=RAMPS_ONLY)
     """Tangential force that a ramp holds from there on, as a weight does; by default it ends
     instead, at --ramp-to."""
-    hold_for_s: float = Field(default=1.0, gt=0, le=60, json_schema_extra=RAMPS_ONLY)
+    hold_for_s: float = Field(default=1.0, gt=0, le=60, json_schema_extra=WEIGHTS_ONLY)
     """Time for which --hold-at is held, from the moment at which the ramp arrives there."""
-    lost_mm: float = Field(default=0.5, gt=0, json_schema_extra=RAMPS_ONLY)
+    lost_mm: float = Field(default=0.5, gt=0, json_schema_extra=WEIGHTS_ONLY)
     """Way of the skin, from the first alarm or else from the end of the ramp, beyond which the
     weight of --hold-at is lost."""
     direction: Literal["+x", "-x"] = "+x"

@@ -100,7 +100,7 @@ class SweepSettings(Settings):
     slope_bound_dB_decade: float = Field(default=0.05, gt=0, le=20)
     """Difference of a slope, over frequency or load, up to which 20 dB/decade and independence of
     the load hold."""
-    gain_bound_dB: float = Field(default=0.1, gt=0, le=20)
+    gain_bound_dB: float = Field(default=0.1, gt=0, le=20, json_schema_extra={"beside": "loads_N"})
     """Difference of the gains under two loads up to which the gain does not depend on the load."""
     mains_Hz: float = Field(default=50.0, gt=0)
     """Mains frequency, whose lines are fitted together with the tone."""

@@ -128,14 +128,19 @@ def settings_from(model: type[Settings], given: Mapping[str, str | None]) -> Set
         raise ConfigurationError("; ".join(findings), "see --help for the settings") from error
     for field in values:
         option, info = f"{option_name(field)} {given[field]}", model.model_fields[field]
-        for other, value in _needs(info):
+        for other, effective in _needs(info):
             is_now = str(getattr(settings, other))
-            if is_now != value:
-                so = "" if value == "True" else f", and {option_name(other)} is {is_now}"
+            if is_now not in effective:
+                so = "" if effective == ["True"] else f", and {option_name(other)} is {is_now}"
                 raise ConfigurationError(
-                    f"{option} has an effect with {_as_given(other, value)} only{so}",
-                    f"leave it out, or add {_as_given(other, value)}",
+                    f"{option} has an effect with {_as_given(other, effective)} only{so}",
+                    f"leave it out, or add {_as_given(other, effective)}",
                 )
+        if (other := _beside(info)) and not getattr(settings, other):
+            raise ConfigurationError(
+                f"{option} has an effect beside {option_name(other)} only",
+                f"leave it out, or add {option_name(other)}",
+            )
         if (other := _excluded_by(info)) in values:
             raise ConfigurationError(
                 f"{option} has no effect beside {option_name(other)}", "leave one of them out"
@@ -165,19 +170,30 @@ def _short(info: FieldInfo) -> tuple[str, ...]:
     return (str(extra["short"]),) if isinstance(extra, dict) and "short" in extra else ()
 
 
-def _needs(info: FieldInfo) -> list[tuple[str, str]]:
-    """Return the field, with its value, without which another has no effect: stated there as
-    ``json_schema_extra={"only_with": {"loading": "ramp"}}``."""
+def _needs(info: FieldInfo) -> list[tuple[str, list[str]]]:
+    """Return the field, with its values, without which another has no effect: stated there as
+    ``json_schema_extra={"only_with": {"loading": "ramp"}}``, or with a list of values."""
     extra = info.json_schema_extra
     stated = extra.get("only_with") if isinstance(extra, dict) else None
-    return (
-        [(field, str(value)) for field, value in stated.items()] if isinstance(stated, dict) else []
-    )
+    if not isinstance(stated, dict):
+        return []
+    return [
+        (field, list(map(str, value if isinstance(value, list) else [value])))
+        for field, value in stated.items()
+    ]
 
 
-def _as_given(field: str, value: str) -> str:
-    """Return an option with its value as a person gives it: a switch has none."""
-    return option_name(field) if value == "True" else f"{option_name(field)} {value}"
+def _beside(info: FieldInfo) -> str:
+    """Return the field that has to be given so that another has an effect, stated there as
+    ``json_schema_extra={"beside": "loads_N"}``; "" if there is none."""
+    extra = info.json_schema_extra
+    return str(extra.get("beside", "")) if isinstance(extra, dict) else ""
+
+
+def _as_given(field: str, values: list[str]) -> str:
+    """Return an option with its value as a person gives it, or several; a switch has none."""
+    name = option_name(field)
+    return name if values == ["True"] else f"{name} {' or '.join(values)}"
 
 
 def _excluded_by(info: FieldInfo) -> str:
@@ -190,8 +206,10 @@ def _excluded_by(info: FieldInfo) -> str:
 def _help(field: str, info: FieldInfo, said: str) -> str:
     """Return what an option is for, with what it needs, its default and its range."""
     words = " ".join(said.split())
-    for other, value in _needs(info):
-        words = f"{words} With {_as_given(other, value)} only."
+    for other, effective in _needs(info):
+        words = f"{words} With {_as_given(other, effective)} only."
+    if other := _beside(info):
+        words = f"{words} Beside {option_name(other)} only."
     if other := _excluded_by(info):
         words = f"{words} Not beside {option_name(other)}."
     default = info.get_default(call_default_factory=True)

@@ -188,6 +188,40 @@ def test_an_option_without_effect_is_refused_with_what_it_needs() -> None:
         settings_from(Example, {"speed_mm_s": "3", "speeds_mm_s": "1,2"})
 
 
+@pytest.mark.parametrize(
+    ("procedure", "given", "told"),
+    [
+        ("sweep", "--gain-bound 0.2", "--gain-bound 0.2 has an effect beside --loads only"),
+        (
+            "slip-trial",
+            "--loading ramp --hold-for 2",
+            "--hold-for 2 has an effect beside --hold-at",
+        ),
+        ("slip-trial", "--loading ramp --lost 0.1", "--lost 0.1 has an effect beside --hold-at"),
+        (
+            "roll-trial",
+            "--profile-times 0,1,2 --profile-angles 0,1,0 --angle 3",
+            "--angle 3 has no effect beside --profile-times",
+        ),
+        (
+            "roll-trial",
+            "--profile-times 0,1,2 --profile-angles 0,1,0 --stay 1s",
+            "--stay 1s has no effect beside --profile-times",
+        ),
+        (
+            "roll-trial",
+            "--alignment none --largest-offset 2",
+            "--largest-offset 2 has an effect with --alignment compensate or measure only, and "
+            "--alignment is none",
+        ),
+    ],
+)
+def test_what_has_no_effect_in_the_given_mode_is_refused(rig, procedure, given, told) -> None:
+    ended = rig.run(procedure, "--dry-run", *given.split())
+    assert ended.code == ExitCode.USAGE
+    assert told in ended.stderr
+
+
 def test_a_list_may_be_given_in_parts_and_of_anything_else_the_last_holds() -> None:
     given = {"speeds_mm_s": ["1,2", "1cm/s"], "cycles": ["7", "8"], "label": None, "ratio": []}
     assert texts_of(Example, given) == {"speeds_mm_s": "1,2,1cm/s", "cycles": "8"}
