@@ -8,6 +8,7 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.ticker import MaxNLocator
 
+from rig.analysis.estimate import with_error
 from rig.figures.circumstances import circumstances
 from rig.figures.style import (
     PALETTE,
@@ -94,8 +95,9 @@ def _plot(
     trials, found = np.arange(1, len(values) + 1), np.isfinite(values)
     valid, doubtful = found & ~invalid, found & invalid
     if valid.any():
-        spread = f" ± {values[valid].std(ddof=1):.2g}" if valid.sum() > 1 else ""
-        name = f"{name}: {values[valid].mean():.4g}{spread}"
+        spread = float(values[valid].std(ddof=1)) if valid.sum() > 1 else 0.0
+        mean = with_error(float(values[valid].mean()), spread) if spread else ""
+        name = f"{name}: {mean.lstrip('+') or format(values[valid].mean(), '.4g')}"
         distribution.hist(
             values[valid], bins="auto", orientation="horizontal", color=colour, alpha=0.5
         )

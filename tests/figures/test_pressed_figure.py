@@ -12,9 +12,11 @@ from matplotlib.figure import Figure
 sys.path.insert(0, str(Path(__file__).parent.parent / "files"))
 
 import recorded_trials as trials
+from recorded import FAST_SLIDE, ROLL, unpack
 
 from rig.figures.circumstances import statements
 from rig.figures.pressed import scale_to
+from rig.figures.series import _plot
 from rig.files.runfile.reader import RunFile
 
 
@@ -55,3 +57,20 @@ def test_the_heading_says_along_which_path_a_trial_went(tmp_path, settings, said
     for one in said:
         assert one in found
     assert not any(unsaid in one for one in found)
+
+
+def test_the_heading_says_what_the_head_of_a_simulated_bench_is(tmp_path: Path) -> None:
+    folder = unpack(tmp_path)
+    with RunFile.open(folder / ROLL) as run:
+        assert "object: semi-spherical-object (World: cylinder, 30 mm radius)" in statements(run)
+    with RunFile.open(folder / FAST_SLIDE) as run:
+        assert "object: plate" in statements(run)
+
+
+def test_a_series_states_means_to_the_digits_of_their_scatter() -> None:
+    over_trials, distribution = Figure().subplots(1, 2)
+    values, valid = np.array([0.7912, 0.8511, 1.1004]), np.zeros(3, bool)
+    _plot(over_trials, distribution, values, valid, "k", "peak")
+    assert over_trials.get_lines()[0].get_label() == "peak: 0.91 ± 0.16"
+    _plot(over_trials, distribution, values[:1], valid[:1], "k", "peak")
+    assert over_trials.get_lines()[-2].get_label() == "peak: 0.7912"

@@ -26,10 +26,11 @@ def roller(offset_mm):
 
 def roll(rig, world, *given):
     """A roll at the usual speed, or at what is the same in targets a degree."""
-    speed = () if "--profile-times" in given else ("--turn-speed", f"{0.12 * rig.bench.both_Hz}")
+    usual = "--stay", "100ms", "--turn-speed", f"{0.12 * rig.bench.both_Hz}"
+    turn = () if "--profile-times" in given else usual  # a curve of angles has its own
     return rig.run(
         "roll-trial", "--json", "--no-figures", "--world-log", str(rig.world_log),
-        "--world", rig.world(world), *SHORT, *speed, *given,
+        "--world", rig.world(world), "--rest", "100ms", *turn, *given,
     )  # fmt: skip
 
 
