@@ -123,15 +123,7 @@ class ForceHold:
         waits there would come later than the servo takes for granted, and the force would ring.
         InstrumentError where z has not answered for longer than `SILENT_S`.
         """
-        silent_s = self._links.silent_s("stage_z")
-        if silent_s > SILENT_S:
-            raise InstrumentError(
-                "stage_z",
-                "hold the force",
-                f"no answer for {silent_s:.2g} s: nothing holds "
-                f"{self._servo.settings.target_N:g} N",
-                "check the connection to the stage, and what else the computer is busy with",
-            )
+        self._refuse_silent()
         force = self._force
         if not self._links.is_idle("stage_z") or force.measured_s < self._at_rest_s:
             self._record.held_back += 1
@@ -147,6 +139,27 @@ class ForceHold:
         if torque_too and self._torque.is_due():
             self._z.ask_torque(self._torque)
             self._torque_asked = True
+
+    def rest(self, force_N: float) -> None:
+        """Leave z where it is in this tick, and read the force all the same.
+
+        InstrumentError where z has not answered for longer than `SILENT_S`, and where the force is
+        lost: the next `step` would press on.
+        """
+        self._refuse_silent()
+        self._refuse_lost(force_N)
+
+    def _refuse_silent(self) -> None:
+        """Raise InstrumentError where z has not answered for too long."""
+        silent_s = self._links.silent_s("stage_z")
+        if silent_s > SILENT_S:
+            raise InstrumentError(
+                "stage_z",
+                "hold the force",
+                f"no answer for {silent_s:.2g} s: nothing holds "
+                f"{self._servo.settings.target_N:g} N",
+                "check the connection to the stage, and what else the computer is busy with",
+            )
 
     def _compare_torque(self, force_N: float) -> None:
         """Raise InstrumentError where the latest torque has changed and the force has not."""

@@ -21,12 +21,16 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class MotionRecord:
-    """The record from the beginning of a motion to its end: arrays of float64, shape (n,).
+    """The record from the beginning of a motion to its end; arrays are of float64, shape (n,).
 
     Positions, forces and signals are sampled by three instruments. Each group has its own n and its
     own times, in s since the motion began.
     """
 
+    trial: int
+    """Number of the trial in its run, from 1."""
+    normal_force_N: float
+    """Set point of the normal force that the trial pressed with."""
     position_t_s: Values
     """Times of `z_mm` and `x_mm`: 100 a second at most, not equally spaced."""
     z_mm: Values
@@ -69,6 +73,8 @@ def motion_record(record: TrialRecord) -> MotionRecord:
     moved, felt, seen = within(position_s), within(force_s), within(signal_s)
     forces_N, volts = record.forces_N()[felt], volts[seen]
     return MotionRecord(
+        trial=record.number,
+        normal_force_N=record.normal_force_N,
         position_t_s=position_s[moved] - record.motion_from_s,
         z_mm=rows[moved, 1],
         x_mm=rows[moved, 2],

@@ -54,22 +54,24 @@ class Press:
         earlier: EarlierPress,
         torque: TorqueWatch,
     ):
+        """The press with the record's `normal_force_N`."""
         self._run, self._series, self._record = run, series, record
+        self._force_N = record.normal_force_N
         self._z, self._recorder, self._ticks = z, recorder, ticks
         self._earlier, self._torque = earlier, torque
         self._settings: PressedSettings = run.settings
         self._delay_s = recorder.force.timing.delay_s(series.rates)
         """Time in s from a command to the first force that shows it."""
         settings = self._settings
-        limit_N, held_N = settings.largest_force_N, settings.normal_force_N
-        self.fastest_mm_s = held_speed_bound(run.bench, limit_N, held_N).speed_mm_s
+        bound = held_speed_bound(run.bench, settings.largest_force_N, self._force_N)
+        self.fastest_mm_s = bound.speed_mm_s
         """Largest speed of z from contact on."""
 
     def down(self) -> float:
         """Press the object with the normal force, and return the contact's stiffness in N/mm."""
         settings, rates = self._settings, self._series.rates
         way_down = Approach(
-            settings.normal_force_N,
+            self._force_N,
             rates.approach_s,
             self._delay_s,
             settings.acceleration_mm_s2,
@@ -92,7 +94,7 @@ class Press:
         """
         z, clock = self._z, self._run.clock
         here_mm = z.commanded_mm
-        back_mm = TAP * self._settings.normal_force_N / stiffness_N_mm
+        back_mm = TAP * self._force_N / stiffness_N_mm
         at_rest_s = 0.0
         for position_mm in (here_mm - back_mm, here_mm):
             z.start_move(position_mm, min(TAP_mm_s, self.fastest_mm_s))
@@ -112,7 +114,7 @@ class Press:
         z, settings, rates = self._z, self._settings, self._series.rates
         near_mm = self._series.contact_mm - NEAR_mm
         speed_mm_s = largest_speed_mm_s(
-            settings.normal_force_N,
+            self._force_N,
             self._run.bench.settings.fixture.stiffest_N_mm,
             self._delay_s + rates.approach_s,
             settings.acceleration_mm_s2,
@@ -135,7 +137,7 @@ class Press:
         first_mm, last_mm = contact_range_mm(self._run.bench)
         touched = arrived = False
         felt_mm = self._series.contact_mm  # by an earlier trial
-        watch = ApproachWatch(self._run, CONTACT_N, self._settings.normal_force_N, self._torque)
+        watch = ApproachWatch(self._run, CONTACT_N, self._force_N, self._torque)
 
         def on_tick(tick: Tick) -> bool:
             nonlocal touched, arrived
@@ -176,7 +178,7 @@ class Press:
             return InstrumentError(
                 "stage_z",
                 "press",
-                f"{force_N:.3g} N at {here_mm:.3f} mm, {self._settings.normal_force_N:g} N wanted",
+                f"{force_N:.3g} N at {here_mm:.3f} mm, {self._force_N:g} N wanted",
                 "check the skin and the object; correct contact_to_mm if it may go further",
             )
         if here_mm < contact_range_mm(run.bench)[1] - BOTTOM_mm:

@@ -27,6 +27,7 @@ then z goes up: a subclass cannot leave that out. docs/add-a-procedure.md shows 
 from __future__ import annotations
 
 import inspect
+import itertools
 import math
 from abc import abstractmethod
 from collections.abc import Mapping
@@ -41,6 +42,7 @@ from procedures.pressed.settings import (
     trial_points,
 )
 from procedures.pressed.trial_procedure import TrialProcedure
+from procedures.pressed.way_down import require_possible
 from rig.bench.limits import require
 from rig.core.errors import ConfigurationError
 from rig.files.journal.layout import Column, Layout, Plot, Trace
@@ -57,6 +59,17 @@ LEAST_MOTION_S = 0.1
 """Shortest motion that is judged: ten ticks of the servo, ten positions."""
 START_mm = 10.0
 """Position of x at which a trial begins where the fixture has no middle, as in a slip trial."""
+
+HOOKS = (
+    "motion_s",
+    "moves",
+    "start_mm",
+    "offsets_mm",
+    "normal_forces_N",
+    "under_force",
+    "reading",
+)
+"""Methods whose arguments are checked where a subclass is defined."""
 
 MOTION = (
     Column("motion_from", "s", "Begin of the motion, since the record's begin"),
@@ -90,7 +103,7 @@ class PressedProcedure(TrialProcedure):
         TypeError for a method with the wrong arguments, ValueError for columns that cannot be.
         """
         super().__init_subclass__(**keywords)
-        for hook in ("motion_s", "moves", "start_mm", "offsets_mm", "under_force", "reading"):
+        for hook in HOOKS:
             arguments = tuple(inspect.signature(getattr(PressedProcedure, hook)).parameters)
             try:
                 inspect.signature(getattr(cls, hook)).bind(*arguments)
@@ -118,9 +131,10 @@ class PressedProcedure(TrialProcedure):
         """Do what the procedure is about. The skin is pressed and the normal force is held.
 
         Use `trial.hold(seconds)` and `trial.move_x(to_mm, speed_mm_s)`; the force is held during
-        both, and everything is recorded; `trial.hold_at(force_N)` changes it. Do not wait in any
-        other way: outside of them nothing controls the force. An exception ends the run; the skin
-        is lifted all the same.
+        both, and everything is recorded; `trial.hold_at(force_N)` changes it. In
+        `trial.hold_place(seconds)` z stays where it is and the force may relax. Do not wait in any
+        other way: outside of them nothing watches the contact. `trial.normal_force_N` is the force
+        of this trial. An exception ends the run; the skin is lifted all the same.
         """
 
     @abstractmethod
@@ -155,6 +169,15 @@ class PressedProcedure(TrialProcedure):
         """
         return (0.0,)
 
+    def normal_forces_N(self) -> tuple[float, ...]:  # noqa: N802 - the unit keeps its capital
+        """Return the normal forces in N that the trials press with, one after the other.
+
+        Each of them gets ``--trials`` trials at every place of `offsets_mm`. The default is one,
+        ``--normal-force``. A force that is not above 0 N and below ``--largest-force`` is refused
+        before anything moves.
+        """
+        return (self.settings.normal_force_N,)
+
     # --- what the base class does with them -----------------------------------------------------
 
     def import_ahead(self) -> None:
@@ -172,21 +195,23 @@ class PressedProcedure(TrialProcedure):
                 f"needs at least {LEAST_MOTION_S:g} s",
                 "ask for a longer one",
             )
-        return trial_points(self.settings, self.moves(), motion_s, 0.0, len(self._offsets()))
+        return trial_points(self.settings, self.moves(), motion_s, 0.0, len(self._conditions()))
 
     def overhead_s(self, fixture: FixtureSettings, homed: bool) -> float:
         """Return the bench time in s that the ways in z, homing and parking are expected to
         take."""
         offsets, x_mm = self._offsets(), self.start_mm(fixture)
-        presses = self.settings.trials * len(offsets)
+        presses = self.settings.trials * len(self._conditions())
         apart_mm = (max(offsets) - min(offsets)) / max(len(offsets) - 1, 1)
         return pressed_overhead_s(self.settings, fixture, homed, presses, x_mm, apart_mm)
 
     def check(self, bench: Bench) -> None:
         """Refuse a fixture that does not state where contact is, or a begin that x cannot reach."""
         super().check(bench)
-        for begin_mm in self._starts_mm(bench.settings.fixture):
-            require("stage_x position", begin_mm, bench.reach()["stage_x.position"])
+        require_possible(bench, self.settings.largest_force_N, max(self._forces()))
+        start_mm = self.start_mm(bench.settings.fixture)
+        for offset_mm in self._offsets():
+            require("stage_x position", start_mm + offset_mm, bench.reach()["stage_x.position"])
 
     def arm(self, run: Run) -> None:
         """Watch the force; register the end of everything before it begins; park."""
@@ -205,10 +230,11 @@ class PressedProcedure(TrialProcedure):
         series = self._series
         assert series is not None, "arm() comes first"
         number = int(point.condition)
-        starts_mm = self._starts_mm(run.bench.settings.fixture)
-        record = TrialRecord(number, series.rates.tick_Hz, run.force.rate_S_s)
+        conditions = self._conditions()
+        force_N, offset_mm = conditions[(number - 1) % len(conditions)]
+        record = TrialRecord(number, series.rates.tick_Hz, run.force.rate_S_s, force_N)
         trial = PressedTrial(run, series, record)
-        trial.make_ready(starts_mm[(number - 1) % len(starts_mm)])
+        trial.make_ready(self.start_mm(run.bench.settings.fixture) + offset_mm)
         trial.start_recording()
         trial.press()
         trial.begin_motion()
@@ -234,10 +260,27 @@ class PressedProcedure(TrialProcedure):
             )
         return offsets
 
-    def _starts_mm(self, fixture: FixtureSettings) -> tuple[float, ...]:
-        """Return the positions of x at which trials begin, one after the other."""
-        start_mm = self.start_mm(fixture)
-        return tuple(start_mm + offset for offset in self._offsets())
+    def _forces(self) -> tuple[float, ...]:
+        """Return `normal_forces_N`, of which there has to be one at least, all possible."""
+        forces = tuple(float(force) for force in self.normal_forces_N())
+        largest_N = self.settings.largest_force_N
+        if not forces:
+            raise ConfigurationError(
+                f"{self.name}: normal_forces_N() returned no force, so there is no trial",
+                "return at least one force",
+            )
+        for force_N in forces:
+            if not 0 < force_N < largest_N:
+                raise ConfigurationError(
+                    f"{self.name}: a normal force of {force_N:g} N is not above 0 N and below "
+                    f"--largest-force {largest_N:g} N",
+                    "press with another force, or raise --largest-force if skin and bench bear it",
+                )
+        return forces
+
+    def _conditions(self) -> tuple[tuple[float, float], ...]:
+        """Return normal force in N and offset in mm of the trials, one after the other."""
+        return tuple(itertools.product(self._forces(), self._offsets()))
 
 
 def layout_of(procedure: type[PressedProcedure]) -> Layout:

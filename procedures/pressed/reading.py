@@ -64,6 +64,8 @@ class TrialRecord:
     """Ticks of the servo."""
     force_rate_S_s: float
     """Frames a second, as the force sensor reported."""
+    normal_force_N: float
+    """Set point of the normal force that the trial presses with."""
     begun_s: float = 0.0
     """Time on the run's clock at which the record began."""
     filter_delay_s: float = 0.0
@@ -78,6 +80,9 @@ class TrialRecord:
     set_points: list[tuple[float, float]] = field(default_factory=list)
     """Times in s, since the record began, at which the set point of the normal force was changed,
     and the force in N from there on."""
+    rested: list[tuple[float, float]] = field(default_factory=list)
+    """Begin and end, in s since the record began, of the stretches in which z stayed where it was
+    and the force was not controlled."""
     motion_from_s: float = 0.0
     motion_to_s: float = 0.0
     volts: list[npt.NDArray[np.float64]] = field(default_factory=list)
@@ -149,12 +154,11 @@ class TrialRecord:
         return np.arange(sum(len(block) for block in self.force)) / self.force_rate_S_s
 
     def set_force_N(  # noqa: N802 - the unit keeps its capital
-        self, times_s: npt.NDArray[np.float64], first_N: float
+        self, times_s: npt.NDArray[np.float64]
     ) -> npt.NDArray[np.float64]:
-        """Return the set point of the normal force at times (n,) since the record began, (n,);
-        `first_N` until it is changed."""
+        """Return the set point of the normal force at times (n,) since the record began, (n,)."""
         changed_s = [at_s for at_s, _ in self.set_points]
-        forces_N = np.array([first_N, *(force_N for _, force_N in self.set_points)])
+        forces_N = np.array([self.normal_force_N, *(force_N for _, force_N in self.set_points)])
         wanted_N: npt.NDArray[np.float64] = forces_N[
             np.searchsorted(changed_s, times_s, side="right")
         ]
@@ -192,26 +196,29 @@ def reading_of(run: Run, record: TrialRecord) -> Reading:
     settings: PressedSettings = run.settings
     force, t = record.forces_N(), record.frame_times_s()
     held = (t >= record.motion_from_s) & (t <= record.motion_to_s)
-    wanted_N = record.set_force_N(t, settings.normal_force_N)
+    wanted_N = record.set_force_N(t)
     error = 100 * (_smoothed(force[:, 0], record.force_rate_S_s) / wanted_N - 1)
     judged = held.copy()
     for squeeze in record.squeezes:
         judged &= (t < squeeze.decided_s) | (t > squeeze.decided_s + SQUEEZED_S)
     if not judged.any():
-        judged = held
+        judged = held.copy()
+    for from_s, to_s in record.rested:
+        judged &= (t < from_s) | (t > to_s + SQUEEZED_S)
+    errors = error[judged]
     ticks = sum(loop.ticks for loop in record.loops)
     late = sum(loop.late for loop in record.loops)
     missed = sum(loop.missed for loop in record.loops)
     reading: Reading = {
         "trial": record.number,
-        "set_normal_force_N": settings.normal_force_N,
+        "set_normal_force_N": record.normal_force_N,
         **record.zero.columns(),
         "contact_mm": record.contact_mm,
         "stiffness_N_mm": record.stiffness_N_mm,
         "overshoot_percent": max(0.0, float(error[t < record.motion_from_s].max())),
         "mean_normal_force_N": float(force[held, 0].mean()),
-        "force_error_rms_percent": float(np.sqrt(np.mean(error[judged] ** 2))),
-        "force_error_peak_percent": float(np.abs(error[judged]).max()),
+        "force_error_rms_percent": float(np.sqrt(np.mean(errors**2))) if len(errors) else None,
+        "force_error_peak_percent": float(np.abs(errors).max()) if len(errors) else None,
         "samples": record.rows,
         "frames": record.frames,
         "tick_Hz": record.tick_Hz,
@@ -280,7 +287,7 @@ def _touch_down(run: Run, record: TrialRecord, force: npt.NDArray[np.float64]) -
         reading[f"touch_gain_{number}_V_s_N"] = gain.value
         reading[f"touch_gain_{number}_error_V_s_N"] = gain.standard_error
     settings: PressedSettings = run.settings
-    EarlierPress(run, settings.normal_force_N, settings.kind_of_press).judge_gains(
+    EarlierPress(run, record.normal_force_N, settings.kind_of_press).judge_gains(
         {
             strip: TouchGain(value_V_s_N=gain.value, error_V_s_N=gain.standard_error)
             for strip, gain in zip(STRIPS, gains, strict=True)
@@ -302,7 +309,7 @@ def _doubts(
         if value > limit:
             words = name.removesuffix("_percent").replace("_", " ")
             doubts.append(f"{words} {value:.2g} % is above {limit:g} %")
-    bound_N = max(ZERO_SHIFT_N, ZERO_SHIFT * settings.normal_force_N)
+    bound_N = max(ZERO_SHIFT_N, ZERO_SHIFT * record.normal_force_N)
     for axis, shift_N in zip("xyz", record.zero_shift_N, strict=True):
         if abs(shift_N) > bound_N:
             doubts.append(

@@ -4,7 +4,7 @@
     trial.start_recording()
     trial.press()                  # down, normal force, tap, rest under the servo
     trial.begin_motion()
-    trial.hold(seconds)            # or trial.move_x(to_mm, speed_mm_s), or run_ticks(...)
+    trial.hold(seconds)            # or hold_place(seconds), move_x(...), run_ticks(...)
     trial.end_motion()
     trial.stop_recording()
     trial.lift()
@@ -67,7 +67,8 @@ class PressedTrial:
         record: TrialRecord,
         most_polls_Hz: float = math.inf,
     ):
-        """A trial of a series; its axes are polled `most_polls_Hz` times a second at most."""
+        """A trial of a series that presses with the record's `normal_force_N`; its axes are polled
+        `most_polls_Hz` times a second at most."""
         self.run, self.series, self.record = run, series, record
         self.settings: PressedSettings = run.settings
         rates, bench = series.rates, run.bench
@@ -117,7 +118,7 @@ class PressedTrial:
         """Press the object with the normal force, no faster than the force allows; tap, and rest
         under the servo. The contact's stiffness is learnt on the way."""
         settings, record = self.settings, self.record
-        earlier = EarlierPress(self.run, settings.normal_force_N, settings.kind_of_press)
+        earlier = EarlierPress(self.run, record.normal_force_N, settings.kind_of_press)
         press = Press(
             self.run,
             self.series,
@@ -131,7 +132,7 @@ class PressedTrial:
         stiffness_N_mm = record.stiffness_N_mm = press.down()
         servo = ForceServo(
             settings_from(
-                settings.normal_force_N,
+                record.normal_force_N,
                 stiffness_N_mm,
                 self.series.rates.tick_s,
                 self.delay_s,
@@ -143,7 +144,7 @@ class PressedTrial:
         at_rest_s = press.tap(stiffness_N_mm)
         record.tapped_s = self.since_s()
         force, ticks = self.recorder.force, self._ticks
-        self.torque.hold_begins(settings.normal_force_N)
+        self.torque.hold_begins(record.normal_force_N)
         self._hold = ForceHold(
             servo, self.z, self.links, force, record, ticks, at_rest_s, self.torque
         )
@@ -152,6 +153,23 @@ class PressedTrial:
     def hold(self, seconds: float) -> None:
         """Hold the normal force for some time."""
         self.run_ticks(seconds, self.hold_tick)
+
+    def hold_place(self, seconds: float) -> None:
+        """Leave z where it is for some time. The force is measured and not controlled: it may
+        relax, and no error of the force is judged. What holds the force afterwards brings it back
+        to the set point.
+
+        InstrumentError where the force falls below half of the set point, as in a hold: a sensor
+        that has died cannot be told from it, and z would press on afterwards.
+        """
+
+        def rest(tick: Tick) -> bool:
+            self._held().rest(self.recorder.collect(tick))
+            return True
+
+        from_s = self.since_s()
+        self.run_ticks(seconds, rest)
+        self.record.rested.append((from_s, self.since_s()))
 
     def begin_motion(self, expected: ContactShift | None = None) -> None:
         """Wait for the next tick, and note that the motion begins with it: the reading is about
@@ -239,6 +257,11 @@ class PressedTrial:
             rates = record.load_rates(scales)
             self.run.record_rows("load_rate", 0, rates, DECIMATED_Hz, units="N/s")
         return record.load_scales(scales)
+
+    @property
+    def normal_force_N(self) -> float:  # noqa: N802 - the unit keeps its capital
+        """Set point of the normal force in N that the trial has pressed with."""
+        return self.record.normal_force_N
 
     # --- ticks ----------------------------------------------------------------------------------
 

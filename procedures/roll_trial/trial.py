@@ -116,7 +116,9 @@ class HeadTrial(PressedTrial):
     record: RollTrialRecord
 
     def __init__(self, run: Run, number: int, series: RollSeries):
-        record = RollTrialRecord(number, series.rates.tick_Hz, run.force.rate_S_s)
+        record = RollTrialRecord(
+            number, series.rates.tick_Hz, run.force.rate_S_s, run.settings.normal_force_N
+        )
         super().__init__(run, series, record, MOST_POLLS_Hz)
         fixture = run.bench.settings.fixture
         assert fixture.centre_mm is not None

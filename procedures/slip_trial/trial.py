@@ -38,7 +38,9 @@ class SlipTrialRun(PressedTrial):
     record: SlipTrialRecord
 
     def __init__(self, run: Run, number: int, series: SlipSeries):
-        record = SlipTrialRecord(number, series.rates.tick_Hz, run.force.rate_S_s)
+        record = SlipTrialRecord(
+            number, series.rates.tick_Hz, run.force.rate_S_s, run.settings.normal_force_N
+        )
         super().__init__(run, series, record)
 
     @property

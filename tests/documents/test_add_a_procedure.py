@@ -70,6 +70,22 @@ def test_the_motion_along_x_that_the_page_shows_runs(rig: Any) -> None:
     assert "--way 90 mm" in refused.stderr
 
 
+@pytest.mark.thorough
+def test_the_stress_relaxation_that_the_page_shows_runs(rig: Any) -> None:
+    page = Page(PAGE, rig)
+    blocks = page.text.split("```python\n")
+    (shown,) = (b for b in blocks if b.startswith("class Settings") and "hold_place" in b)
+    source = page.files["lab_creep/creep.py"]
+    settings = source[source.index("    class Settings") : source.index("    def motion_s")]
+    hold = "    def under_force(self, trial):\n        trial.hold(self.settings.hold_s)\n"
+    page.make((settings, indent(shown.partition("```")[0], "    ") + "\n"), (hold, ""))
+    done = rig.run("creep", "--no-figures", "--hold", "500ms", "--forces", "2,3N")
+    assert done.code == 0, done.stderr
+    with RunFile.open(rig.only("*.h5")) as run:
+        assert run.column("set_normal_force").tolist() == [2.0, 3.0]
+        assert all(abs(run.column("creep")) < 0.5), "z stays where it is"
+
+
 READING = "    def reading(self, record):"
 RETURNED = 'return {"creep_um": 1e3 * (record.z_mm[-1] - record.z_mm[0])}'
 MISTAKES = {

@@ -31,7 +31,7 @@ class Held:
         self.events: list[tuple[str, str]] = []
         self.tripped = False
         self.settings = GripSettings(regrip=True, **changes)
-        self.record = TrialRecord(1, 100.0, 1000.0, motion_from_s=1.0)
+        self.record = TrialRecord(1, 100.0, 1000.0, 4.0, motion_from_s=1.0)
         run: Any = SimpleNamespace(
             settings=self.settings,
             clock=SimpleNamespace(now=lambda: self.now_s),
@@ -171,7 +171,7 @@ class Contact:
         torque = SimpleNamespace(is_due=lambda: False)
         self.ticks = SimpleNamespace(begun=0)
         servo = ForceServo(settings_from(SET_N, 100.0, 0.01, 0.004))
-        record = TrialRecord(1, 100.0, 1000.0)
+        record = TrialRecord(1, 100.0, 1000.0, 4.0)
         self.hold = ForceHold(
             servo, self, links, force, record, self.ticks, 0.0, torque  # type: ignore[arg-type]
         )  # fmt: skip

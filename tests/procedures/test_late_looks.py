@@ -29,7 +29,7 @@ class Slide:
         )
         moving: Any = SimpleNamespace(position_mm=lambda: SPEED_mm_s * (self.now_s - 5.0))
         z, x = (PolledStage(run, f"stage_{name}", moving, None) for name in "zx")  # type: ignore[arg-type]
-        self.record = TrialRecord(1, 1 / TICK_S, 1000.0, begun_s=5.0, motion_from_s=0.0001)
+        self.record = TrialRecord(1, 1 / TICK_S, 1000.0, 4.0, begun_s=5.0, motion_from_s=0.0001)
         positions, watch = PositionRecorder(run, self.record, z, x), LookWatch(self.record)
         z.in_motion = x.in_motion = True
         x.poll(), z.poll()
@@ -106,7 +106,7 @@ def test_a_trial_whose_moving_axis_was_not_seen_for_some_ticks_does_not_count(
 
 
 def test_an_axis_at_rest_is_not_looked_at_and_makes_nothing_invalid() -> None:
-    record = TrialRecord(1, 100.0, 1000.0, motion_from_s=1.0)
+    record = TrialRecord(1, 100.0, 1000.0, 4.0, motion_from_s=1.0)
     watch = LookWatch(record)
     rests: Any = SimpleNamespace(
         role="stage_x", in_motion=False, looked=SimpleNamespace(asked_s=0.0)

@@ -31,7 +31,7 @@ class Journal:
 
 def recorded(detection: LiveDetection) -> tuple[TrialRecord, Journal]:
     """What a trial has recorded of a detection so far."""
-    record, journal = TrialRecord(1, 100.0, 1000.0), Journal()
+    record, journal = TrialRecord(1, 100.0, 1000.0, 4.0), Journal()
     DetectionRecord(journal, record, detection).take()  # type: ignore[arg-type]
     return record, journal
 

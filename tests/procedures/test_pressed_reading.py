@@ -16,7 +16,7 @@ TICKS = 200
 
 def record(held_back: int) -> TrialRecord:
     """Two seconds of 4 N, the motion in the second of them; no touch-down is seen."""
-    found = TrialRecord(3, 100.0, 1000.0)
+    found = TrialRecord(3, 100.0, 1000.0, 4.0)
     found.force = [np.tile([4.0, 0.5, 0.0], (2000, 1))]
     found.volts = [np.zeros((2000, 2))]
     found.rows, found.frames = 20_000, 2000

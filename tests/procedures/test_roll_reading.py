@@ -23,7 +23,7 @@ def rolled(rest_s: float, scale: float = 1.0, noise_mV: np.ndarray | float = 0.0
     then rises to 4 mV.
     """
     settings = RollTrialSettings(rest_s=rest_s)
-    found = RollTrialRecord(1, 100.0, 1000.0)
+    found = RollTrialRecord(1, 100.0, 1000.0, 4.0)
     found.tapped_s, found.motion_from_s = 1.0, 1.0 + rest_s
     way_s = settings.profile_at(100.0).duration_s / 2
     found.motion_to_s = found.motion_from_s + 2 * way_s

@@ -1,0 +1,156 @@
+"""Trials of one run that press with different forces, and a place of z that is held while the force
+relaxes: what a measurement of stress relaxation needs of the base class."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from packages import install, on_path
+
+from procedures.pressed import PressedProcedure, PressedSettings
+from procedures.pressed.hold import LOST_STEPS, ForceHold
+from procedures.pressed.reading import TrialRecord
+from rig.core.errors import ConfigurationError, InstrumentError
+from rig.files.runfile.reader import RunFile
+
+REGISTERED = "[rig.procedures]\nrelaxation = lab.relaxation:Relaxation\n"
+MODULE = '''
+from procedures.pressed import PressedProcedure, PressedSettings
+from rig.files.journal.layout import Column
+
+
+class Relaxation(PressedProcedure):
+    """Press with several forces and see how they relax."""
+
+    name, fixtures, summary_keys = "relaxation", ("plate",), ()
+    columns = (
+        Column("pressed_with", "N", "Force that the record says"),
+        Column("number", "", "Trial that the record says"),
+        Column("moved", "um", "Way of z during the hold"),
+    )
+
+    class Settings(PressedSettings):
+        forces_N: tuple[float, ...] = (2.0, 4.0)
+        hold_s: float = 1.0
+
+    def motion_s(self):
+        return self.settings.hold_s
+
+    def normal_forces_N(self):
+        return self.settings.forces_N
+
+    def under_force(self, trial):
+        assert trial.normal_force_N in self.settings.forces_N
+        trial.hold_place(self.settings.hold_s)
+
+    def reading(self, record):
+        moved_um = 1e3 * (record.z_mm.max() - record.z_mm.min())
+        force_N, number = record.normal_force_N, record.trial
+        return {"pressed_with_N": force_N, "number": number, "moved_um": moved_um}
+'''
+
+
+@pytest.fixture
+def relaxation(rig: Any, tmp_path: Path) -> Any:
+    """The command line, with the command `relaxation`."""
+    modules = {"lab/__init__.py": "", "lab/relaxation.py": MODULE}
+    on_path(rig, install(tmp_path / "site", "lab", REGISTERED, modules))
+    return rig
+
+
+def test_trials_press_with_forces_of_their_own_and_hold_their_place(relaxation: Any) -> None:
+    done = relaxation.run("relaxation", "--forces", "2,3.5", "--json", "--no-figures")
+    assert done.code == 0, done.stderr
+    with RunFile.open(relaxation.only("*.h5")) as run:
+        assert run.column("set_normal_force").tolist() == [2.0, 3.5]
+        assert run.column("pressed_with").tolist() == [2.0, 3.5]
+        assert run.column("number").tolist() == [1, 2]
+        assert run.column("mean_normal_force") == pytest.approx([2.0, 3.5], rel=0.03)
+        assert all(run.column("moved") < 0.5), "z has not been moved"
+        assert np.isnan(run.column("force_error_rms")).all(), "nothing controlled the force"
+    refused = relaxation.run("relaxation", "--forces", "2,20", "--no-figures")
+    assert refused.code == 2
+    assert "a normal force of 20 N is not above 0 N and below --largest-force 15 N" in (
+        refused.stderr
+    )
+
+
+@pytest.mark.thorough
+def test_a_force_that_is_gone_while_z_holds_its_place_ends_the_run(relaxation: Any) -> None:
+    """The sensor dies: the servo must not press on when the hold is over."""
+    (relaxation.folder / "faults.toml").write_text(
+        '[[fault]]\ndevice = "force_sensor"\nkind = "dead-noisy"\nacquisition = 1\nafter_s = 4.0\n'
+    )
+    hold = ("relaxation", "--forces", "3", "--hold", "20s", "--no-figures")
+    failed = relaxation.run(*hold, "--fault", "faults.toml", "--world-log", "world.jsonl")
+    assert failed.code == 3, failed.stderr
+    assert "hold the force: it reads" in failed.stderr
+    assert "where z held 3 N" in failed.stderr
+    assert "normal force released" in failed.stderr
+
+
+class Forces(PressedProcedure):
+    """Two forces at two places."""
+
+    name, fixtures = "forces", ("plate",)
+
+    def motion_s(self) -> float:
+        return 1.0
+
+    def offsets_mm(self) -> tuple[float, ...]:
+        return (0.0, 2.0)
+
+    def normal_forces_N(self) -> tuple[float, ...]:  # noqa: N802 - the unit keeps its capital
+        return (1.0, 3.0)
+
+    def under_force(self, trial: Any) -> None:
+        trial.hold(1.0)
+
+    def reading(self, record: Any) -> dict[str, float]:
+        return {}
+
+
+def test_each_force_has_its_trials_at_each_place() -> None:
+    procedure = Forces(PressedSettings(trials=3))
+    assert len(procedure.points()) == 3 * 2 * 2
+    assert procedure._conditions() == ((1.0, 0.0), (1.0, 2.0), (3.0, 0.0), (3.0, 2.0))
+
+
+@pytest.mark.parametrize("forces_N", [(), (0.0,), (-1.0, 2.0), (15.0,), (float("nan"),)])
+def test_forces_that_cannot_be_are_refused_when_the_run_is_planned(
+    monkeypatch: pytest.MonkeyPatch, forces_N: tuple[float, ...]
+) -> None:
+    monkeypatch.setattr(Forces, "normal_forces_N", lambda self: forces_N)
+    with pytest.raises(ConfigurationError, match=r"normal.force"):
+        Forces(PressedSettings()).points()
+
+
+def hold_of(stopped: list[str], silent_s: float = 0.0) -> ForceHold:
+    """A hold of 4 N whose link has been silent for so long; stops of z are noted."""
+    z = SimpleNamespace(stage=SimpleNamespace(stop=lambda: stopped.append("z")))
+    servo = SimpleNamespace(settings=SimpleNamespace(target_N=4.0))
+    links = SimpleNamespace(silent_s=lambda role: silent_s)
+    ticks, record = SimpleNamespace(begun=0), TrialRecord(1, 100.0, 1000.0, 4.0)
+    return ForceHold(servo, z, links, None, record, ticks, 0.0, None)  # type: ignore[arg-type]
+
+
+def test_a_force_may_relax_by_half_while_z_holds_its_place_and_no_further() -> None:
+    stopped: list[str] = []
+    hold = hold_of(stopped)
+    for force_N in (4.0, 3.0, 2.1, 2.1, 2.1, 2.1):
+        hold.rest(force_N)
+    for _ in range(LOST_STEPS - 1):
+        hold.rest(1.9)
+    assert stopped == []
+    with pytest.raises(InstrumentError, match=r"it reads 1\.9 N where z held 4 N"):
+        hold.rest(1.9)
+    assert stopped == ["z"]
+
+
+def test_a_z_stage_that_is_silent_while_it_holds_its_place_ends_the_run() -> None:
+    with pytest.raises(InstrumentError, match=r"stage_z.*no answer for 0\.6 s"):
+        hold_of([], silent_s=0.6).rest(4.0)
