@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     from rig.processing.analyses import Analyses
     from rig.run.points import Reading
 
+MOST_WARNINGS = 5
+"""Most warnings that are shown without ``--all``."""
 LONGEST_LIST = 8
 """Longest list whose numbers are shown one by one."""
 LONGEST_LINE = 80
@@ -127,7 +129,7 @@ def show(
                 header, readings = contents.header, [kept.reading for kept in contents.kept()]
                 said = describe(path, header, ending_of(contents))
                 said |= _results(header, readings, contents.results, as_json, all_settings)
-                shown(said if all_settings or as_json else _without_defaults(said, header))
+                shown(said if all_settings or as_json else _on_a_screen(said, header))
                 continue
             doubts = [f"warning: {path.name}: {found}" for found in checksum_findings(path)]
             if is_model(path):
@@ -148,7 +150,7 @@ def show(
                     said = describe(path, run.header, run.outcome)
                     said |= _results(run.header, run.readings(), run.results, as_json, all_settings)
                     said |= _analysed(analyse_run(run))
-                    shown(said if all_settings or as_json else _without_defaults(said, run.header))
+                    shown(said if all_settings or as_json else _on_a_screen(said, run.header))
             if draws:
                 _draw(path, figures_to, pdf, say if as_json else _print)
         if draws and len(files) == 2:
@@ -264,6 +266,17 @@ def _recomputed(header: RunHeader, readings: Sequence[Reading]) -> Results | Non
         if not isinstance(error.__cause__, KeyError):  # then another version has written the file
             say(f"warning: no summary: {error.one_line()}")
         return None
+
+
+def _on_a_screen(said: dict[str, Any], header: RunHeader) -> dict[str, Any]:
+    """Return a description without the settings that have their default, and with the first
+    warnings only where there are many."""
+    said = _without_defaults(said, header)
+    warnings = said.get("warnings", [])
+    if len(warnings) > MOST_WARNINGS + 1:
+        more = f"... and {len(warnings) - MOST_WARNINGS} more; --all shows them"
+        said |= {"warnings": [*warnings[:MOST_WARNINGS], more]}
+    return said
 
 
 def _without_defaults(said: dict[str, Any], header: RunHeader) -> dict[str, Any]:

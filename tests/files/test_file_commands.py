@@ -60,3 +60,15 @@ def test_a_damaged_journal_is_reported_by_verify_and_refused_before_any_bench(ri
     assert error.count("byte") == 1
     assert ended.stderr.splitlines() == [error], "no bench was started"
     assert not rig.world_log.exists()
+
+
+def test_many_warnings_leave_the_rest_of_a_run_on_the_screen(rig: Any) -> None:
+    with JournalWriter.create(rig.folder / "run.rigj", run.header()) as writer:
+        run.take_point(writer, 0)
+        told = [f"1 record at {n} Hz taken again" for n in range(1, 36)]
+        writer.end(run.end("stopped", 1, warnings=told))
+    short = rig.run("show", "run.rigj")
+    assert short.stdout.count("taken again") == 5
+    assert "... and 30 more; --all shows them" in short.stdout
+    assert rig.run("show", "--all", "run.rigj").stdout.count("taken again") == 35
+    assert rig.run("show", "--json", "run.rigj").stdout.count("taken again") == 35
