@@ -369,7 +369,8 @@ class TravelBound:
         self._stands = None
         return (
             f"does not do what its drive acknowledges: it has stood at {self._show(position)} for "
-            f"{stands_s:.1f} s on the way to {self._show(motion.target)}"
+            f"{stands_s:.1f} s on the way to {self._show(motion.target)}: its torque limit holds "
+            "it, or something in the way, or its encoder stands still"
         )
 
     def _inside(self, position: float) -> bool:

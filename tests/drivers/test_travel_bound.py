@@ -50,7 +50,7 @@ def test_an_axis_that_stands_before_its_target_is_named_after_a_while() -> None:
     words = said(*((6.0, 0.1 * n) for n in range(10)))
     assert words == (
         "does not do what its drive acknowledges: it has stood at 6 mm for 0.9 s on the way to "
-        "12 mm"
+        "12 mm: its torque limit holds it, or something in the way, or its encoder stands still"
     )
     assert said(*((12.0 - 0.005, 0.1 * n) for n in range(30))) is None, "it has arrived"
 
