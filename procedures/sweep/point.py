@@ -206,6 +206,7 @@ class SweepPointRun:
     def _drive(self, amplitude_V: float) -> None:
         memory, f, clock = self.memory, self.condition.frequency_Hz, self.run.clock
         self.run.bench.generator.sine(f, amplitude_V)
+        self._sampler.drive_changed()
         changed = f != memory.frequency_Hz
         leapt = not 1 / LEAP < f / memory.frequency_Hz < LEAP
         ratio = amplitude_V / memory.drive_V

@@ -22,7 +22,7 @@ from rig.analysis.response.levelling import (
     range_for,
     record_samples,
 )
-from rig.analysis.response.sine_fit import SineFit, fit_sine, mains_lines
+from rig.analysis.response.sine_fit import LONE, SineFit, fit_sine, mains_lines
 from rig.core.errors import InstrumentError
 from rig.core.units import counted
 from rig.instruments.roles import Acquisition, InputChannel, Record
@@ -108,11 +108,20 @@ class RecordSampler:
         self.largest_load_N = 0.0
         self._ranges: dict[str, float] = {}
         """Input ranges that proved too small, by channel: larger ones are used."""
+        self._begins_with_change = False
+        """True if nothing was waited for and recorded since the drive changed."""
+
+    def drive_changed(self) -> None:
+        """Take note that the next record begins with a change of the drive, unless `wait` is called
+        before it."""
+        self._begins_with_change = True
 
     def wait(self, seconds: float) -> None:
         """Wait for a change to settle."""
         self.physics_s += seconds
         self.run.clock.sleep(seconds)
+        if seconds > 0:
+            self._begins_with_change = False
 
     def take(self, needs: RecordNeeds, only_load: bool) -> FittedRecord:
         """Take one further record; one that exceeds its range is repeated on a larger range, and
@@ -129,6 +138,7 @@ class RecordSampler:
             load = self._fit(record, "load_cell", needs, only_load)
             voltage = self._fit(record, "film", needs, only_load)
             outlier = self._outlier(load, voltage)
+            self._begins_with_change = False
             misread += outlier != ""
             if not outlier or misread == MISREAD_TRIES:
                 break
@@ -241,14 +251,24 @@ class RecordSampler:
             delay_s=record.delay_s(channel),
             largest_inflation=limit,
         )
-        if not _has_outlier(found):
+        if not self._is_misread(found):
             self.memory.mains[channel].learn(found, mains_Hz)
         return found
 
     def _outlier(self, load: SineFit, voltage: SineFit) -> str:
         """Return which channel has a sample that does not belong to its record; "" for none."""
         channels = (("load_cell", load), ("film", voltage))
-        return ", ".join(name for name, found in channels if _has_outlier(found))
+        return ", ".join(name for name, found in channels if self._is_misread(found))
+
+    def _is_misread(self, found: SineFit) -> bool:
+        """Return whether a sample of a record does not belong to it.
+
+        The first ones after a change of the drive may differ: a short record is compared with the
+        one that follows, and a long one averages over them.
+        """
+        if self._begins_with_change and found.lone_at < LONE:
+            return False
+        return found.lone_residual > MISREAD_SIGMAS * found.residual_rms
 
     def _tell_misread(self, misread: int, outlier: str) -> None:
         """Record what became of records with such a sample."""
@@ -275,10 +295,6 @@ class RecordSampler:
 
 
 # --- faults -------------------------------------------------------------------------------------
-
-
-def _has_outlier(found: SineFit) -> bool:
-    return found.lone_residual > MISREAD_SIGMAS * found.residual_rms
 
 
 def shows(tone: SineFit) -> bool:

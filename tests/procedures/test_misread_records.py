@@ -26,16 +26,21 @@ def record(spike: float, at: int = 1234) -> np.ndarray:
     return samples
 
 
-def taken(spikes: Iterator[float], monkeypatch: pytest.MonkeyPatch) -> tuple[int, float, list[str]]:
-    """The number of records that were taken, the lone residual of the one that was used, and what
-    was said."""
+def taken(
+    spikes: Iterator[float],
+    monkeypatch: pytest.MonkeyPatch,
+    at: int = 1234,
+    after_change: bool = False,
+) -> tuple[int, float, list[str]]:
+    """The number of records that were taken, each with the next spike at its sample number `at`,
+    the lone residual of the one that was used, and what was said."""
     told: list[str] = []
     count = 0
 
     def acquire(acquisition: object) -> np.ndarray:
         nonlocal count
         count += 1
-        return record(next(spikes))
+        return record(next(spikes), at)
 
     def event(level: str, code: str, text: str) -> None:
         told.append(text)
@@ -43,6 +48,7 @@ def taken(spikes: Iterator[float], monkeypatch: pytest.MonkeyPatch) -> tuple[int
     run = SimpleNamespace(bench=SimpleNamespace(daq=SimpleNamespace(acquire=acquire)), event=event)
     sampler: Any = RecordSampler.__new__(RecordSampler)
     sampler.run, sampler.physics_s, sampler.largest_load_N = run, 0.0, 0.0
+    sampler._begins_with_change = after_change
     sampler.condition = SimpleNamespace(frequency_Hz=TONE_Hz)
     learn = SimpleNamespace(learn=lambda *values: None)
     sampler.memory = SimpleNamespace(vibrator=learn, film=learn, drive_V=1.0)
@@ -82,6 +88,20 @@ def test_a_signal_that_is_disturbed_in_every_record_is_used_and_said(
 def test_a_misread_sample_at_the_ends_of_a_record_is_noticed(at: int) -> None:
     """Found by an attack: the first sample of a block has one bit turned over."""
     assert fit_sine(record(0.25, at), RATE_Hz, TONE_Hz).lone_residual > 0.2
+
+
+def test_the_first_sample_counts_unless_the_drive_has_just_changed(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A quick transient looks like a misread sample; a clean sweep took every eighth record of a
+    high frequency again."""
+    count, _, told = taken(iter([0.25, 0.0]), monkeypatch, at=0)
+    assert (count, len(told)) == (2, 1)
+    count, largest, told = taken(itertools.repeat(0.25), monkeypatch, at=0, after_change=True)
+    assert (count, told) == (1, [])
+    assert largest > 0.2
+    count, _, told = taken(iter([0.25, 0.0]), monkeypatch, at=1234, after_change=True)
+    assert (count, len(told)) == (2, 1)
 
 
 @pytest.mark.parametrize("samples_in_a_period", [2.2, 3.0, 4.0, 5.3])

@@ -112,6 +112,9 @@ class SineFit:
     lone_residual: float = 0.0
     """Largest absolute residual of one sample, in the unit of the samples, if it stands alone as a
     misread sample does; 0 if its neighbours share it, as those of a transient do."""
+    lone_at: int = -1
+    """Number of that sample in the record; -1 for none. One of the first `LONE` has neighbours on
+    one side only: where the record begins with a change, a quick transient looks the same."""
 
     @property
     def unresolved_Hz(self) -> tuple[float, ...]:  # noqa: N802
@@ -205,6 +208,7 @@ def fit_sine(
     lines, solution, residual = solved.lines, solved.solution, solved.residual
     phasors = solution[1::2] + 1j * solution[2::2]
     residual_rms = math.sqrt(float(np.square(residual).sum()) / degrees)
+    lone_residual, lone_at = _lone(np.abs(residual))
     variances = np.diag(covariance)[3 : 3 + 2 * len(fitted)].reshape(-1, 2).mean(axis=1)
     turns = np.exp(-2j * np.pi * delay_s * lines.frequencies)
     unfitted = {line: size for line, size in bounds.items() if line not in fitted}
@@ -225,16 +229,17 @@ def fit_sine(
         line_amplitudes=tuple(np.abs(phasors[1 : 1 + len(fitted)]).tolist()),
         line_errors=tuple((residual_rms * np.sqrt(variances)).tolist()),
         left_out_Hz=tuple(left_out),
-        lone_residual=_lone(np.abs(residual)),
+        lone_residual=lone_residual,
+        lone_at=lone_at,
     )
 
 
-def _lone(sizes: Reals) -> float:
-    """Return the largest of the residuals' sizes (n,) if its neighbours are much smaller; at the
-    ends of a record those on one side."""
+def _lone(sizes: Reals) -> tuple[float, int]:
+    """Return the largest of the residuals' sizes (n,) and its number if its neighbours are much
+    smaller, 0 and -1 if not; at the ends of a record those on one side."""
     at = int(sizes.argmax())
     around = np.concatenate((sizes[max(0, at - LONE) : at], sizes[at + 1 : at + 1 + LONE]))
-    return float(sizes[at]) if around.max() < LONE_SHARE * sizes[at] else 0.0
+    return (float(sizes[at]), at) if around.max() < LONE_SHARE * sizes[at] else (0.0, -1)
 
 
 def mains_lines(fundamental: float = 50.0, count: int = 5) -> tuple[float, ...]:
