@@ -170,7 +170,7 @@ def test_ctrl_backslash_stops_a_batch_as_ctrl_c_does(rig) -> None:
 
 @pytest.mark.thorough
 def test_this_run_only_ends_safely_is_not_taken_again_and_the_batch_continues(rig) -> None:
-    running = begin(rig, SIX_POINTS)
+    running = begin(rig, SIX_POINTS + "repeat = 10\n")  # the request has to come while it runs
     folder = folder_of(rig.results)
     await_point(folder, 1)
     assert rig.run("batch", "stop", "--this-run").code == 0
