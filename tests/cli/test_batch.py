@@ -170,7 +170,8 @@ def test_ctrl_backslash_stops_a_batch_as_ctrl_c_does(rig) -> None:
 
 @pytest.mark.thorough
 def test_this_run_only_ends_safely_is_not_taken_again_and_the_batch_continues(rig) -> None:
-    running = begin(rig, SIX_POINTS + "repeat = 10\n")  # the request has to come while it runs
+    # The request has to come while the first run is under way, also beside other tests.
+    running = begin(rig, SIX_POINTS.replace("settling_s = 4", "settling_s = 12"))
     folder = folder_of(rig.results)
     await_point(folder, 1)
     assert rig.run("batch", "stop", "--this-run").code == 0
