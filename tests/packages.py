@@ -28,3 +28,35 @@ def on_path(rig: Any, site: Path) -> None:
     """Let a command line find what is installed in a folder."""
     already = rig.env.get("PYTHONPATH")
     rig.env["PYTHONPATH"] = os.pathsep.join([str(site), *([already] if already else [])])
+
+
+def film_bench(force_sensor: str) -> str:
+    """A bench file with a film in its clamp, instruments that nobody connects to, and a force
+    sensor with these settings."""
+    return f"""
+name = "real"
+[fixture]
+mounted = "film-clamp"
+contact_from_mm = 12.0
+contact_to_mm = 13.0
+[film]
+[load_cell]
+sensitivity_V_N = 0.1
+[generator]
+driver = "keysight-33500b"
+resource = "TCPIP::127.0.0.1::1::SOCKET"
+max_amplitude_V = 5.0
+[daq]
+driver = "keysight-u2300a"
+resource = "TCPIP::127.0.0.1::hislip0,1::INSTR"
+channels = {{ load_cell = 101, film = 102 }}
+[stage_z]
+driver = "festo-cmmt"
+axis = "z"
+host = "127.0.0.1"
+low_limit_mm = 0.0
+high_limit_mm = 20.0
+max_speed_mm_s = 20.0
+torque_limit_percent = 45.0
+[force_sensor]
+{force_sensor}"""

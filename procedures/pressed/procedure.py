@@ -266,7 +266,7 @@ class PressedProcedure(TrialProcedure):
         largest_N = self.settings.largest_force_N
         if not forces:
             raise ConfigurationError(
-                f"{self.name}: normal_forces_N() returned no force, so there is no trial",
+                f"{self.name}: normal_forces_N() returned no force, and a trial needs one",
                 "return at least one force",
             )
         for force_N in forces:

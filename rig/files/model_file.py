@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -22,12 +21,11 @@ import numpy as np
 
 import rig
 from rig.core.settings import Settings, leaves
-from rig.files.errors import RunFileError, in_words
-from rig.files.file_kind import IN_WORDS, kind_of
+from rig.files.errors import RunFileError
 from rig.files.hdf5.nexus import array_field, group, set_attributes, text_field, write_note
 from rig.files.hdf5.open_file import OpenFile, definition_of
 from rig.files.hdf5.publishing import publishing
-from rig.files.hdf5.safe_reading import DAMAGE, refuse_links, text_of, whole
+from rig.files.hdf5.safe_reading import text_of, whole
 
 if TYPE_CHECKING:
     import h5py
@@ -117,44 +115,30 @@ class ModelFile(OpenFile):
     """An open file of the skin model; use it as a context. Whatever is wrong with it is a
     RunFileError that names it."""
 
-    @classmethod
-    def open(cls, path: Path) -> ModelFile:
-        """Open a file of the skin model. RunFileError if it cannot be read or is another kind."""
-        import h5py
+    KIND = "file of rig skin"
 
-        if (kind := kind_of(path)) != "hdf5":
-            raise RunFileError(path, IN_WORDS[kind])
-        with _naming(path):
-            file = h5py.File(path, "r")
-        opened = cls(path, file)
-        try:
-            with _naming(path):
-                refuse_links(file)
-                if text_of(opened.entry["definition"]) != DEFINITION:
-                    raise RunFileError(path, "an HDF5 file, but not one of `rig skin`")
-                _ = opened.title, opened.settings, opened.results()
-        except RunFileError:
-            file.close()
-            raise
-        return opened
+    def _check(self) -> None:
+        if text_of(self.entry["definition"]) != DEFINITION:
+            raise RunFileError(self.path, "an HDF5 file, but not one of `rig skin`")
+        _ = self.title, self.settings, self.results()
 
     @property
     def title(self) -> str:
         """What was computed, with the mark SIMULATED."""
-        with _naming(self.path):
+        with self._naming():
             return text_of(self.entry["title"])
 
     @property
     def program(self) -> str:
         """The command that has computed it, with its version."""
-        with _naming(self.path):
+        with self._naming():
             name = self.entry["program_name"]
             return f"{text_of(name)} {name.attrs['version']}"
 
     @property
     def settings(self) -> dict[str, Any]:
         """All settings, nested, as ``--settings`` and ``--skin`` take them."""
-        with _naming(self.path):
+        with self._naming():
             found = json.loads(text_of(self.entry["settings_json/data"]))
             return {str(name): value for name, value in found.items()}
 
@@ -162,7 +146,7 @@ class ModelFile(OpenFile):
         """Return the settings that differ from their defaults, by dotted names; None in a file of
         a version that did not record which they are."""
         found: dict[str, Any] = {}
-        with _naming(self.path):
+        with self._naming():
             for name, field in _fields(self.entry["parameters"]):
                 if "is_default" not in field.attrs:
                     return None
@@ -173,7 +157,7 @@ class ModelFile(OpenFile):
 
     def results(self) -> dict[str, Quantity]:
         """Return what was computed, by name."""
-        with _naming(self.path):
+        with self._naming():
             return {
                 name: Quantity(
                     whole(field),
@@ -192,14 +176,3 @@ def _fields(place: h5py.Group, prefix: str = "") -> Iterator[tuple[str, h5py.Dat
             yield from _fields(item, f"{prefix}{name}.")
         else:
             yield f"{prefix}{name}", item
-
-
-@contextmanager
-def _naming(path: Path) -> Iterator[None]:
-    """Raise RunFileError, which names the file, for whatever a damaged one raises."""
-    try:
-        yield
-    except RunFileError:
-        raise
-    except DAMAGE as error:
-        raise RunFileError(path, f"not a readable file of rig skin: {in_words(error)}") from error

@@ -15,36 +15,10 @@ import pytest
 
 PAGE = Path(__file__).parents[2] / "docs" / "add-a-driver.md"
 SHORT = ("--frequencies", "200,1000", "--no-figures", "--json")
-BENCH = """
-name = "real"
-[fixture]
-mounted = "film-clamp"
-contact_from_mm = 12.0
-contact_to_mm = 13.0
-[film]
-[load_cell]
-sensitivity_V_N = 0.1
-[generator]
-driver = "keysight-33500b"
-resource = "TCPIP::127.0.0.1::1::SOCKET"
-max_amplitude_V = 5.0
-[daq]
-driver = "keysight-u2300a"
-resource = "TCPIP::127.0.0.1::hislip0,1::INSTR"
-channels = { load_cell = 101, film = 102 }
-[stage_z]
-driver = "festo-cmmt"
-axis = "z"
-host = "127.0.0.1"
-low_limit_mm = 0.0
-high_limit_mm = 20.0
-max_speed_mm_s = 20.0
-torque_limit_percent = 45.0
-[force_sensor]
-driver = "acme-f10"
+BENCH = packages.film_bench("""driver = "acme-f10"
 port = "/dev/ttyUSB0"
 max_force_N = 30.0
-"""
+""")
 
 
 def files_of_the_page() -> dict[str, str]:

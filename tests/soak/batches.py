@@ -255,8 +255,8 @@ def _ending(ran: BatchRan) -> Iterator[str]:
         yield f"told {counted} of the runs {states}"
     codes = dict(ran.ask("SELECT number, code FROM run"))
     for number, state in states.items():
-        befallen = number == _batch(ran).attacked and ran.faults_met
-        if befallen or ends or (state, codes[number]) == ("done", DONE):
+        met_a_fault = number == _batch(ran).attacked and ran.faults_met
+        if met_a_fault or ends or (state, codes[number]) == ("done", DONE):
             continue
         latest = [one for one in ran.attempts if one.number == number][-1]
         if state != "done" or not holds_worse(latest):

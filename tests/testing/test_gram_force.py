@@ -21,36 +21,10 @@ CONTRACT = """from gram_force.simulator import GfOneCore
 from rig.testing import driver_contract
 test_gf_one = driver_contract("gf-one", core=GfOneCore, settings={"max_force_N": 40.0})
 """
-BENCH = """
-name = "real"
-[fixture]
-mounted = "film-clamp"
-contact_from_mm = 12.0
-contact_to_mm = 13.0
-[film]
-[load_cell]
-sensitivity_V_N = 0.1
-[generator]
-driver = "keysight-33500b"
-resource = "TCPIP::10.0.0.2::5025::SOCKET"
-max_amplitude_V = 5.0
-[daq]
-driver = "keysight-u2300a"
-resource = "USB0::0x0957::0x1518::TW12345678::INSTR"
-channels = { load_cell = 101, film = 102 }
-[stage_z]
-driver = "festo-cmmt"
-axis = "z"
-host = "10.0.0.4"
-low_limit_mm = 0.0
-high_limit_mm = 20.0
-max_speed_mm_s = 20.0
-torque_limit_percent = 45.0
-[force_sensor]
-driver = "gf-one"
+BENCH = packages.film_bench("""driver = "gf-one"
 host = "10.0.0.5"
 max_force_N = 30.0
-"""
+""")
 
 
 @pytest.fixture

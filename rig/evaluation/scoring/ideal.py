@@ -27,7 +27,7 @@ from rig.evaluation.scoring.outcomes import (
 Floats = NDArray[np.float64]
 
 ORDER = 8
-"""Samples of both channels from which the next one is foretold."""
+"""Samples of both channels from which the next one is predicted."""
 LEAST_ROWS = 100
 """Fewest rows from which a process is learnt."""
 LEAST_NOISE_V = 1e-6

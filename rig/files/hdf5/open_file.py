@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING, ClassVar, Self
 
-from rig.files.file_kind import kind_of
+from rig.files.errors import RunFileError, in_words
+from rig.files.file_kind import IN_WORDS, kind_of
 from rig.files.hdf5.safe_reading import DAMAGE, refuse_links, text_of
 
 if TYPE_CHECKING:
@@ -27,11 +30,57 @@ def definition_of(path: Path) -> str:
 
 
 class OpenFile:
-    """An HDF5 file that is open for reading; use it as a context."""
+    """An HDF5 file that is open for reading; use it as a context. Whatever is wrong with it is a
+    RunFileError that names it."""
+
+    KIND: ClassVar[str]
+    """What such a file is called in a message: "run file"."""
+    REMEDY: ClassVar[str | None] = None
+    """What helps where one is damaged."""
 
     def __init__(self, path: Path, file: h5py.File) -> None:
         self.path = path
         self._file = file
+
+    @classmethod
+    def open(cls, path: Path | str) -> Self:
+        """Open a file. RunFileError if it cannot be read or is another kind of file."""
+        import h5py
+
+        path = Path(path)
+        if (kind := kind_of(path)) != "hdf5":
+            raise RunFileError(path, IN_WORDS[kind])
+        with cls._naming_damage(path):
+            file = h5py.File(path, "r")
+        opened = cls(path, file)
+        try:
+            with opened._naming():
+                refuse_links(file)
+                opened._check()
+        except RunFileError:
+            file.close()
+            raise
+        return opened
+
+    def _check(self) -> None:
+        """Read what every file of this kind has. Raises RunFileError for another kind of file, and
+        whatever reading raises for a damaged one."""
+        raise NotImplementedError
+
+    def _naming(self) -> AbstractContextManager[None]:
+        """Raise damage to the file within the block as a RunFileError that names it."""
+        return self._naming_damage(self.path)
+
+    @classmethod
+    @contextmanager
+    def _naming_damage(cls, path: Path) -> Iterator[None]:
+        try:
+            yield
+        except RunFileError:
+            raise
+        except DAMAGE as error:
+            cause = f"not a readable {cls.KIND}: {in_words(error)}"
+            raise RunFileError(path, cause, cls.REMEDY) from error
 
     def close(self) -> None:
         """Close the file."""

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from contextlib import contextmanager
 from functools import cached_property
 from pathlib import Path
 from typing import get_args
@@ -16,10 +15,9 @@ from rig.core.entry_points import OWN_PACKAGE
 from rig.core.settings import Settings, fingerprint
 from rig.detector.events import EventKind, SlipEvent
 from rig.detector.settings import DetectorSettings
-from rig.files.errors import RunFileError, in_words
-from rig.files.file_kind import IN_WORDS, kind_of
+from rig.files.errors import RunFileError
 from rig.files.hdf5.open_file import OpenFile, definition_of
-from rig.files.hdf5.safe_reading import DAMAGE, refuse_links, text_of, texts_of, whole
+from rig.files.hdf5.safe_reading import text_of, texts_of, whole
 from rig.files.journal.values import SIMULATED
 from rig.files.processed.values import (
     DEFINITION,
@@ -39,32 +37,18 @@ def is_processed(path: Path) -> bool:
 class ProcessedFile(OpenFile):
     """An open processed file; use it as a context."""
 
-    @classmethod
-    def open(cls, path: Path | str) -> ProcessedFile:
-        """Open a processed file. RunFileError if it cannot be read or is another kind of file."""
-        import h5py
+    KIND = "processed file"
+    REMEDY = "`rig detect` writes it again from the run file"
 
-        path = Path(path)
-        if (kind := kind_of(path)) != "hdf5":
-            raise RunFileError(path, IN_WORDS[kind])
-        with _naming(path):
-            file = h5py.File(path, "r")
-        opened = cls(path, file)
-        try:
-            with _naming(path):
-                refuse_links(file)
-                if "entry/definition" not in file or opened._text("definition") != DEFINITION:
-                    raise RunFileError(path, "an HDF5 file, but not a processed file")
-                _ = opened.source, opened.detector
-        except RunFileError:
-            file.close()
-            raise
-        return opened
+    def _check(self) -> None:
+        if "entry/definition" not in self._file or self._text("definition") != DEFINITION:
+            raise RunFileError(self.path, "an HDF5 file, but not a processed file")
+        _ = self.source, self.detector
 
     @cached_property
     def source(self) -> ProcessedSource:
         """The run file that was processed."""
-        with _naming(self.path):
+        with self._naming():
             simulated = "source/simulated" in self.entry
             return ProcessedSource(
                 file_name=self._text("source/file_name"),
@@ -82,7 +66,7 @@ class ProcessedFile(OpenFile):
     def detector(self) -> StatedDetector:
         """The detector: its name, version, package and parameters. Another package's does not have
         to be installed."""
-        with _naming(self.path):
+        with self._naming():
             stated = self.entry["process/program"].attrs
             package = str(stated.get("package", ""))
             own = package in ("", OWN_PACKAGE)
@@ -103,29 +87,29 @@ class ProcessedFile(OpenFile):
     @property
     def title(self) -> str:
         """The file's title, with its mark."""
-        with _naming(self.path):
+        with self._naming():
             return self._text("title")
 
     @property
     def version(self) -> str:
         """The detector's version."""
-        with _naming(self.path):
+        with self._naming():
             return self._text("process/version")
 
     @property
     def made_by(self) -> str:
         """The digest of code and parameters that have made it; empty in a file without one."""
-        with _naming(self.path):
+        with self._naming():
             return str(self.entry["process/version"].attrs.get("digest", ""))
 
     def trial_ids(self) -> list[str]:
         """Return the ids of the trials, in the order in which they were processed."""
-        with _naming(self.path):
+        with self._naming():
             return texts_of(self.entry["trials/id"])
 
     def events(self) -> list[tuple[str, SlipEvent]]:
         """Return all events, each with its trial's id: trial after trial, in the order of time."""
-        with _naming(self.path):
+        with self._naming():
             table = self.entry["events"]
             kinds = texts_of(table["kind"])
             if not set(kinds) <= set(get_args(EventKind)):
@@ -166,7 +150,7 @@ class ProcessedFile(OpenFile):
     def trials(self) -> list[DetectedTrial]:
         """Return the trials with their signals and events."""
         events = self.events()
-        with _naming(self.path):
+        with self._naming():
             groups = {
                 data.attrs["trial"]: data
                 for name, data in self.entry["trials"].items()
@@ -198,7 +182,7 @@ class ProcessedFile(OpenFile):
                 yield f"{where} does not say {source.mark}, as its source does"
         if (source.mark == SIMULATED) != bool(source.simulated):
             yield "source/simulated does not agree with source/mark"
-        with _naming(self.path):
+        with self._naming():
             stated = self.entry["process/settings/data"].attrs["fingerprint"]
             if stated != fingerprint(detector.settings):
                 yield "the parameters' fingerprint is not theirs"
@@ -219,15 +203,3 @@ class ProcessedFile(OpenFile):
 
     def _text(self, name: str) -> str:
         return text_of(self.entry[name])
-
-
-@contextmanager
-def _naming(path: Path) -> Iterator[None]:
-    """Raise damage to the file within the block as a RunFileError that names it."""
-    try:
-        yield
-    except DAMAGE as error:
-        hint = "`rig detect` writes it again from the run file"
-        raise RunFileError(
-            path, f"not a readable processed file: {in_words(error)}", hint
-        ) from error

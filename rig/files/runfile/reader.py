@@ -7,16 +7,15 @@ with the file is a RunFileError that names it.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
-from rig.files.errors import RunFileError, in_words
-from rig.files.file_kind import IN_WORDS, kind_of
+from rig.files.errors import RunFileError
+from rig.files.file_kind import kind_of
 from rig.files.hdf5.open_file import OpenFile
-from rig.files.hdf5.safe_reading import DAMAGE, refuse_links, text_of, texts_of, whole
+from rig.files.hdf5.safe_reading import text_of, texts_of, whole
 from rig.files.journal.format import from_json
 from rig.files.journal.values import Results, RunHeader
 from rig.files.runfile.former_names import column_in, with_present_keys
@@ -78,29 +77,23 @@ class Waveform:
 class RunFile(OpenFile):
     """A run file that is open for reading; use it as a context."""
 
-    @classmethod
-    def open(cls, path: Path | str) -> RunFile:
-        """Open a run file. RunFileError if it cannot be read or is another kind of file."""
-        import h5py
+    KIND = "run file"
+    REMEDY = "`rig recover` compiles it again if its journal is still there"
 
-        path = Path(path)
-        _refuse_other_kinds(path)
-        with _naming(path):
-            file = h5py.File(path, "r")
-        run = cls(path, file)
-        try:
-            with _naming(path):
-                refuse_links(file)
-                if "entry/journal_header" not in file:
-                    raise RunFileError(
-                        path, "an HDF5 file, but not a run file: it has no journal header"
-                    )
-                if not isinstance(run.header, RunHeader) or "outcome" not in run.entry:
-                    raise ValueError("it has no outcome")
-        except RunFileError:
-            file.close()
-            raise
-        return run
+    @classmethod
+    def open(cls, path: Path | str) -> Self:
+        """Open a run file. RunFileError if it cannot be read or is another kind of file."""
+        if kind_of(Path(path)) == "journal":
+            raise RunFileError(Path(path), "a journal, not a run file", "`rig recover` compiles it")
+        return super().open(path)
+
+    def _check(self) -> None:
+        if "entry/journal_header" not in self._file:
+            raise RunFileError(
+                self.path, "an HDF5 file, but not a run file: it has no journal header"
+            )
+        if not isinstance(self.header, RunHeader) or "outcome" not in self.entry:
+            raise ValueError("it has no outcome")
 
     @cached_property
     def header(self) -> RunHeader:
@@ -116,13 +109,13 @@ class RunFile(OpenFile):
     def end_time(self) -> str | None:
         """Time at which the run ended, ISO 8601. None for an imported run whose time is not
         known."""
-        with _naming(self.path):
+        with self._naming():
             return text_of(self.entry["end_time"]) if "end_time" in self.entry else None
 
     @property
     def outcome(self) -> RecordedOutcome:
         """The end of the run: status, reason, number of points."""
-        with _naming(self.path):
+        with self._naming():
             group = self.entry["outcome"]
             number = {name: int(whole(group[name])) for name in _NUMBERS}
             imported = "imported" in group and bool(whole(group["imported"]))
@@ -144,14 +137,14 @@ class RunFile(OpenFile):
     def results(self) -> Results | None:
         """What the procedure computed when the run ended; None where the file has no results, as
         those of earlier versions and of imports."""
-        with _naming(self.path):
+        with self._naming():
             if "results" not in self.entry:
                 return None
             return Results.model_validate(from_json(text_of(self.entry["results/record/data"])))
 
     def point_ids(self) -> list[str]:
         """Return the ids of the kept points, in the order of ``column``'s rows."""
-        with _naming(self.path):
+        with self._naming():
             return texts_of(self.entry["points/id"])
 
     def columns(self) -> list[str]:
@@ -168,7 +161,7 @@ class RunFile(OpenFile):
             name = column_in(self.header.layout, name)
         if name not in self.columns():
             raise RunFileError(self.path, f"no column {name!r}", f"it has {self.columns()}")
-        with _naming(self.path):
+        with self._naming():
             if self.header.layout.column(name).kind == "text":
                 import numpy as np
 
@@ -179,7 +172,7 @@ class RunFile(OpenFile):
     def readings(self) -> list[dict[str, Any]]:
         """Return the readings as the procedure gave them, by their present keys, in the order of
         ``point_ids``."""
-        with _naming(self.path):
+        with self._naming():
             results = texts_of(self.entry["attempts/result"])
             readings = [
                 from_json(results[n])["reading"] for n in whole(self.entry["points/attempt"])
@@ -196,7 +189,7 @@ class RunFile(OpenFile):
         """
         places = {"kept": "waveforms", "between": "between_points"}
         place = places.get(status, "discarded")
-        with _naming(self.path):
+        with self._naming():
             names = list(self.entry[place]) if place in self.entry else []
             for name in names:
                 data = self.entry[f"{place}/{name}"]
@@ -214,24 +207,6 @@ def _header_of(entry: h5py.Group) -> RunHeader:
 
 
 _NUMBERS = ("attempt", "points_planned", "points_done", "seed", "exit")
-
-
-@contextmanager
-def _naming(path: Path) -> Iterator[None]:
-    """Raise damage to the file within the block as a RunFileError that names it."""
-    try:
-        yield
-    except DAMAGE as error:
-        hint = "`rig recover` compiles it again if its journal is still there"
-        raise RunFileError(path, f"not a readable run file: {in_words(error)}", hint) from error
-
-
-def _refuse_other_kinds(path: Path) -> None:
-    kind = kind_of(path)
-    if kind == "journal":
-        raise RunFileError(path, "a journal, not a run file", "`rig recover` compiles it")
-    if kind != "hdf5":
-        raise RunFileError(path, IN_WORDS[kind])
 
 
 def _waveform(data: h5py.Group) -> Waveform:
