@@ -58,12 +58,10 @@ LEAP = 1.1
 """Ratio of two successive frequencies beyond which everything rings anew."""
 LEAP_S = 0.02
 """Wait after such a leap if the record is too short to average over the ringing."""
-VERY_LONG_RECORD_S = 0.15
-"""Length of a record that needs no wait after a correction of the drive."""
 RINGING_S = 0.015
-"""Wait before a record that averages over ringing, after a change of frequency."""
+"""Shortest wait before a record that averages over ringing, after a change of frequency."""
 CORRECTED_S = 0.008
-"""Wait after a correction of the drive."""
+"""The same after a correction of the drive."""
 
 # --- settling -----------------
 AGREEMENT = 2e-4
@@ -210,7 +208,9 @@ class SweepPointRun:
         changed = f != memory.frequency_Hz
         leapt = not 1 / LEAP < f / memory.frequency_Hz < LEAP
         ratio = amplitude_V / memory.drive_V
-        self._leapt = self._leapt or not 1 / LARGE_STEP < ratio < LARGE_STEP
+        # How long a correction rings is unknown while nothing was seen to ring: records show it.
+        unknown = not changed and memory.decay_s is None
+        self._leapt = self._leapt or unknown or not 1 / LARGE_STEP < ratio < LARGE_STEP
         memory.change_vibration(f, amplitude_V, clock.now())
         self.kept.clear()
         if leapt and not self._averages():
@@ -218,24 +218,25 @@ class SweepPointRun:
         self._driven_s = clock.now()
         self._seen_ringing = None
         self._outlasted = False
-        if self._averages():
-            if changed:
-                self._sampler.wait(max(RINGING_S, self._rings_on_s()))
-            elif self._sampler.whole_length_s < VERY_LONG_RECORD_S:
-                self._sampler.wait(CORRECTED_S)
+        if self._averages() and changed:
+            self._sampler.wait(max(RINGING_S, self._rings_on_s(1.0)))
+        elif self._averages():
+            self._sampler.wait(max(CORRECTED_S, self._rings_on_s(abs(ratio - 1))))
 
-    def _rings_on_s(self) -> float:
-        """Return the time in s until ringing as large as the tone no longer matters in one record.
+    def _rings_on_s(self, change: float) -> float:
+        """Return the time in s until ringing as large as `change` times the tone no longer matters
+        in one record.
 
-        A record averages over ringing only where that is far from the tone. In a notch both have
-        nearly one frequency, and the record dilutes it at best, by the ratio of time constant and
-        length. The time constant is that of the latest ringing that was seen to decay.
+        A record averages over ringing only where that is far from the tone. In a notch, or near
+        the vibrator's resonance, both have nearly one frequency, and the record dilutes it at best,
+        by the ratio of time constant and length. The time constant is that of the latest ringing
+        that was seen to decay.
         """
         decay_s = self.memory.decay_s
         if decay_s is None:
             return 0.0
-        diluted = decay_s / self._sampler.whole_length_s
-        allowed = SUNK * self.settings.target_error_dB / DB_PER_RELATIVE
+        diluted = change * decay_s / self._sampler.whole_length_s
+        allowed = SUNK * self._sampler.expected_error_dB / DB_PER_RELATIVE
         return decay_s * math.log(max(diluted / allowed, 1.0))
 
     def _is_level(self) -> bool:

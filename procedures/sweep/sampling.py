@@ -177,6 +177,13 @@ class RecordSampler:
         rate = self.settings.rate_at(f)
         return record_samples(f, rate, self.missing_after(0.0), self._all_mains()) / rate
 
+    @functools.cached_property
+    def expected_error_dB(self) -> float:  # noqa: N802 - the unit keeps its capital
+        """Return the standard error of the gain from that record: the target, or less where whole
+        cycles or the mains make it longer than the noise asks for."""
+        target, error = self.settings.target_error_dB, self._error_of_one_second_dB()
+        return target if error is None else min(target, error / math.sqrt(self.whole_length_s))
+
     def _needs(self, target_dB: float, error_dB: float | None) -> RecordNeeds:
         own = self.settings
         shortest_s = own.shortest_at(self.condition.frequency_Hz)
