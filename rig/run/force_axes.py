@@ -28,7 +28,7 @@ class AxisWatch:
     def __init__(self, axes: str = ""):
         """`axes` are those that the sensor is known to have. One of the others whose value has
         always been 0 is taken for an axis that the sensor lacks."""
-        self._last: npt.NDArray[np.float32] | None = None
+        self._last: npt.NDArray[np.float64] | None = None
         self._lives = np.array([axis in axes for axis in AXES])
         """Whether the sensor has the axis, as far as is known."""
         self._row = np.ones(3, int)
@@ -51,13 +51,21 @@ class AxisWatch:
         as a sentence; None if all measure."""
         if not len(raw):
             return None
-        self._lives |= (raw != 0).any(axis=0)
-        before = raw[:1] if self._last is None else self._last[None]
-        steps = np.abs(np.diff(np.concatenate([before, raw]).astype(float), axis=0))
-        self._last = raw[-1].copy()
+        if not self._lives.all():
+            self._lives |= (raw != 0).any(axis=0)
+        values = raw.astype(float)
+        steps = np.empty_like(values)
+        steps[0] = 0.0 if self._last is None else values[0] - self._last
+        np.subtract(values[1:], values[:-1], out=steps[1:])
+        np.abs(steps, out=steps)
+        self._last = values[-1]
         return self._stuck(steps) or self._quiet(steps)
 
     def _stuck(self, steps: npt.NDArray[np.float64]) -> str | None:
+        if steps.all():  # as nearly always: every value of every axis is a new one
+            np.maximum(self._longest, self._row, out=self._longest)
+            self._row[:] = 1
+            return None
         for axis in np.flatnonzero(self._lives).tolist():
             changed = np.flatnonzero(steps[:, axis])
             if changed.size:
