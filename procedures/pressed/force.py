@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from procedures.pressed.contact import FORCE_RATE_S_S
+from procedures.pressed.lost_frames import COMPARED_LOOKS
 
 if TYPE_CHECKING:
     from procedures.pressed.rates import ServoRates
@@ -84,10 +85,21 @@ class TrialForce:
     def start_recording(self) -> None:
         """Start the record with the next frame."""
         self._first_frame = self._run.force.frames_seen
+        self._record.frame_looks.clear()
+        self.count_frames()
 
     def count_frames(self) -> None:
         """Note how many frames have come: the next `record_frames` records these."""
         self._frames_sent = self._run.force.frames_seen - self._first_frame
+        self._record.frame_looks.append((self._run.clock.now(), self._frames_sent))
+
+    def count_later_frames(self, seconds: float) -> None:
+        """Wait so long after the record's end and note how many frames come meanwhile: from these
+        it shows whether frames were lost in its last moments."""
+        for _ in range(COMPARED_LOOKS):
+            self._run.clock.sleep(seconds / COMPARED_LOOKS)
+            later = self._run.force.frames_seen - self._first_frame
+            self._record.frame_looks.append((self._run.clock.now(), later))
 
     def record_frames(self, least: int = 1) -> None:
         """Record what `count_frames` has counted and is not recorded, if it is `least` frames."""

@@ -109,6 +109,7 @@ CALIBRATED = (
 RECORDED = (
     Column("samples", "", "Rows of the strips"),
     Column("frames", "", "Frames of the force sensor"),
+    Column("lost_frames", "", "Frames of the force sensor lost at one moment"),
     Column("tick_rate", "Hz", "Ticks of the servo", key="tick_Hz"),
     Column("ticks", "", "Ticks"),
     Column("late_ticks", "", "Ticks that began late or were left out"),

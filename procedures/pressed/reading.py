@@ -14,6 +14,7 @@ import numpy as np
 from procedures.pressed.contact import ForceZero
 from procedures.pressed.earlier_runs import EarlierPress
 from procedures.pressed.layout import TOUCHED
+from procedures.pressed.lost_frames import lost_frames
 from procedures.pressed.settings import AFTER_S, PressedSettings, point_name
 from procedures.pressed.squeeze import Squeeze
 from rig.analysis.trial.clock_offset import clock_offset
@@ -101,6 +102,9 @@ class TrialRecord:
     """Rows of the strips' signals."""
     signal_rows: int = 0
     frames: int = 0
+    frame_looks: list[tuple[float, int]] = field(default_factory=list)
+    """Times on the run's clock, and the frames that had come by then since the record began; some
+    of them after its end."""
     misread: int = 0
     """Positions that could not be and were asked for again."""
     held_back: int = 0
@@ -221,6 +225,7 @@ def reading_of(run: Run, record: TrialRecord) -> Reading:
         "force_error_peak_percent": float(np.abs(errors).max()) if len(errors) else None,
         "samples": record.rows,
         "frames": record.frames,
+        "lost_frames": lost_frames(record.frame_looks, record.force_rate_S_s),
         "tick_Hz": record.tick_Hz,
         "ticks": ticks,
         "late_ticks": late,
@@ -325,6 +330,11 @@ def _doubts(
                 f"{axis} was not seen for {unseen_s:.2g} s of its motion, more than {oldest_s:.2g} "
                 f"s ({OLDEST_LOOK} looks): its answers, or the computer's ticks, came late"
             )
+    if reading["lost_frames"]:
+        doubts.append(
+            f"{reading['lost_frames']} frames of the force sensor were lost: what follows in the "
+            "record is that much too early"
+        )
     span_s = record.motion_to_s + AFTER_S
     for name, rate in (("samples", settings.rate_S_s), ("frames", record.force_rate_S_s)):
         missing = span_s * rate - float(reading[name] or 0)

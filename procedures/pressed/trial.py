@@ -235,7 +235,7 @@ class PressedTrial:
         """Move z up, off the object; then see where the force sensor's zero is."""
         self.z.stage.stop()
         self.z.stage.move_to(self.run.bench.settings.fixture.parked_mm, TRAVEL_mm_s)
-        self.run.clock.sleep(2 * SETTLED_S)
+        self.recorder.force.count_later_frames(2 * SETTLED_S)
         shift_N = self.run.force.mean_N(SETTLED_S)
         self.record.zero_shift_N = (float(shift_N[0]), float(shift_N[1]), float(shift_N[2]))
         self._tell_slips()

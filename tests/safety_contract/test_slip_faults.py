@@ -159,6 +159,18 @@ def test_bytes_lost_on_the_serial_line_end_the_trial(rig, what):
 
 
 @pytest.mark.thorough
+def test_a_few_frames_that_are_lost_make_the_trial_invalid(rig):
+    """Two messages of ten frames: what comes after them is whole, and that much too early."""
+    plan = '[[fault]]\ndevice = "force_sensor.stream"\nkind = "silence"\ncount = 2\n'
+    ended = take(rig, "", plan + SLIDING)
+    assert ended.code == 5, ended.stderr
+    with RunFile.open(rig.only("*.h5")) as run:
+        (reading,) = run.readings()
+    assert reading["lost_frames"] == 20
+    assert f"{reading['lost_frames']} frames of the force sensor were lost" in reading["invalid"]
+
+
+@pytest.mark.thorough
 def test_a_daq_whose_buffer_overruns_ends_the_trial(rig):
     ended = take(rig, "", f'[[fault]]\ndevice = "daq"\nkind = "overrun"\n{SLIDING}')
     assert_told(ended, 3, "daq: WAV:STAT?: its buffer overran after row")

@@ -32,9 +32,9 @@ from .invariants import (
     at_rest,
     holds_worse,
     left_unsaid,
-    rows_as_sent,
     told_about,
 )
+from .rows import rows_as_recorded
 from .running import finished
 from .trials import STAGES, Trial, world_of
 
@@ -292,7 +292,7 @@ def _kept(ran: BatchRan, number: int) -> Iterator[str]:
     ((done,),) = ran.ask(f"SELECT points_done FROM run WHERE number = {number}")
     if together.files("*.h5") and kept != done:
         yield f"{done} points done, {kept} kept"
-    yield from rows_as_sent(together)
+    yield from (one.told for one in rows_as_recorded(together) if not one.declared)
 
 
 def _inline(settings: dict[str, Any]) -> str:

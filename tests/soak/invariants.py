@@ -8,14 +8,11 @@ from __future__ import annotations
 import json
 import re
 import shutil
-import zlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
-
-import numpy as np
 
 from drivers.simulated.faults.plan import CLOCK, DISK, FORCE_STREAM
 from rig.core.errors import RigError
@@ -23,6 +20,7 @@ from rig.files.runfile.compile import compile_run
 from rig.files.runfile.reader import RunFile
 from rig.files.verify import verify
 
+from .rows import rows_as_recorded
 from .trials import TALLER, UNNOTICED, Trial
 
 DONE, LIMIT, DONE_WITH_FAILURES, UNSAFE = 0, 4, 5, 7
@@ -117,8 +115,13 @@ def breaches(ran: Ran) -> list[str]:
         *_telling(ran),
         *at_rest(ran),
         *_files(ran),
-        *rows_as_sent(ran),
+        *(one.told for one in rows_as_recorded(ran) if not one.declared),
     ]
+
+
+def declared(ran: Ran) -> list[str]:
+    """What of it docs/fault-plans.md declares that no program can notice."""
+    return [one.told for one in rows_as_recorded(ran) if one.declared]
 
 
 def said_unheard_s(ran: Ran) -> float | None:
@@ -235,59 +238,3 @@ def _files(ran: Ran) -> Iterator[str]:
     disk = any(fault["device"] == DISK for fault in ran.trial.faults)
     if sorted(kept) != sorted(told) and not (disk and set(kept) <= set(told)):
         yield f"points told {told}, kept {kept}"
-
-
-def rows_as_sent(ran: Ran) -> Iterator[str]:
-    """Every row in the file is one that was sent, in its order, once."""
-    blocks = [x["value"] for x in ran.log if x["what"] == "block"]
-    frames = [crc for x in ran.log if x["what"] == "frames" for crc in x["value"]]
-    used: set[int] = set()
-    for path in ran.files("*.h5"):
-        with RunFile.open(path) as run:
-            for status in ("kept", "discarded", "unfinished"):
-                for waveform in run.waveforms(status=status):
-                    rows = np.stack(list(waveform.counts.values()), axis=1)
-                    if waveform.stream in ("waveform", "strips"):
-                        yield from _blocks(waveform.path, rows, blocks, used)
-                    elif waveform.stream == "bridges":
-                        yield from _frames(waveform.path, rows, frames, status == "kept")
-
-
-def _blocks(
-    name: str, rows: np.ndarray, blocks: list[dict[str, Any]], used: set[int]
-) -> Iterator[str]:
-    """The rows are blocks of the DAQ, one after the other, none of them used before."""
-    at, expected = 0, None
-    while at < len(rows):
-        candidates = range(len(blocks)) if expected is None else (expected,)
-        fitting = (n for n in candidates if n not in used and _is_block(rows[at:], blocks, n))
-        found = next(fitting, None)
-        if found is None:
-            yield f"{name}: row {at} begins no block that the DAQ handed out, or one used before"
-            return
-        used.add(found)
-        at += blocks[found]["rows"]
-        expected = found + 1
-
-
-def _is_block(rows: np.ndarray, blocks: list[dict[str, Any]], number: int) -> bool:
-    if number >= len(blocks) or len(rows) < blocks[number]["rows"]:
-        return False
-    block = np.ascontiguousarray(rows[: blocks[number]["rows"]], "<i2")
-    return zlib.crc32(block.tobytes()) == blocks[number]["crc32"]
-
-
-def _frames(name: str, rows: np.ndarray, frames: list[int], kept: bool) -> Iterator[str]:
-    """The rows are frames that the sensor sent, in their order: a gapless stretch of them where the
-    record is kept. One with a gap over which the run was made safe is not."""
-    recorded = [zlib.crc32(row.tobytes()) for row in rows.astype(">f4")]
-    if not recorded:
-        return
-    if not kept:
-        later = iter(frames)
-        if not all(crc in later for crc in recorded):  # each is looked for after the one before
-            yield f"{name}: {len(recorded)} frames are not all sent, or not in this order"
-        return
-    starts = [at for at, crc in enumerate(frames) if crc == recorded[0]]
-    if not any(frames[at : at + len(recorded)] == recorded for at in starts):
-        yield f"{name}: {len(recorded)} frames are no stretch of those that were sent"

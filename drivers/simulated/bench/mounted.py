@@ -254,7 +254,10 @@ class Instruments:
         if settings is None:
             return None
         tell = partial(self._world.log, "world", by="monitor")
-        return Monitor(settings, self._world.pressed_N, self._active, tell)
+        places = {_name_of(drive): drive.positions_mm for drive in self.drives}
+        if self.rotary is not None:
+            places[ROTARY] = self.rotary.angles_deg
+        return Monitor(settings, self._world.pressed_N, self._active, tell, places)
 
     def _active(self) -> Iterator[str]:
         """Return the names of what moves or is driven now."""

@@ -12,14 +12,15 @@ is logged as ``violation``. It runs only where the World's settings ask for it.
   ``longest-over-limit``, in s.
 - Where the World ends, because its run has said so or has died, nothing moves or is driven.
 
-It also writes down a checksum of every frame that the force sensor sends, so that a record can be
-held against what was sent; the DAQ logs its blocks by itself.
+It also writes down what a record can be held against: where the carriages really were while they
+moved (``places``), and a checksum of every frame that the force sensor sends; the DAQ logs its
+blocks by itself.
 """
 
 from __future__ import annotations
 
 import zlib
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 
 import numpy as np
 import numpy.typing as npt
@@ -35,7 +36,12 @@ FRAME_VALUES = slice(3, 15)
 FRAME_BYTES = (16, 18)
 """Without and with a CRC."""
 
+PLACE_DIGITS = 4
+"""Decimal places of a carriage's position in the log: 0.1 um."""
+
 Report = Callable[[str, object], None]
+Places = Callable[[npt.NDArray[np.int64]], npt.NDArray[np.float64]]
+"""Positions in mm or deg, (n,), of a carriage at ascending World times in us, (n,)."""
 PRESSED_N = 0.2
 """Force from which the stages press on something."""
 
@@ -55,7 +61,7 @@ class WatchSettings(Settings):
 
 class Monitor:
     """Monitors one World. `force_N` gives what the stages press with, (n,) World seconds to (n, 3);
-    `active` names what moves or is driven now."""
+    `active` names what moves or is driven now; `places` says by role where the carriages are."""
 
     def __init__(
         self,
@@ -63,6 +69,7 @@ class Monitor:
         force_N: Callable[[npt.NDArray[np.float64]], npt.NDArray[np.float64]],
         active: Callable[[], Iterable[str]],
         report: Report,
+        places: Mapping[str, Places] | None = None,
     ):
         self._settings, self._force_N, self._active, self._report = (
             settings,
@@ -70,6 +77,9 @@ class Monitor:
             active,
             report,
         )
+        self._places = places or {}
+        self._rests_at: dict[str, float] = {}
+        """Latest position of each carriage that was written down."""
         self._before = max(1, round(settings.reaction_s * 1e6 / STEP_us))
         self._recent = np.zeros(self._before)
         """Forces at the steps before the next one, N."""
@@ -92,6 +102,7 @@ class Monitor:
         force = np.abs(self._force_N(np.asarray(times * 1e-6, np.float64))).max(axis=1)
         self._largest_N = max(self._largest_N, float(force.max()))
         self._note_pressed(force, times)
+        self._note_places(times)
         history = np.concatenate([self._recent, force])
         self._recent = history[-self._before :]
         if force.max() <= self._settings.force_limit_N:
@@ -120,6 +131,16 @@ class Monitor:
         for at in changes.tolist():
             self._report("pressed" if pressed[at] else "released", {"at_us": int(times_us[at])})
         self._pressed = bool(pressed[-1])
+
+    def _note_places(self, times_us: npt.NDArray[np.int64]) -> None:
+        """Report where each carriage was at these times, unless it has stayed where it was."""
+        for role, places in self._places.items():
+            at = np.round(places(times_us), PLACE_DIGITS)
+            if np.all(at == self._rests_at.get(role)):
+                continue
+            self._rests_at[role] = float(at[-1])
+            where = {"role": role, "from_us": int(times_us[0]), "every_us": STEP_us}
+            self._report("places", where | {"at": at.tolist()})
 
     def _time_over(self, force_N: list[float], times_us: list[int]) -> None:
         """Judge how long the force has been over its limit without a break."""
