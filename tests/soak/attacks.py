@@ -68,7 +68,7 @@ def attack_on(chance: random.Random, procedure: str, stages: str) -> dict[str, A
     able = devices_by_fault(ON_A_LINE[stages])
     device = chance.choice(LINKS[procedure])
     kind = chance.choice([kind for kind in KINDS if device in able[kind]])
-    fault: dict[str, Any] = {"device": device, "kind": kind, **_moment(chance, procedure)}
+    fault: dict[str, Any] = {"device": device, "kind": kind, **moment(chance, procedure)}
     fault["at"] = chance.randint(1, MOST_REQUESTS if fault else 1)
     if chance.random() < 0.3:
         fault["for_s"] = round(chance.uniform(0.05, 3), 2)
@@ -81,7 +81,7 @@ def attack_on(chance: random.Random, procedure: str, stages: str) -> dict[str, A
     return fault
 
 
-def _moment(chance: random.Random, procedure: str) -> dict[str, Any]:
+def moment(chance: random.Random, procedure: str) -> dict[str, Any]:
     """A moment while something goes down, presses, slides, turns, is recorded or is lifted."""
     which = chance.random()
     if procedure == "sweep" and which < 0.4:

@@ -114,7 +114,7 @@ def breaches(ran: Ran) -> list[str]:
         *_ending(ran),
         *_telling(ran),
         *at_rest(ran),
-        *_files(ran),
+        *files_are_sound(ran),
         *(one.told for one in rows_as_recorded(ran) if not one.declared),
     ]
 
@@ -210,7 +210,7 @@ def left_unsaid(ran: Ran) -> Iterator[str]:
         yield f"that z does not answer is said {unheard_s:g} s after its last answer"
 
 
-def _files(ran: Ran) -> Iterator[str]:
+def files_are_sound(ran: Ran) -> Iterator[str]:
     """Every run file and every journal is sound and holds the points that were told."""
     stays = any(fault["kind"] == "read-only" for fault in ran.trial.faults)  # nothing is removed
     if (left := [path.name for path in ran.files(".*.part")]) and not stays:

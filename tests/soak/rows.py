@@ -23,8 +23,11 @@ if TYPE_CHECKING:
 FLIP = "flip"
 LOST = "frames of the force sensor were lost"
 """What an invalid trial says of a gap in its frames."""
-AROUND_us = 3000
-"""A look may be older or newer than its time in the file by this: the answer's way on the link."""
+AROUND_us, AROUND_IN_REAL_TIME_us = 3000, 60_000
+"""A look may be older or newer than its time in the file by this: the answer's way on the link. In
+real time an answer may be as late as a valid trial allows."""
+SEARCHED_us = (20_000, 1000)
+"""Steps in which the World's time of a record is searched for in real time."""
 OFF = 0.005
 """Largest distance in mm or deg from every place at which the carriage was around the time of the
 look."""
@@ -138,19 +141,50 @@ def _positions(
     less the age that the row states, and the axis's role. An angle counts from upright, so that a
     constant difference is none."""
     begun_us = json.loads(str(reading.get("simulated_truth") or "{}")).get("record_begun_us")
+    around_us = AROUND_us
+    if begun_us is None and "position" in streams:
+        begun_us, around_us = _searched_begin_us(streams, places), AROUND_IN_REAL_TIME_us
     for stream, columns in AXES.items():
         if stream not in streams or begun_us is None:
             continue
         for column, role in columns.items():
-            elapsed_s = streams["ticks"].values("elapsed")
-            times_us = begun_us + 1e6 * (elapsed_s - streams["ages"].values(column))
+            times_us = begun_us + _looked_us(streams, column)
             shown = streams[stream].values(column)
             if stream == "rotation":
                 shown = shown - places.offset(role, times_us, shown)
-            off = places.off(role, times_us, shown)
+            off = places.off(role, times_us, shown, around_us)
             if off.max() > OFF:
                 row = int(np.argmax(off))
                 yield f"row {row} shows {role} {off[row]:.3g} from where it was", role
+
+
+def _looked_us(streams: Mapping[str, Waveform], column: str) -> npt.NDArray[np.float64]:
+    """Time of each look since the record began, (n,)."""
+    return 1e6 * (streams["ticks"].values("elapsed") - streams["ages"].values(column))
+
+
+def _searched_begin_us(streams: Mapping[str, Waveform], places: _Places) -> float:
+    """World time at which the record began, where the run does not know it: at which most rows of x
+    and z are where the carriages were."""
+    found_us, reach_us = places.end_us / 2, places.end_us / 2
+    for step_us in SEARCHED_us:
+        candidates = np.arange(found_us - reach_us, found_us + reach_us, step_us)
+        misses = [
+            sum(
+                np.median(
+                    places.off(
+                        role,
+                        begin_us + _looked_us(streams, column),
+                        streams["position"].values(column),
+                        0,
+                    )
+                )
+                for column, role in AXES["position"].items()
+            )
+            for begin_us in candidates
+        ]
+        found_us, reach_us = candidates[int(np.argmin(misses))], 2 * step_us
+    return float(found_us)
 
 
 class _Places:
@@ -175,11 +209,20 @@ class _Places:
             for role, found in stretches.items()
         }
 
+    @property
+    def end_us(self) -> float:
+        """When something was seen to move for the last time."""
+        return float(max(times_us[-1] for times_us, _ in self._known.values()))
+
     def off(
-        self, role: str, times_us: npt.NDArray[np.float64], shown: npt.NDArray[np.float64]
+        self,
+        role: str,
+        times_us: npt.NDArray[np.float64],
+        shown: npt.NDArray[np.float64],
+        around_us: float = AROUND_us,
     ) -> npt.NDArray[np.float64]:
         """How far each position is from all places of the carriage around its time, (n,)."""
-        around = times_us[:, None] + np.linspace(-AROUND_us, AROUND_us, 7)
+        around = times_us[:, None] + np.linspace(-around_us, around_us, 7)
         places = np.interp(around, *self._known[role])
         lowest, highest = places.min(axis=1), places.max(axis=1)
         off: npt.NDArray[np.float64] = np.maximum(lowest - shown, shown - highest).clip(min=0)
