@@ -5,7 +5,7 @@ A procedure of your own begins with `procedures.pressed.PressedProcedure`, which
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from procedures.pressed.contact import contact_range_mm
@@ -22,6 +22,7 @@ from procedures.pressed.settings import (
 )
 from procedures.pressed.torque_limit import require_torque_limit
 from procedures.pressed.way_down import held_speed_bound, require_possible
+from rig.core.units import counted
 from rig.run.points import Reading
 from rig.run.procedure import DriftFigure, Procedure, StreamPlan
 
@@ -30,6 +31,10 @@ if TYPE_CHECKING:
     from rig.analysis.trial.load_rate import LoadScale
     from rig.bench.connected import Bench
     from rig.run.context import Run
+
+
+FIRST_SLIPS = 5
+"""Slips whose times are shown in brief."""
 
 
 class TrialProcedure(Procedure):
@@ -50,6 +55,13 @@ class TrialProcedure(Procedure):
         "force_error_peak_percent",
     )
     """Keys of the reading whose mean and standard deviation the summary has."""
+    not_in_brief: ClassVar[Set[str]] = frozenset(
+        {
+            *("trials", "valid_trials", "tick_Hz", "force_zero_N"),
+            *("mean_touch_gain_1_dB", "mean_touch_gain_2_dB"),
+        }
+    )
+    """Values of the summary that are no results of the run, or that another line contains."""
 
     settings: PressedSettings
     _series: PressedSeries | None
@@ -107,6 +119,22 @@ class TrialProcedure(Procedure):
         """Return how many trials are valid, the means and standard deviations of the `summary_keys`
         over the valid ones, and what the grip did."""
         return summary_of(readings, self.summary_keys) | grip_summary(readings)
+
+    def in_brief(self, summary: Mapping[str, Any], put_in: Mapping[str, Any]) -> Sequence[str]:
+        """Return how many trials are valid and when slips were found, then the single values."""
+        lines = []
+        if "valid_trials" in summary:
+            of = f"{summary['valid_trials']} of {counted(summary['trials'], *self.point_name)}"
+            tick_Hz = summary.get("tick_Hz")
+            lines.append(f"valid: {of}" + (f", {tick_Hz:g} ticks a second" if tick_Hz else ""))
+        slips = summary.get("slips", {})
+        found = list(zip(slips.get("trial", ()), slips.get("time_s", ()), strict=True))
+        if found:
+            first = ", ".join(f"{time_s:.3f} s" for _, time_s in found[:FIRST_SLIPS])
+            more = f" and {len(found) - FIRST_SLIPS} more" if len(found) > FIRST_SLIPS else ""
+            lines.append(f"incipient slips found during the trials at {first}{more}")
+        others = {name: one for name, one in summary.items() if name not in self.not_in_brief}
+        return [*lines, *super().in_brief(others, put_in)]
 
     def put_in(self, readings: Sequence[Reading], summary: Mapping[str, Any]) -> Mapping[str, Any]:
         """Return the friction of the simulated skin, beside what was recovered of it."""

@@ -231,6 +231,11 @@ class RollTrial(TrialProcedure):
 
     # --- afterwards -----------------------------------------------------------------------------
 
+    not_in_brief = TrialProcedure.not_in_brief | {
+        *("mean_high_roll_rms_mV", "mean_high_rest_rms_mV", "axis_offset_mm"),
+        *("axis_offset_error_mm", "simulated_ridge_lifted"),
+    }
+
     def summarise(self, readings: Sequence[Reading]) -> Mapping[str, Any]:
         """Return means of patterns, forces and angle over the valid trials, how many are valid,
         and how the roll's high frequencies compare with the noise and with a slip."""

@@ -203,6 +203,12 @@ class Sweep(Procedure):
 
         return put_in(readings, summary)
 
+    def in_brief(self, summary: Mapping[str, Any], put_in: Mapping[str, Any]) -> Sequence[str]:
+        """Return the verdicts and the film's values; single values where there is no model."""
+        from procedures.sweep.summary import in_brief
+
+        return in_brief(summary, put_in) or super().in_brief(summary, put_in)
+
 
 # --- the plan ---------------------------------------------------------------------------------
 

@@ -11,8 +11,9 @@ import numpy as np
 import numpy.typing as npt
 
 from procedures.sweep.layout import LAYOUT
+from rig.analysis.estimate import COVERAGE_95, with_error
 from rig.analysis.response.curve import CurveError, ResponseCurve, points_of
-from rig.analysis.verdict import Bounds
+from rig.analysis.verdict import Bounds, Verdict
 from rig.run.checked_procedure import TRUTH
 from rig.run.points import Reading
 
@@ -106,6 +107,64 @@ def put_in(readings: Sequence[Reading], summary: Mapping[str, Any]) -> dict[str,
         "model.linearity.slope": truth.gain_per_load_decade_dB,
         "model.drops.frequency": [math.nan if one is None else one for one in near],
     }
+
+
+VERDICTS = {
+    "first_order": "20 dB/decade (stress rate)",
+    "linearity": "The gain does not depend on the load",
+}
+
+
+def in_brief(summary: Mapping[str, Any], put_in: Mapping[str, Any]) -> list[str]:
+    """Return the verdicts, then the film's values with the half-widths of their 95 % intervals and
+    what a World put in; empty without a model."""
+    found: dict[str, Any] | None = summary.get("model")
+    if found is None:
+        return []
+
+    def valued(name: str, estimate: Mapping[str, Any] | None, key: str) -> list[str]:
+        if not estimate:
+            return []
+        return [f"{name}: {_valued(estimate)}{_of_world(put_in.get(f'model.{key}'))}"]
+
+    verdicts = {"first_order": found["first_order"]}
+    several = found.get("linearity") or {}
+    verdicts["linearity"] = several.get("verdict")
+    lines = [_answer(VERDICTS[name], Verdict(**one)) for name, one in verdicts.items() if one]
+    lines += valued("slope without the pole", found["asymptotic_slope"], "asymptotic_slope")
+    lines += valued("change with the load", several.get("slope"), "linearity.slope")
+    lines += valued("level b at 1 Hz", found["level"], "level")
+    lines += valued("corner", found["corner"], "corner")
+    worlds = put_in.get("model.drops.frequency", [None] * len(found["drops"]))
+    for drop, world in zip(found["drops"], worlds, strict=True):
+        lines.append(
+            f"notch: {_valued(drop['frequency'])}{_of_world(world)}, "
+            f"{drop['depth']['value']:.2f} dB, Q {drop['pole_Q']['value']:.2f}"
+        )
+    if not found["drops"]:
+        lines.append("no notch found")
+    lines += valued("change with the preload", found["preload_effect"], "preload_effect")
+    fit = f"χ² = {found['chi_square']:.0f} for {found['degrees']} d.o.f."
+    return [*lines, f"joint fit: {fit}; ± are 95 % intervals"]
+
+
+def _answer(statement: str, verdict: Verdict) -> str:
+    """Return the answer, with its reason unless the statement holds."""
+    if verdict.answer == "holds":
+        return f"{statement}: holds"
+    return verdict.sentence(statement)
+
+
+def _valued(estimate: Mapping[str, Any]) -> str:
+    """Return an estimate as ``1453.50 ± 0.22 Hz``."""
+    value, error = estimate["value"], estimate["standard_error"]
+    if value is None or error is None:  # not finite
+        return "not determined"
+    return f"{with_error(value, COVERAGE_95 * error).removeprefix('+')} {estimate['unit']}"
+
+
+def _of_world(value: float | None) -> str:
+    return "" if value is None or math.isnan(value) else f" (World: {value:.6g})"
 
 
 def _truth(readings: Sequence[Reading]) -> FilmTruth | None:

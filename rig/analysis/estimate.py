@@ -13,6 +13,16 @@ MOST_DIGITS = 12
 """Most digits that are printed after the decimal point."""
 
 
+def decimals(half_width: float) -> int:
+    """Returns the digits after the decimal point up to the second figure of a half-width, which has
+    to be finite and above 0.
+
+    >>> decimals(0.123), decimals(45.0)
+    (2, 0)
+    """
+    return min(max(1 - math.floor(math.log10(half_width)), 0), MOST_DIGITS)
+
+
 def with_error(value: float, half_width: float) -> str:
     """Returns a value and its half-width as text, to the second figure of the half-width.
 
@@ -21,7 +31,7 @@ def with_error(value: float, half_width: float) -> str:
     """
     if not (math.isfinite(half_width) and half_width > 0):
         return f"{value:+.6g}"
-    digits = min(max(1 - math.floor(math.log10(half_width)), 0), MOST_DIGITS)
+    digits = decimals(half_width)
     return f"{value:+.{digits}f} ± {half_width:.{digits}f}"
 
 
@@ -102,6 +112,6 @@ class Estimate:
         half = COVERAGE_95 * self.standard_error
         if not math.isfinite(half) or half <= 0:
             return f"{self.value:.6g} {self.unit} (95 %: {self.low:.6g} to {self.high:.6g})".strip()
-        digits = min(max(0, 1 - math.floor(math.log10(half))), MOST_DIGITS)
+        digits = decimals(half)
         low, value, high = (f"{number:.{digits}f}" for number in (self.low, self.value, self.high))
         return f"{value} {self.unit} (95 %: {low} to {high})".replace("  (", " (")

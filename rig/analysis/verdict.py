@@ -13,12 +13,13 @@ cases.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 from statistics import NormalDist
 from typing import Literal
 
-from rig.analysis.estimate import COVERAGE_95, Estimate
+from rig.analysis.estimate import COVERAGE_95, Estimate, decimals
 
 Answer = Literal["holds", "does not hold", "cannot be decided"]
 
@@ -75,10 +76,16 @@ def equivalence(found: Estimate, expected: float, bound: float, chosen_of: int =
         "does not hold": "beyond",
         "cannot be decided": "neither surely within nor beyond",
     }[answer]
-    difference = f"differs by {found.value - expected:+.2g}" if expected else f"{found.value:+.2g}"
+    numbers = [found.value - expected, low, high]
+    if math.isfinite(high - low) and high > low:
+        digits = decimals((high - low) / 2)
+        difference, low_end, high_end = (f"{number:+.{digits}f}" for number in numbers)
+    else:
+        difference, low_end, high_end = (f"{number:+.2g}" for number in numbers)
+    differs = "differs by " if expected else ""
     return Verdict(
         answer,
-        f"{difference} {found.unit}, 90 %: {low:+.2g} to {high:+.2g}; {compared} ±{bound:g}",
+        f"{differs}{difference} {found.unit}, 90 %: {low_end} to {high_end}; {compared} ±{bound:g}",
     )
 
 

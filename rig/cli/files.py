@@ -7,24 +7,26 @@ import json
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
 from rig.cli.outcome import reported, say
+from rig.cli.words import in_words
 from rig.core.errors import ConfigurationError, ExitCode, FoundWrongError
 from rig.core.text import printable
 
 if TYPE_CHECKING:
     from rig.figures.drawing import Drawn
     from rig.files.journal.values import Results, RunHeader
+    from rig.files.model_file import ModelFile
+    from rig.files.processed.reader import ProcessedFile
+    from rig.files.runfile.reader import RecordedOutcome
     from rig.processing.analyses import Analyses
     from rig.run.points import Reading
 
-MOST_WARNINGS = 5
-"""Most warnings that are shown without ``--all``."""
-LONGEST_LIST = 8
-"""Longest list whose numbers are shown one by one."""
+_How = Literal["brief", "all", "json"]
+"""What `rig show` prints: what fits a screen, everything, or one object."""
 LONGEST_LINE = 80
 """Length in characters of several texts from which each is shown in a line of its own."""
 
@@ -84,7 +86,7 @@ def show(
     all_settings: Annotated[
         bool,
         typer.Option(
-            "--all", help="Show tables of results and the settings that have their default, too."
+            "--all", help="Show everything: sentences, tables, all settings, all warnings."
         ),
     ] = False,
     figures: Annotated[bool, typer.Option(help="Draw the figures of the files again.")] = False,
@@ -105,56 +107,112 @@ def show(
     ] = False,
     debug: Debug = False,
 ) -> None:
-    """Show what a run file, processed file, journal or file of rig skin holds."""
+    """Show what a run file, processed file, journal or file of rig skin holds, on a screen."""
     with reported(debug):
         if overlay:
             from rig.figures.overlay import draw_overlay
 
             _tell_of(draw_overlay(files, figures_to, pdf), say if as_json else _print)
             return
-        shown = _shown_as_json if as_json else _tell
         draws = figures or pdf or figures_to is not None
         from rig.files.checksum import checksum_findings
-        from rig.files.describe import describe, describe_model, describe_processed, ending_of
+        from rig.files.describe import ending_of
         from rig.files.file_kind import kind_of
         from rig.files.journal.reader import read_journal
         from rig.files.model_file import ModelFile, is_model
         from rig.files.processed.reader import ProcessedFile, is_processed
         from rig.files.runfile.reader import RunFile
+        from rig.processing.analyses import Analyses
         from rig.processing.analyses import analyse as analyse_run
 
+        how: _How = "json" if as_json else "all" if all_settings else "brief"
         for path in files:
             if kind_of(path) == "journal":
                 contents = read_journal(path)
-                header, readings = contents.header, [kept.reading for kept in contents.kept()]
-                said = describe(path, header, ending_of(contents))
-                said |= _results(header, readings, contents.results, as_json, all_settings)
-                shown(said if all_settings or as_json else _on_a_screen(said, header))
+                readings = [kept.reading for kept in contents.kept()]
+                outcome, nothing = ending_of(contents), Analyses()
+                _show_run(path, contents.header, outcome, readings, contents.results, nothing, how)
                 continue
             doubts = [f"warning: {path.name}: {found}" for found in checksum_findings(path)]
             if is_model(path):
                 with ModelFile.open(path) as model:
                     _say_all(doubts)
-                    said = describe_model(model, all_settings or as_json)
-                    shown(said if as_json else _with_results_in_words(said))
+                    _show_model(model, how)
                 if draws:
                     say(f"{path}: its figures were drawn when it was computed, beside it")
                 continue
             if is_processed(path):
                 with ProcessedFile.open(path) as processed:
                     _say_all(doubts)
-                    shown(describe_processed(processed))
+                    _show_processed(processed, how)
             else:
                 with RunFile.open(path) as run:
                     _say_all(doubts)
-                    said = describe(path, run.header, run.outcome)
-                    said |= _results(run.header, run.readings(), run.results, as_json, all_settings)
-                    said |= _analysed(analyse_run(run))
-                    shown(said if all_settings or as_json else _on_a_screen(said, run.header))
+                    found = analyse_run(run)
+                    readings = run.readings()
+                    _show_run(path, run.header, run.outcome, readings, run.results, found, how)
             if draws:
                 _draw(path, figures_to, pdf, say if as_json else _print)
         if draws and len(files) == 2:
             _draw_beside(files, figures_to, pdf, say if as_json else _print)
+
+
+def _show_run(
+    path: Path,
+    header: RunHeader,
+    outcome: RecordedOutcome,
+    readings: Sequence[Reading],
+    stored: Results | None,
+    analyses: Analyses,
+    how: _How,
+) -> None:
+    """Show a run, and what this program finds otherwise than is stored."""
+    from rig.cli.digest import of_run
+    from rig.cli.results import compared, compared_in_words, computed_by, computed_now
+    from rig.files.describe import describe
+
+    said = describe(path, header, outcome)
+    now = _recomputed(header, readings)
+    if how == "brief":
+        values = _analysed(analyses)
+        _say_all_of(of_run(said, header, stored or now, computed_by(stored, now), values))
+        return
+    if stored is not None:
+        said |= (compared if how == "json" else compared_in_words)(stored, now)
+    elif now is not None:
+        said |= computed_now(now, how == "json")
+    said |= _analysed(analyses)
+    (_shown_as_json if how == "json" else _tell)(said)
+
+
+def _show_processed(file: ProcessedFile, how: _How) -> None:
+    """Show the events of a detector."""
+    from rig.cli.digest import of_processed
+    from rig.detector.registered import chosen_detector
+    from rig.files.describe import describe_processed
+
+    said = describe_processed(file)
+    if how == "brief":
+        usual: dict[str, Any] = {}
+        with contextlib.suppress(ConfigurationError):  # The detector is not installed.
+            usual = chosen_detector(file.detector.name).settings.model_dump()
+        _say_all_of(of_processed(said, usual))
+    else:
+        (_shown_as_json if how == "json" else _tell)(said)
+
+
+def _show_model(file: ModelFile, how: _How) -> None:
+    """Show what was computed with the skin model."""
+    from rig.cli.digest import of_model
+    from rig.files.describe import describe_model
+
+    said = describe_model(file, all_settings=how != "brief")
+    if how == "json":
+        _shown_as_json(said)
+    elif how == "all":
+        _tell(_with_results_in_words(said))
+    else:
+        _say_all_of(of_model(_with_results_in_words(said)))
 
 
 def _with_results_in_words(said: dict[str, Any]) -> dict[str, Any]:
@@ -163,10 +221,10 @@ def _with_results_in_words(said: dict[str, Any]) -> dict[str, Any]:
 
     def line(one: Mapping[str, Any]) -> str:
         if "shape" in one:
-            value = f"{one['shape']}: {_in_words(one['lowest'])} to {_in_words(one['highest'])}"
+            value = f"{one['shape']}: {in_words(one['lowest'])} to {in_words(one['highest'])}"
         else:
             values = one["value"] if "value" in one else one["values"]
-            value = "; ".join(map(_in_words, values if isinstance(values, list) else [values]))
+            value = "; ".join(map(in_words, values if isinstance(values, list) else [values]))
         return f"{value} {one.get('unit', '')}".rstrip() + f" ({one['meaning']})"
 
     return said | {"results": {name: line(one) for name, one in said["results"].items()}}
@@ -222,23 +280,6 @@ def recover(files: Files, debug: Debug = False) -> None:
             raise typer.Exit(int(failed.code or ExitCode.INTERNAL))
 
 
-def _results(
-    header: RunHeader,
-    readings: Sequence[Reading],
-    stored: Results | None,
-    as_json: bool,
-    whole: bool,
-) -> dict[str, Any]:
-    """Return the results as they are stored, as ``results``, and what this program finds otherwise.
-    Those of a file that has none are computed now."""
-    from rig.cli.results import compared, compared_in_words, computed_now
-
-    now = _recomputed(header, readings)
-    if stored is None:
-        return {} if now is None else computed_now(now, as_json, whole)
-    return compared(stored, now) if as_json else compared_in_words(stored, now, whole)
-
-
 def _recomputed(header: RunHeader, readings: Sequence[Reading]) -> Results | None:
     """Return what the procedure computes from the readings now, where it is installed and still
     takes them; one that is broken costs a line, not the command."""
@@ -266,47 +307,6 @@ def _recomputed(header: RunHeader, readings: Sequence[Reading]) -> Results | Non
         if not isinstance(error.__cause__, KeyError):  # then another version has written the file
             say(f"warning: no summary: {error.one_line()}")
         return None
-
-
-def _on_a_screen(said: dict[str, Any], header: RunHeader) -> dict[str, Any]:
-    """Return a description without the settings that have their default, and with the first
-    warnings only where there are many."""
-    said = _without_defaults(said, header)
-    warnings = said.get("warnings", [])
-    if len(warnings) > MOST_WARNINGS + 1:
-        more = f"... and {len(warnings) - MOST_WARNINGS} more; --all shows them"
-        said |= {"warnings": [*warnings[:MOST_WARNINGS], more]}
-    return said
-
-
-def _without_defaults(said: dict[str, Any], header: RunHeader) -> dict[str, Any]:
-    """Return a description with only those settings that differ from the defaults of the installed
-    procedure; all of them where it is not installed."""
-    from rig.core.entry_points import PROCEDURES, names
-    from rig.run.load_procedure import load_procedure
-
-    if "settings" not in said or header.procedure not in names(PROCEDURES):
-        return said
-    try:
-        fields = load_procedure(header.procedure).Settings.model_fields
-    except ConfigurationError:
-        return said
-    usual = {
-        name: field.get_default(call_default_factory=True)
-        for name, field in fields.items()
-        if not field.is_required()
-    }
-    other = {
-        name: value
-        for name, value in said["settings"].items()
-        if name not in usual or _plain(usual[name]) != _plain(value)
-    }
-    return said | {"settings": other or "all at their defaults; --all shows them"}
-
-
-def _plain(value: Any) -> Any:
-    """Return a setting as JSON keeps it: a tuple becomes a list."""
-    return json.loads(json.dumps(value))
 
 
 def analyse(
@@ -373,6 +373,11 @@ def _say_all(lines: Sequence[str]) -> None:
         say(line)
 
 
+def _say_all_of(lines: Sequence[str]) -> None:
+    for line in lines:
+        _print(line)
+
+
 def _print(line: str) -> None:
     print(line)  # noqa: T201 - stdout carries data
 
@@ -396,7 +401,7 @@ def _tell(values: Mapping[str, Any], indent: str = "") -> None:
                 print(printable(f"{indent}{name} {number}:"))  # noqa: T201 - stdout carries data
                 _tell(one, indent + "  ")
         else:
-            print(printable(f"{indent}{name}: {_in_words(value)}"))  # noqa: T201 - stdout carries data
+            print(printable(f"{indent}{name}: {in_words(value)}"))  # noqa: T201 - stdout carries data
 
 
 def _is_text_list(value: Any) -> bool:
@@ -407,19 +412,6 @@ def _is_text_list(value: Any) -> bool:
         and all(isinstance(one, str) for one in value)
         and sum(map(len, value)) > LONGEST_LINE
     )
-
-
-def _in_words(value: Any) -> str:
-    if isinstance(value, bool):
-        return "yes" if value else "no"
-    if isinstance(value, float):
-        return f"{value:.6g}"
-    if isinstance(value, list | tuple):
-        shown = [_in_words(item) for item in value]
-        if len(shown) > LONGEST_LIST and not isinstance(value[0], str):
-            return f"{len(shown)} values, {shown[0]} to {shown[-1]}"
-        return "; ".join(shown) or "none"
-    return "none" if value is None else str(value)
 
 
 @contextlib.contextmanager

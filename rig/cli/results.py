@@ -9,6 +9,7 @@ from dataclasses import asdict
 from typing import Any
 
 from rig.analysis.estimate import Estimate
+from rig.core.units import counted
 from rig.files.journal.values import Program, Results
 from rig.files.runfile.result_fields import ESTIMATE
 from rig.run.results import Difference, differences
@@ -37,34 +38,39 @@ def compared(stored: Results, now: Results | None) -> dict[str, Any]:
     return shown
 
 
-def compared_in_words(stored: Results, now: Results | None, whole: bool) -> dict[str, Any]:
-    """Return the stored results with a remark at each value that differs now, for reading.
-
-    Tables, such as the numbers of a film's model, are shown where `whole`; what differs in them is
-    shown in any case.
-    """
-    before = stored.program
-    said = f"{before.name} {_named(before, full=True)}"
+def compared_in_words(stored: Results, now: Results | None) -> dict[str, Any]:
+    """Return the stored results with a remark at each value that differs now, for reading."""
     found: dict[str, str] = {}
     if now is not None:
-        full = before.version == now.program.version
-        by, anew_by = _named(before, full), _named(now.program, full)
+        full = stored.program.version == now.program.version
+        by, anew_by = _named(stored.program, full), _named(now.program, full)
         found = {
             name: _remark(one, by, anew_by)
             for name, one in differences(stored.values, now.values).items()
         }
-        if before != now.program:
-            same = "" if found else ", which finds the same"
-            said += f"; this is {_named(now.program, full=True)}{same}"
-    return {"results": _in_words(stored.values, found, whole), "results_by": said}
+    return {"results": _in_words(stored.values, found), "results_by": computed_by(stored, now)}
 
 
-def computed_now(now: Results, as_json: bool, whole: bool) -> dict[str, Any]:
+def computed_now(now: Results, as_json: bool) -> dict[str, Any]:
     """Return the results of a file that has none, as the present program computes them."""
     if as_json:
         return {"results": now.values, "results_by": now.program.model_dump(), "stored": False}
-    by = f"computed now by {now.program.name} {_named(now.program, full=True)}; none are stored"
-    return {"results": _in_words(now.values, {}, whole), "results_by": by}
+    return {"results": _in_words(now.values, {}), "results_by": computed_by(None, now)}
+
+
+def computed_by(stored: Results | None, now: Results | None) -> str:
+    """Return which program has computed the results, and how many values the present one finds
+    otherwise; "" without results."""
+    if stored is None:
+        by = "" if now is None else f"{now.program.name} {_named(now.program, full=True)}"
+        return by and f"computed now by {by}; none are stored"
+    said = f"{stored.program.name} {_named(stored.program, full=True)}"
+    if now is None or (
+        (found := differences(stored.values, now.values)) == {} and (stored.program == now.program)
+    ):
+        return said
+    finds = f"{counted(len(found), 'value')} otherwise" if found else "the same"
+    return f"{said}; this is {_named(now.program, full=True)}, which finds {finds}"
 
 
 def _named(program: Program, full: bool) -> str:
@@ -84,12 +90,9 @@ def _remark(one: Difference, by: str, anew_by: str) -> str:
     return f"stored {_shown(one.stored)}{unit} by {by}, recomputed {anew} by {anew_by}"
 
 
-def _in_words(values: Mapping[str, Any], found: Mapping[str, str], whole: bool) -> dict[str, Any]:
-    """Return the values, or their remarks, with an estimate as a line; tables where `whole`."""
-    shown: dict[str, Any] = {}
-    for key, value in values.items():
-        if whole or not isinstance(value, Mapping):
-            shown[key] = _worded(value, found, str(key))
+def _in_words(values: Mapping[str, Any], found: Mapping[str, str]) -> dict[str, Any]:
+    """Return the values, or their remarks, with an estimate as a line."""
+    shown = {str(key): _worded(value, found, str(key)) for key, value in values.items()}
     elsewhere = {name: said for name, said in found.items() if name.partition(".")[0] not in shown}
     return shown | elsewhere
 

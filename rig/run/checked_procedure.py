@@ -114,6 +114,11 @@ class CheckedProcedure:
             raise self._fault(f"put_in() returned {_kind(found)}, not a mapping")
         return found
 
+    def in_brief(self, summary: Mapping[str, Any], put_in: Mapping[str, Any]) -> list[str]:
+        """Return the summary in a few lines."""
+        with self._blamed():
+            return [str(line) for line in self._procedure.in_brief(summary, put_in)]
+
     def _points(self, hook: str, found: Any) -> tuple[Point, ...]:
         points = tuple(found) if isinstance(found, (tuple, list)) else (found,)
         for point in points:

@@ -20,6 +20,7 @@ Hooks are called in this order:
     refine(readings)                  after the last point of the first plan: further points
     summarise(readings)               when the bench is safe and the data are on the disk
     put_in(readings, summary)         after it, for a run on a simulated bench
+    in_brief(summary, put_in)         when `rig show` shows the file
 
 The planning hooks (all but `check`, `arm` and `take`) must not touch an instrument: they are called
 without one, for instance when a batch is planned. The runner owns the loop between the hooks. From
@@ -43,6 +44,7 @@ from rig.bench.connected import Bench
 from rig.bench.settings import Fixture, FixtureSettings
 from rig.core.settings import Settings as BaseSettings
 from rig.files.journal.layout import Layout
+from rig.run.in_brief import single_values
 from rig.run.points import Point, Reading
 
 if TYPE_CHECKING:
@@ -204,3 +206,12 @@ class Procedure(ABC):
         list of tables a name has a list.
         """
         return {}
+
+    def in_brief(self, summary: Mapping[str, Any], put_in: Mapping[str, Any]) -> Sequence[str]:
+        """Return the summary in a few lines of at most 78 characters, the most important first.
+
+        ``rig show`` calls it for files of this and of earlier versions: `summary` and `put_in` are
+        those of the file. An exception costs nothing but the choice: the single values of the
+        summary are shown then, as they are by default.
+        """
+        return single_values(summary, put_in)

@@ -26,16 +26,18 @@ def test_an_interrupted_run_is_shown_and_verified_from_both_of_its_files(rig: An
         shown = rig.run("show", "--no-figures", name)
         assert shown.code == 0, shown.stderr
         for line in (
-            "status: stopped",
-            "reason: operator",
-            "points_done: 2",
+            "start_time: 2026-11-21 22:00:00+00:00, took 7.2 s of bench time",
+            "status: stopped (operator), 2 of 5 points",
             "user: A. Person (email a@example.org)",
             "sample: strip A (thickness_um 28.0)",
             "notes: first try",
             "bench: bench.toml",
-            "duration_s: 7.25",
+            "resume with: rig resume run.rigj",
         ):
             assert line in shown.stdout.splitlines(), (name, shown.stdout)
+        everything = rig.run("show", "--all", name).stdout.splitlines()
+        for line in ("status: stopped", "reason: operator", "points_done: 2", "duration_s: 7.25"):
+            assert line in everything
 
     (rig.folder / "run.rigj").unlink()
     for command in ("resume", "recover"):
@@ -68,7 +70,8 @@ def test_many_warnings_leave_the_rest_of_a_run_on_the_screen(rig: Any) -> None:
         told = [f"1 record at {n} Hz taken again" for n in range(1, 36)]
         writer.end(run.end("stopped", 1, warnings=told))
     short = rig.run("show", "run.rigj")
-    assert short.stdout.count("taken again") == 5
-    assert "... and 30 more; --all shows them" in short.stdout
+    assert 3 <= (named := short.stdout.count("taken again")) <= 12
+    assert f"... and {35 - named} more; --all shows them" in short.stdout
+    assert len(short.stdout.splitlines()) <= 23
     assert rig.run("show", "--all", "run.rigj").stdout.count("taken again") == 35
     assert rig.run("show", "--json", "run.rigj").stdout.count("taken again") == 35

@@ -1,0 +1,188 @@
+"""What matters of a file, for `rig show` without ``--all``: what was measured, the settings that
+differ from their defaults, the results with their verdicts, and how the run ended."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from datetime import datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from rig.cli.screen import COLUMNS, Section, end_of, on_a_screen
+from rig.cli.words import in_words
+from rig.core.errors import ConfigurationError, RigError
+from rig.core.units import counted, time_span
+
+if TYPE_CHECKING:
+    from rig.files.journal.values import Results, RunHeader
+    from rig.run.procedure import Procedure
+
+AT_DEFAULTS = "all at their defaults"
+MORE = "--all shows everything"
+MORE_AND_FIGURES = f"{MORE}, --figures draws the figures again"
+
+
+def of_run(
+    said: Mapping[str, Any],
+    header: RunHeader,
+    results: Results | None,
+    results_by: str,
+    analyses: Mapping[str, Mapping[str, Any]],
+) -> list[str]:
+    """Return the lines for a run, from its whole description `said`, its results and who has
+    computed them, and the values of analyses by what has computed these."""
+    head = [f"file: {end_of(said['file'], COLUMNS - 6)}", f"title: {said['title']}"]
+    procedure = _procedure(header)
+    head += [_times(said), _status(said, procedure)]
+    of = [str(said[name]) for name in ("bench", "fixture") if name in said]
+    head += [f"bench: {'; '.join(of)}"] if of else []
+    head += [
+        f"{name}: {said[name]}" for name in ("user", "sample", "notes", "accepted") if name in said
+    ]
+    if origin := said.get("origin"):
+        options = ", ".join(f"{name} {value}" for name, value in origin["options"].items())
+        head.append(f"origin: {origin['file_name']} ({origin['format']}); {options}")
+    sections = [_settings(_other_settings(said.get("settings", {}), procedure), rank=1)]
+    if results is not None:
+        lines = _brief(header, procedure, results)
+        scattered = any(" ± " in line for line in lines) and "trials" in results.values
+        name = "results (mean ± standard deviation)" if scattered else "results"
+        sections.append(Section(name, lines, rank=0))
+    for name, found in analyses.items():
+        sections.append(Section(name, [f"{k}: {in_words(v)}" for k, v in found.items()], rank=2))
+    sections.append(Section("warnings", said.get("warnings", ()), rank=3))
+    foot = [f"results_by: {results_by}"] if results_by else []
+    if (journal := Path(said["file"]).with_suffix(".rigj")).exists() and _can_be_resumed(said):
+        foot.append(f"resume with: rig resume {end_of(str(journal), COLUMNS - 25)}")
+    return on_a_screen(head, sections, [*foot, MORE_AND_FIGURES])
+
+
+def of_processed(said: Mapping[str, Any], usual: Mapping[str, Any]) -> list[str]:
+    """Return the lines for a processed file, from its whole description and the parameters that its
+    detector has by default."""
+    names = [f"{said['detector']} {said['version']}", said.get("package", "")]
+    head = [f"file: {end_of(said['file'], COLUMNS - 6)}", f"title: {said['title']}"]
+    head += [f"run: {end_of(said['run'], COLUMNS - 5)}"]
+    if "start_time" in said:
+        head.append(f"start_time: {_readable(said['start_time'])}")
+    head.append(f"detector: {', '.join(filter(None, names))}")
+    changed = {k: v for k, v in said["parameters"].items() if k not in usual or usual[k] != v}
+    events = [(trial, event) for trial, found in said["trials"].items() for event in found]
+    kinds = Counter(event.partition(" at ")[0] for _, event in events)
+    slips = [f"{trial}: {event}" for trial, event in events if event.startswith("incipient slip")]
+    others = [f"{trial}: {event}" for trial, event in events if "judge" in event]
+    found = ", ".join(f"{number} {kind}" for kind, number in kinds.items())
+    trials = counted(len(said["trials"]), "trial")
+    sections = [
+        Section("parameters", [_pairs(changed) or AT_DEFAULTS], rank=1),
+        Section("found", [f"{found} in {trials}", *slips, *others], rank=0),
+    ]
+    return on_a_screen(head, sections, [MORE_AND_FIGURES])
+
+
+def of_model(said: Mapping[str, Any]) -> list[str]:
+    """Return the lines for a file of the skin model, from its description in words."""
+    head = [f"file: {end_of(said['file'], COLUMNS - 6)}", f"title: {said['title']}"]
+    head.append(f"program: {said['program']}")
+    results = [f"{name}: {value}" for name, value in said["results"].items()]
+    settings = _settings(said["settings"], rank=1)
+    return on_a_screen(head, [settings, Section("results", results, rank=0)], [MORE])
+
+
+def _times(said: Mapping[str, Any]) -> str:
+    begun = _readable(said["start_time"]) if "start_time" in said else "unknown"
+    of = "of bench time" if said.get("simulated") else ""
+    return f"start_time: {begun}, took {time_span(said['duration_s'])} {of}".rstrip()
+
+
+def _readable(time: str) -> str:
+    """Return an ISO time with a space, to the second."""
+    return datetime.fromisoformat(time).isoformat(" ", "seconds")
+
+
+def _status(said: Mapping[str, Any], procedure: type[Procedure] | None) -> str:
+    noun = ("point", "points") if procedure is None else procedure.point_name
+    reason = f" ({said['reason']})" if "reason" in said else ""
+    done = f"{said['points_done']} of {counted(said['points_planned'], *noun)}"
+    again = f", attempt {said['attempt']}" if said["attempt"] > 1 else ""
+    return f"status: {said['status']}{reason}, {done}{again}"
+
+
+def _can_be_resumed(said: Mapping[str, Any]) -> bool:
+    return said["status"] != "complete" and not said.get("imported")
+
+
+def _settings(other: Any, rank: int) -> Section:
+    text = other if isinstance(other, str) else _pairs(_flat(other))
+    return Section("settings", [text or AT_DEFAULTS], rank)
+
+
+def _procedure(header: RunHeader) -> type[Procedure] | None:
+    """Return the procedure of a run; None where it is not installed, or broken."""
+    from rig.core.entry_points import PROCEDURES, names
+    from rig.run.load_procedure import load_procedure
+
+    if header.procedure not in names(PROCEDURES):
+        return None
+    try:
+        return load_procedure(header.procedure)
+    except ConfigurationError:
+        return None
+
+
+def _other_settings(
+    settings: Mapping[str, Any], procedure: type[Procedure] | None
+) -> Mapping[str, Any]:
+    """Return the settings that differ from the defaults of the installed procedure; all of them
+    where it is not installed."""
+    if procedure is None:
+        return settings
+    fields = procedure.Settings.model_fields
+    usual = {
+        name: field.get_default(call_default_factory=True)
+        for name, field in fields.items()
+        if not field.is_required()
+    }
+    return {
+        name: value
+        for name, value in settings.items()
+        if name not in usual or _as_json(usual[name]) != _as_json(value)
+    }
+
+
+def _as_json(value: Any) -> Any:
+    """Return a setting as JSON keeps it: a tuple becomes a list."""
+    return json.loads(json.dumps(value))
+
+
+def _brief(header: RunHeader, procedure: type[Procedure] | None, results: Results) -> Sequence[str]:
+    """Return the results as the procedure has them in brief; their single values where it is not
+    installed or takes none that another version has stored."""
+    from rig.run.checked_procedure import CheckedProcedure
+    from rig.run.in_brief import single_values
+
+    if procedure is not None:
+        try:
+            settings = procedure.Settings.model_validate_json(json.dumps(header.settings))
+            return CheckedProcedure(procedure(settings)).in_brief(results.values, results.put_in)
+        except (RigError, ValueError):  # ValueError: settings of another version
+            pass
+    return single_values(results.values, results.put_in)
+
+
+def _flat(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Return nested values by dotted names."""
+    found: dict[str, Any] = {}
+    for name, value in values.items():
+        if isinstance(value, Mapping):
+            found |= _flat(value, f"{prefix}{name}.")
+        else:
+            found[prefix + name] = value
+    return found
+
+
+def _pairs(values: Mapping[str, Any]) -> str:
+    """Return names and values in a line: ``trials 20, loads_N 0.5; 2``."""
+    return ", ".join(f"{name} {in_words(value)}" for name, value in _flat(values).items())

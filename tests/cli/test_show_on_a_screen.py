@@ -1,0 +1,177 @@
+"""`rig show FILE` fits a terminal of 24 lines and 80 columns, prompt included, for every kind of
+file, and names what matters there."""
+
+from __future__ import annotations
+
+import json
+import signal
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+from packages import install, on_path
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "files"))
+sys.path.insert(0, str(Path(__file__).parents[1] / "figures"))
+
+import recorded
+import recorded_run
+
+from rig.cli.screen import Section, on_a_screen
+from rig.files.journal.writer import JournalWriter
+
+LINES, COLUMNS = 23, 80
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Run files of the simulated bench."""
+    return recorded.unpack(tmp_path_factory.mktemp("runs"))
+
+
+def shown(rig: Any, *names: Path | str) -> str:
+    """What `rig show` prints, whose size is checked."""
+    done = rig.run("show", *map(str, names))
+    assert done.code == 0, done.stderr
+    lines = done.stdout.splitlines()
+    assert len(lines) <= LINES, done.stdout
+    assert max(map(len, lines)) <= COLUMNS, done.stdout
+    assert "status: " in done.stdout or "detector: " in done.stdout or "program: " in done.stdout
+    return str(done.stdout)
+
+
+# --- files of the repository ----------------------------------------------------------------------
+
+
+def test_trials_show_validity_friction_and_what_is_assumed(rig: Any, folder: Path) -> None:
+    said = shown(rig, folder / recorded.TWO_SLIDES)
+    assert "status: complete, 2 of 2 trials" in said
+    assert "speed_mm_s 0.7, distance_mm 0.25" in said
+    assert "  valid: 2 of 2 trials" in said
+    assert "  mean_static_friction: 0.6" in said
+    assert " ± " in said
+    assert "ASSUM" in said
+
+
+def test_a_roll_and_a_sweep_show_theirs(rig: Any, folder: Path) -> None:
+    said = shown(rig, folder / recorded.ROLL)
+    assert "  mean_peak_1_mV: " in said
+    said = shown(rig, folder / recorded.SWEEP)
+    assert "film-clamp, simulated film 0" in said
+    assert "loads_N 0.5; 2" in said
+
+
+def test_a_processed_file_shows_its_detector_and_the_slips(rig: Any, folder: Path) -> None:
+    done = rig.run("detect", "--json", str(folder / recorded.TWO_SLIDES), "--to", str(rig.folder))
+    assert done.code == 0, done.stderr
+    said = shown(rig, *rig.folder.glob("*.h5"))
+    assert "detector: paper-hp 3" in said
+    assert "parameters: all at their defaults" in said
+    assert "  trial-001: incipient slip at " in said
+
+
+def test_a_run_that_was_killed_shows_how_to_go_on(rig: Any) -> None:
+    with JournalWriter.create(rig.folder / "run.rigj", recorded_run.header()) as writer:
+        recorded_run.take_point(writer, 0)
+    said = shown(rig, "run.rigj")
+    assert "status: failed (" in said
+    assert "resume with: rig resume run.rigj" in said
+
+
+def test_nothing_that_is_shown_leaves_the_whole_description(rig: Any, folder: Path) -> None:
+    everything = rig.run("show", "--all", str(folder / recorded.TWO_SLIDES)).stdout
+    run = "file procedure title start_time status points_done points_planned duration_s attempt"
+    for name in f"{run} simulated bench fixture program settings results results_by".split():
+        assert f"\n{name}:" in f"\n{everything}", name
+    for name in ("mean_touch_gain_1_dB", "force_zero_N", "put_in", "standard_errors", "tick_Hz"):
+        assert f"\n  {name}:" in everything, name
+
+
+def test_sections_share_what_is_left_by_their_rank() -> None:
+    long = " ".join(["word"] * 40)
+    sections = [Section("settings", [long] * 9, 1), Section("results", [long] * 30, 0)]
+    lines = on_a_screen(["file: a", "title: \x1b[2J" + long], sections, ["foot " * 90])
+    assert len(lines) == LINES
+    assert max(map(len, lines)) <= COLUMNS
+    assert "\x1b" not in "".join(lines)
+    results = lines.index("results:")
+    assert lines[results - 1] == "  ... and 8 more; --all shows them"
+    assert lines[-3].startswith("  ... and ")
+    whole = on_a_screen([], [Section("warnings", [long], 3)], [])
+    assert whole[0] == "warnings:"
+    assert " ".join(line.strip() for line in whole[1:]) == long
+
+
+def test_values_of_another_procedure_are_shown_one_by_one(rig: Any, tmp_path: Path) -> None:
+    """Its package is not installed."""
+    header = recorded_run.header(procedure="creep")
+    with JournalWriter.create(rig.folder / "run.rigj", header) as writer:
+        for number in range(5):
+            recorded_run.take_point(writer, number)
+        writer.end(recorded_run.end())
+    assert "status: complete, 5 of 5 points" in shown(rig, "run.rigj")
+
+
+# --- files that the program writes now ----------------------------------------------------------
+
+
+@pytest.mark.thorough
+def test_whole_sweeps_fit(rig: Any) -> None:
+    short = ("--coarse-per-decade", "4", "--fine-per-decade", "12")
+    for loads in ((), ("--loads", "1,5")):
+        done = rig.sweep(*short, *loads)
+        assert done.code == 0, done.stderr
+        said = shown(rig, done.object["file"])
+        for text in (
+            "  20 dB/decade (stress rate): holds",
+            "(World: 20)",
+            "  level b at 1 Hz: ",
+            "  corner: 145",
+            "  joint fit: χ² = ",
+        ):
+            assert text in said
+        assert said.count("  notch: ") == 3
+        assert ("does not depend on the load: holds" in said) == bool(loads)
+
+
+@pytest.mark.thorough
+def test_a_part_of_the_range_says_what_it_cannot_decide(rig: Any) -> None:
+    done = rig.sweep("--lowest", "20", "--highest", "2000", "--points-per-half-width", "0")
+    assert "cannot be decided by these data (" in shown(rig, done.object["file"])
+
+
+@pytest.mark.thorough
+def test_trials_of_every_kind_fit(rig: Any) -> None:
+    quick = ("--rest", "100ms", "--no-figures", "--json")
+    for arguments in (
+        ("slip-trial", "--distance", "0.3", "-n", "4"),
+        ("slip-trial", "--distance", "0.3", "--force-error-rms", "0.001"),
+        ("roll-trial", "--angle", "2"),
+        ("path-trial",),
+    ):
+        done = rig.run(*arguments, *quick)
+        assert done.code in (0, 5), done.stderr
+        said = shown(rig, done.object["file"])
+        assert "  valid: " in said
+        assert ("invalid" in said) == (done.code == 5)
+
+
+@pytest.mark.thorough
+def test_an_interrupted_example_and_its_whole_run_fit(rig: Any, tmp_path: Path) -> None:
+    registered = "[rig.procedures]\ncreep = procedures.example:Creep\n"
+    on_path(rig, install(tmp_path / "site", "lab-creep", registered))
+    logged = ("--world-log", str(rig.world_log), "--json", "--no-figures")
+    running = rig.start("creep", "--hold", "8s", "-n", "3", *logged)
+    rig.await_world("touch-down", count=2)
+    running.send(signal.SIGINT)
+    stopped = running.finish()
+    assert stopped.code == 130, stopped.stderr
+    for file in (stopped.object["file"], stopped.object["journal"]):
+        said = shown(rig, file)
+        assert "status: stopped (" in said
+        assert "resume with: rig resume " in said
+    done = rig.run("resume", stopped.object["journal"], "--no-figures", "--json")
+    assert done.code == 0, done.stderr
+    assert "  mean_creep_um: " in shown(rig, done.object["file"])
+    assert json.loads(rig.run("show", "--json", done.object["file"]).stdout)["points_done"] == 3
