@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
@@ -75,6 +76,8 @@ class PolledStage:
         self.commanded_mm = 0.0
         self.in_motion = False
         self.latest = StagePoll()
+        self.on_command: Callable[[float, float], None] = lambda to_mm, speed_mm_s: None
+        """Called with target and speed of every move that is asked for; with 0 mm/s for a stop."""
 
     @property
     def looked(self) -> Look:
@@ -94,7 +97,13 @@ class PolledStage:
     def start_move(self, position_mm: float, speed_mm_s: float) -> None:
         """Ask the stage's link to begin a move, or to change the target of the one under way."""
         self.commanded_mm = position_mm
+        self.on_command(position_mm, speed_mm_s)
         self.links.ask(self.role, "target", lambda: self.stage.start_move(position_mm, speed_mm_s))
+
+    def stop(self) -> None:
+        """Stop the stage, in the calling thread."""
+        self.stage.stop()
+        self.on_command(self.commanded_mm, 0.0)
 
 
 @dataclass

@@ -9,7 +9,9 @@ tick of the servo waits for either. One that fails ends the detection and nothin
 from __future__ import annotations
 
 import threading
+from collections import deque
 from collections.abc import Callable
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -30,6 +32,7 @@ if TYPE_CHECKING:
 
     from procedures.pressed.reading import TrialRecord
     from rig.core.clock import Clock
+    from rig.detector.commands import XMove
     from rig.detector.events import SlipEvent
     from rig.run.context import Run
 
@@ -56,6 +59,10 @@ class LiveDetection:
         self.name = name
         self.woken = threading.Event()
         """Set while `news` or `failure` has something to return."""
+        self.moves: list[XMove] = []
+        """Moves of x in this record, from the rows on from which the detector knew of them."""
+        self._commands: deque[XMove] = deque()
+        """Commanded, and not given to the detector yet."""
         self._rows = 0
         self._live: LiveDetector | None = None
         if name != NO_DETECTOR:
@@ -64,19 +71,38 @@ class LiveDetection:
 
     def begin(self) -> None:
         """Begin a record: the rows count from 0 again."""
-        self._rows = 0
+        self._rows, self.moves = 0, []
+        self._commands.clear()
         if self._live is not None:
             self._live.begin()
             self._live.take()  # what came too late for the record before
 
     def judge(self, volts: npt.NDArray[np.float64]) -> None:
         """Judge the next rows (n, 2) of v_1 and v_2 in V. Raises nothing."""
+        self._give_commands()
         first, self._rows = self._rows, self._rows + len(volts)
         if self._live is not None and len(volts):
             self._live.add(volts, first)
 
+    def command(self, move: XMove) -> None:
+        """Say that x was commanded to move, before the rows that show it. Raises nothing and waits
+        for nothing: the detector knows of it with the next block."""
+        self._commands.append(move)
+
+    def _give_commands(self) -> None:
+        """Give the detector the commands since the last block, from its next row on where an
+        earlier one was meant. They are stored as they were given, so that a file is judged like the
+        trial."""
+        for _ in range(len(self._commands)):
+            move = self._commands.popleft()
+            move = replace(move, sample=max(move.sample, self._rows))
+            self.moves.append(move)
+            if self._live is not None:
+                self._live.command(move)
+
     def finish(self) -> None:
         """End the record: what the detector reports at its end follows. Raises nothing."""
+        self._give_commands()
         if self._live is not None:
             self._live.finish()
 

@@ -122,6 +122,12 @@ RECORDED = (
     Column("filter_delay", "s", "Delay of the anti-alias filter"),
     Column("detector", "", "Detector of slip during the trial", "text"),
     Column("detections", "", "What it found during the trial, as JSON", "text"),
+    Column(
+        "x_moves",
+        "",
+        "Commands to x as JSON: from sample, mm/s, to sample",
+        "text",
+    ),
 )
 """Columns on the quality of the record."""
 

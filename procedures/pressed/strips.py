@@ -95,6 +95,7 @@ class StripRecorder:
             self._record_blocks()
             self._run.check_stop()
         self._detection.finish()
+        self._record.x_moves = self._detection.moves
 
     def stop(self) -> None:
         """End the acquisition."""

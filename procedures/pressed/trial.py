@@ -22,6 +22,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from procedures.pressed.axes import ArrivalWatch, PolledStage, PressingStage, SentMove
+from procedures.pressed.commanded_x import CommandedX
 from procedures.pressed.contact import SETTLED_S, come_close, tare_in_free_air
 from procedures.pressed.earlier_runs import EarlierPress
 from procedures.pressed.grip import Grip
@@ -83,6 +84,8 @@ class PressedTrial:
         self.recorder = TickRecorder(
             run, record, self.links, stages, poll_rate_Hz, series.detection
         )
+        self._commanded_x = CommandedX(run.clock, record, series.detection)
+        self.x.on_command = self._commanded_x.command
         self._ticks = TrialTicks(run, self.links, self.recorder, record.loops, rates.tick_s)
         self._hold: ForceHold | None = None
         self.grip = Grip(run, record, self._squeeze)
@@ -113,6 +116,7 @@ class PressedTrial:
     def start_recording(self) -> None:
         """Begin to record strips, forces and positions."""
         self.recorder.start()
+        self._commanded_x.begin(self.x.commanded_mm)
 
     def press(self) -> None:
         """Press the object with the normal force, no faster than the force allows; tap, and rest
@@ -209,7 +213,7 @@ class PressedTrial:
 
         self.run_ticks(longest_s, move)
         if not arrival.arrived:
-            x.stage.stop()
+            x.stop()
             raise InstrumentError(
                 "stage_x",
                 "move",
@@ -223,12 +227,13 @@ class PressedTrial:
         if (missing_s := self.record.motion_from_s + least_s - self.since_s()) > 0:
             self.hold(missing_s)
         self.end_motion()
-        self.x.stage.stop()
+        self.x.stop()
         self.hold(AFTER_S)
         self.x.in_motion = False
 
     def stop_recording(self) -> None:
         """Record what has still come, and end the acquisition."""
+        self._commanded_x.end()
         self.recorder.stop()
 
     def lift(self) -> None:

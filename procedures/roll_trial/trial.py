@@ -209,7 +209,7 @@ class RollTrialRun(HeadTrial):
         self.end_motion()
         self.hold(AFTER_S)
         self.rotary.stage.stop()
-        self.x.stage.stop()
+        self.x.stop()
         self.x.in_motion = self.rotary.in_motion = False
         self.record.end_deg = self.rotary.angle_deg
 

@@ -74,7 +74,7 @@ class SlipTrialRun(PressedTrial):
         self.end_motion()
         if series.shift is None and not self.record.squeezes:
             series.shift = self.contact_shift
-        x.stage.stop()
+        x.stop()
         self.hold(AFTER_S)
         x.in_motion = False
 

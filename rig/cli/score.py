@@ -79,8 +79,8 @@ Detectors = Annotated[
     list[str] | None,
     typer.Option(
         "--detector",
-        help="Detector to score: rig, paper-literal, paper-hp, or one of another package (rig "
-        f"detectors); repeatable. Default: {DEFAULT_DETECTOR}.",
+        help="Detector to score: impulse, rig, paper-literal, paper-hp, or one of another package "
+        f"(rig detectors); repeatable. Default: {DEFAULT_DETECTOR}.",
         metavar="NAME",
     ),
 ]

@@ -9,7 +9,7 @@ from typing import ClassVar, cast
 
 from rig.core import settings as core_settings
 from rig.detector.detector import IncipientSlipDetector, NETWORK_RATE_Hz
-from rig.detector.settings import DetectorSettings, Logic, named_detectors
+from rig.detector.settings import DetectorSettings, ImpulseSettings, Logic, named_detectors
 
 
 class _OwnDetector(IncipientSlipDetector):
@@ -59,6 +59,19 @@ class PaperLiteral(_Published):
     """The paper's logic, read literally: v_d itself passes a threshold while armed."""
 
     name = "paper-literal"
+
+
+class Impulse(_Published):
+    """As paper-hp, with a threshold that follows the first touch and the commands of x."""
+
+    Settings = ImpulseSettings
+    version = "1"
+    name = "impulse"
+
+    @classmethod
+    def seeds_seen(cls, settings: core_settings.Settings) -> tuple[int, int] | None:
+        """Returns the seeds of the trials on which the thresholds were chosen."""
+        return 0, 30
 
 
 class PaperHighPassed(_Published):

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
+from collections import deque
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
@@ -21,6 +22,8 @@ from rig.detector.low_pass import LowPass, LowPassSettings, design_low_pass
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
+
+    from rig.detector.commands import XMove
 
 Reals = NDArray[np.float64]
 
@@ -65,6 +68,8 @@ class Detector(ABC):
         """Voltage at which a channel counts as saturated, so that resampling keeps it so."""
         self._rows = 0
         self._begun = False
+        self._x_mm_s = 0.0
+        self._changes: deque[tuple[int, float]] = deque()
 
     @classmethod
     def accepts(cls, rate_Hz: float) -> bool:
@@ -98,6 +103,12 @@ class Detector(ABC):
     def judge(self, volts: Reals) -> list[SlipEvent]:
         """Returns the events (see `event`) decided in further rows (n, 2) of v_1 and v_2 in V. All
         values are finite; n may be any number, also 0. Do not keep or change the array."""
+
+    def commanded(  # noqa: B027 - a hook
+        self, before_mm_s: float, after_mm_s: float
+    ) -> None:
+        """Called before the row at which the commanded speed of x changes, in a trial of which the
+        commands are known. Optional: it does nothing."""
 
     def end(self) -> list[SlipEvent]:
         """Returns the events due at the end of a recording. `row` of `event` must then be -1."""
@@ -145,9 +156,28 @@ class Detector(ABC):
         if not self._begun:
             self.reset()
             self._begun = True
-        events += self.judge(rows)
-        self._rows += len(rows)
+        # Cut where the commanded motion changes: a detector's events do not depend on cuts.
+        first, end = self._rows, self._rows + len(rows)
+        while self._changes and self._changes[0][0] < end:
+            sample, speed_mm_s = self._changes.popleft()
+            sample = max(sample, self._rows)  # behind a gap it may be past
+            events += self.judge(rows[self._rows - first : sample - first])
+            self._rows = sample
+            self.commanded(self._x_mm_s, speed_mm_s)
+            self._x_mm_s = speed_mm_s
+        events += self.judge(rows[self._rows - first :])
+        self._rows = end
         return events
+
+    def command(self, move: XMove) -> None:
+        """Takes a move of x that was commanded, in the order of the commands. It takes the place of
+        what earlier ones say of later rows, and begins at the next row at the earliest."""
+        sample = max(move.sample, self._rows)
+        while self._changes and self._changes[-1][0] >= sample:
+            self._changes.pop()
+        self._changes.append((sample, move.speed_mm_s))
+        if move.speed_mm_s:
+            self._changes.append((max(move.until, sample + 1), 0.0))
 
     def finish(self) -> list[SlipEvent]:
         """Returns the events due at the end of a recording."""

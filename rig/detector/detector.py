@@ -19,7 +19,7 @@ from rig.detector.contract import Detector, FASTEST_Hz, SLOWEST_Hz  # noqa: E402
 from rig.detector.events import EVENT_KINDS, UNJUDGED, SlipEvent  # noqa: E402
 from rig.detector.filter_design import butterworth_high_pass  # noqa: E402
 from rig.detector.low_pass import LowPass, design_low_pass  # noqa: E402
-from rig.detector.settings import DetectorSettings  # noqa: E402
+from rig.detector.settings import DetectorSettings, ImpulseSettings  # noqa: E402
 
 Reals = NDArray[np.float64]
 
@@ -32,7 +32,14 @@ MAINS_Hz = (50.0, 60.0)
 """Mains frequencies at which hum is looked for."""
 _SLICE = 4096
 _MOST_A_ROW = 8
-_LOGICS = {"rig": kernel.RIG, "paper-literal": kernel.LITERAL, "paper-hp": kernel.HIGH_PASSED}
+_LOGICS = {
+    "rig": kernel.RIG,
+    "paper-literal": kernel.LITERAL,
+    "paper-hp": kernel.HIGH_PASSED,
+    "impulse": kernel.IMPULSE,
+}
+BRAKES_BELOW = 0.5
+"""x brakes where its commanded speed along its way falls below this share of what it was."""
 
 
 @dataclass(frozen=True)
@@ -46,7 +53,7 @@ class NetworkInputs:
 
 
 class IncipientSlipDetector(Detector):
-    """The three detectors of this project: which one it is, its settings say.
+    """The detectors of this project: which one it is, its settings say.
 
     The events depend on the rows alone, to the last bit, and not on how they were cut into blocks.
 
@@ -84,6 +91,9 @@ class IncipientSlipDetector(Detector):
         self.saturation_V = settings.saturation_V
         self._low_pass = design_low_pass(settings.low_pass, rate_Hz)
         self._constants = _constants(settings, rate_Hz, self._low_pass)
+        self._braking_rows = 0
+        if isinstance(settings, ImpulseSettings):
+            self._braking_rows = round(settings.braking_s * rate_Hz)
         self._sections = butterworth_high_pass(settings.impulse_Hz, rate_Hz)
         inputs = len(kernel.INPUTS if settings.network is None else settings.network.inputs)
         if settings.network is None:
@@ -116,6 +126,11 @@ class IncipientSlipDetector(Detector):
             count = self._advance(volts[begin : begin + _SLICE], self._seen, self._unseen)
             events += [self._event(row) for row in self._events[:count]]
         return events
+
+    def commanded(self, before_mm_s: float, after_mm_s: float) -> None:
+        """Notes that x brakes, for the logic ``impulse``."""
+        if before_mm_s * after_mm_s < BRAKES_BELOW * before_mm_s**2:
+            self._state["braking_rows"] = self._braking_rows
 
     def end(self) -> list[SlipEvent]:
         """Returns one event if there never was a quiet piece to measure offset and noise on, and
@@ -176,8 +191,14 @@ def _constants(settings: DetectorSettings, rate_Hz: float, low_pass: LowPass) ->
     ms = rate_Hz / 1e3
     c = np.zeros(1, kernel.CONSTANTS)
     c["logic"] = _LOGICS[settings.logic]
-    c["adapts"] = settings.network is not None and settings.network.inputs == kernel.INPUTS
+    c["adapts"] = settings.logic == "impulse" or (
+        settings.network is not None and settings.network.inputs == kernel.INPUTS
+    )
     c["ms"] = ms
+    c["least_unit"], c["touch_exponent"] = kernel.LEAST_UNIT, 1.0
+    if isinstance(settings, ImpulseSettings):
+        c["least_unit"] = kernel.LEAST_UNIT_OF_IMPULSE
+        c["touch_exponent"], c["braking_share"] = settings.touch_exponent, settings.braking_share
     c["quiet_rows"] = round(settings.quiet_s * rate_Hz)
     c["least_noise"] = settings.least_noise_mV
     c["low_noise"] = math.sqrt(float(np.sum(low_pass.taps**2)))

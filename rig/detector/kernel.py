@@ -48,7 +48,7 @@ REASONS = (
     "too noisy: a slip would not stand out from the noise",
 )
 """Reasons of events that reject or cannot judge, in the order of the constants above."""
-RIG, LITERAL, HIGH_PASSED = range(3)
+RIG, LITERAL, HIGH_PASSED, IMPULSE = range(4)
 """Logics, in the order of the names in `rig.detector.detector`."""
 
 AVERAGES_ms = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0)
@@ -80,8 +80,9 @@ STANDARD_TOUCH = 1720.0
 """Sum of v_s over a touch-down to 4 N on the reference skin, in mV ms. It is 400 to 444 mV ms for
 each N (seeds 0 to 7 of the population, 2.4 to 7.0 N), whatever the speed of pressing: the charge
 of the film follows the force."""
-LEAST_UNIT, LARGEST_UNIT = 0.2, 4.0
-"""Bounds of the unit of the touch, as shares of the standard one. A ridge that is touched more
+LEAST_UNIT, LEAST_UNIT_OF_IMPULSE, LARGEST_UNIT = 0.2, 0.05, 4.0
+"""Bounds of the unit of the touch, as shares of the standard one; the second is that of the logic
+``impulse``, whose threshold follows the touch less steeply. A ridge that is touched more
 lightly than the lower one slips with an impulse that is hardly smaller (decision 0107)."""
 LEAST_TOUCH, TOUCH_SIGMAS = 6.0, 30.0
 """Smallest sum of a touch-down: in mV ms, and in standard deviations of v_s times ms, which is
@@ -165,6 +166,7 @@ STATE = np.dtype(
         ("known_rows", "i8"),  # rows on which offset and noise could be measured
         ("noises", "f8", (4, NOISE_PIECES)),  # of the latest pieces
         ("noise_pieces", "i8", (4,)),  # number of pieces so far
+        ("braking_rows", "i8"),  # rows for which x counts as braking by command
     ]
 )
 """State of the detector between two rows. All voltages are in mV."""
@@ -172,7 +174,7 @@ STATE = np.dtype(
 CONSTANTS = np.dtype(
     [
         ("logic", "i8"),
-        ("adapts", "i8"),  # 1 for a network of INPUTS
+        ("adapts", "i8"),  # 1 for a network of INPUTS and for the logic ``impulse``
         ("ms", "f8"),  # rows in a millisecond
         ("quiet_rows", "i8"),
         ("least_noise", "f8"),
@@ -201,6 +203,9 @@ CONSTANTS = np.dtype(
         ("drift_share", "f8", (2,)),
         ("warm_up_rows", "i8"),
         ("rolling_rows", "i8"),
+        ("least_unit", "f8"),
+        ("touch_exponent", "f8"),  # of thresholds by the unit
+        ("braking_share", "f8"),
     ]
 )
 """Settings of the detector, converted to rows and mV."""
@@ -319,7 +324,7 @@ def advance(
         reported = _say_whether_it_judges(s, c, events, reported)
         if s.ready:
             reported = _update_features(first, second, s, c, events, reported)
-            if c.logic == RIG:
+            if c.logic == RIG or c.logic == IMPULSE:
                 _follow_touch(s, c)
             reported = _arm(s, c, events, reported)
             if c.logic == RIG:
@@ -333,6 +338,8 @@ def advance(
                 if looked.size:
                     looked[k] = looks
                 reported = _decide(looks, s, c, events, reported)
+            elif c.logic == IMPULSE:
+                reported = _compare_with_touch(s, c, events, reported)
             else:
                 reported = _compare(first, second, s, c, events, reported)
         s.row += 1
@@ -375,7 +382,7 @@ def _say_whether_it_judges(s: Any, c: Any, events: Any, reported: int) -> int:
             reason = NOT_QUIET
     elif c.adapts and _has_touched(s):
         # A fifth less is asked for to judge again, so that it does not go to and fro.
-        most = MOST_NOISE * s.unit * (0.8 if s.unjudged == TOO_NOISY else 1.0)
+        most = MOST_NOISE * s.unit**c.touch_exponent * (0.8 if s.unjudged == TOO_NOISY else 1.0)
         if s.fast_noise[0] > most:
             reason = TOO_NOISY
     if reason == NO_REASON and s.unjudged != NO_REASON:
@@ -723,7 +730,7 @@ def _follow_touch(s: Any, c: Any) -> None:
     if not c.adapts:
         return
     s.light = share < LIGHT_TOUCH
-    s.unit = min(max(share, LEAST_UNIT), LARGEST_UNIT)
+    s.unit = min(max(share, c.least_unit), LARGEST_UNIT)
     for j in range(2):
         moved = s.average[j, _A - 1]
         s.offset[j] += moved
@@ -807,6 +814,27 @@ def _compare(first: float, second: float, s: Any, c: Any, events: Any, reported:
         s.mute_rows = c.silent_rows
         return _report(REJECTED, confidence, NOT_ARMED, level, threshold, s, events, reported)
     return reported
+
+
+@njit(cache=True, error_model="numpy")
+def _compare_with_touch(s: Any, c: Any, events: Any, reported: int) -> int:
+    """Logic ``impulse``: reports a slip where the impulse is above a threshold that grows with the
+    touch-down, while the ridge touches, whether it is armed or not.
+
+    A stop or a turn of x that was commanded changes v_d by about its level, hence the larger
+    threshold for some time after it. In a record that begins in contact the motion has to arm.
+    """
+    level = abs(s.fast[0])
+    threshold = max(c.fire[0] * s.unit**c.touch_exponent, c.fire[1] * s.fast_noise[0])
+    if s.braking_rows > 0:
+        s.braking_rows -= 1
+        threshold += c.braking_share * s.slow_peak[0]
+    touches = _has_touched(s) or (s.stage == NO_TOUCH and s.armed)
+    if level <= threshold or not touches or s.unjudged != NO_REASON or s.silent_rows > 0:
+        return reported
+    s.silent_rows = c.silent_rows
+    confidence = level / (level + threshold)
+    return _report(SLIP, confidence, NO_REASON, level, threshold, s, events, reported)
 
 
 @njit(cache=True, error_model="numpy")

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.core.settings import Settings
+from rig.detector.commands import XMove
 from rig.detector.contract import Detector
 from rig.detector.events import SlipEvent
 from rig.detector.fir import kaiser_low_pass
@@ -193,6 +194,13 @@ class ResampledDetector(Detector):
         first = self._resampler.outputs
         rows = self._resampler.add(volts)
         return [] if not len(rows) else self._at_rows(self._inner.add(rows, first_sample=first))
+
+    def command(self, move: XMove) -> None:
+        """Passes a commanded move of x on, at the judged rows that come next."""
+        judged = self._resampler.ratio.outputs_before
+        sample = max(move.sample, self.rows)
+        until = judged(max(move.until, sample))
+        self._inner.command(XMove(judged(sample), move.speed_mm_s, until))
 
     def end(self) -> list[SlipEvent]:
         """Returns the events due at the end of a recording."""

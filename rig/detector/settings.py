@@ -12,7 +12,7 @@ from rig.core.settings import Settings
 from rig.detector.low_pass import LowPassSettings
 from rig.detector.network import Network, trained_network
 
-Logic = Literal["rig", "paper-literal", "paper-hp"]
+Logic = Literal["rig", "paper-literal", "paper-hp", "impulse"]
 """Names of the detector logics."""
 
 
@@ -25,7 +25,8 @@ class DetectorSettings(Settings):
 
     logic: Logic = "rig"
     """Logic of the detector. ``paper-literal``: v_d itself exceeds a threshold while armed (paper
-    4.3); ``paper-hp``: v_d above `impulse_Hz` does; ``rig``: `network` judges both channels."""
+    4.3); ``paper-hp``: v_d above `impulse_Hz` does; ``rig``: `network` judges both channels;
+    ``impulse``: see `ImpulseSettings`."""
     low_pass: LowPassSettings = LowPassSettings()
     """Low-pass filter that extracts the predictive signal from v_d."""
     impulse_Hz: float = Field(100.0, gt=0)
@@ -79,6 +80,32 @@ class DetectorSettings(Settings):
         return self
 
 
+class ImpulseSettings(DetectorSettings):
+    """Parameters of the logic ``impulse``: as ``paper-hp``, but the threshold follows the first
+    touch-down, the motion need not arm, and commands of x are used where they are known.
+
+    They were chosen on trials of the simulated bench (decision 0116).
+    """
+
+    logic: Logic = "impulse"
+    fire_mV: float = Field(8.0, gt=0)
+    """After the standard touch-down (to 4 N on the reference skin) an impulse above this threshold
+    is a slip ..."""
+    fire_sigmas: float = Field(6.0, gt=0)
+    """... if it is also above this many standard deviations of its noise."""
+    touch_exponent: float = Field(0.4, ge=0, le=1)
+    """The threshold grows with this power of the touch-down's size."""
+    silence_s: float = Field(0.06, gt=0)
+    """Time after a reported slip in which no other slip is reported: an early alarm must not hide
+    the slip."""
+    braking_s: float = Field(0.03, ge=0)
+    """For this time after x was commanded to stop, to turn, or to move at less than half of its
+    speed ..."""
+    braking_share: float = Field(0.5, ge=0)
+    """... the threshold is higher by this share of the recent level of v_d, which the motion
+    takes away."""
+
+
 @lru_cache(maxsize=1)
 def named_detectors() -> dict[str, DetectorSettings]:
     """Returns the parameters of all detectors that have a name.
@@ -91,4 +118,5 @@ def named_detectors() -> dict[str, DetectorSettings]:
         # misses slow slides, the default one by 1.3 mV: `rig detect` says so and why.
         "paper-literal": DetectorSettings(logic="paper-literal", fire_mV=30.0),
         "paper-hp": DetectorSettings(logic="paper-hp"),
+        "impulse": ImpulseSettings(),
     }

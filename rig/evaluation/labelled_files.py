@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 
 from rig.core.errors import ConfigurationError
 from rig.core.toml_files import read_text
+from rig.detector.commands import XMove, from_text
 from rig.evaluation import simulated_truth
 from rig.evaluation.scored_trials import judge_one
 from rig.evaluation.scoring.contenders import Contender
@@ -77,6 +78,8 @@ class ListedTrial:
     """Day of the run; empty if it is not known."""
     simulated: bool
     """True if it comes from a simulated bench."""
+    moves: tuple[XMove, ...] = ()
+    """What x was commanded to do, where the file states it."""
 
 
 @dataclass(frozen=True)
@@ -94,6 +97,7 @@ class _Recorded:
     sample: str
     day: str
     simulated: bool
+    moves: tuple[XMove, ...]
 
 
 def judge_files(
@@ -115,7 +119,7 @@ def judge_files(
             judged.append(
                 judge_one(
                     one.name, one.truth, one.volts, one.rate_Hz, one.traits, contenders,
-                    sweep=sweep,
+                    sweep=sweep, moves=one.moves,
                 )
             )  # fmt: skip
         except ValueError as error:
@@ -150,6 +154,7 @@ def listed_trials(listing: Path) -> Iterator[tuple[ListedTrial, int]]:
                 sample=recorded.sample,
                 day=recorded.day,
                 simulated=recorded.simulated,
+                moves=recorded.moves,
             ),
             len(rows),
         )
@@ -208,6 +213,7 @@ def _recorded(path: Path, point: str, where: str) -> _Recorded:
             sample=header.sample.name or "",
             day="" if header.start_time is None else str(header.start_time)[:10],
             simulated=run.outcome.simulated is True,
+            moves=tuple(from_text(reading.get("x_moves") or "")),
         )
 
 

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rig.core.errors import ConfigurationError, ExitCode, RigError
+from rig.detector.commands import from_text
 from rig.detector.events import EVENT_KINDS, SlipEvent, unjudged_s
 from rig.detector.registered import ChosenDetector
 from rig.files.checksum import checksum_findings, sha256_of
@@ -124,13 +125,23 @@ def detect_trials(run: RunFile, detector: ChosenDetector) -> list[DetectedTrial]
             "record the run again, or name another file",
         )
     trials = []
+    moves = moves_of_x(run)
     for point in run.point_ids():
         if point in pieces:
             try:
-                trials.append(_detect_trial(point, pieces[point], detector))
+                trials.append(_detect_trial(point, pieces[point], moves.get(point, ""), detector))
             except ValueError as error:
                 raise ConfigurationError(f"{run.path}: trial {point}: {error}") from error
     return trials
+
+
+def moves_of_x(run: RunFile) -> dict[str, str]:
+    """Return what x was commanded to do in each kept trial, as `rig.detector.commands` has it;
+    empty for a file that does not state it."""
+    if "x_moves" not in run.columns():
+        return {}
+    readings = zip(run.point_ids(), run.readings(), strict=True)
+    return {point: reading.get("x_moves") or "" for point, reading in readings}
 
 
 def _detect(job: DetectionJob) -> DetectionResult:
@@ -275,15 +286,19 @@ def _stream_of_strips(run: RunFile) -> str:
     return stream
 
 
-def _detect_trial(point: str, pieces: list[Waveform], chosen: ChosenDetector) -> DetectedTrial:
-    """Return the result for one trial. Raises ValueError if the detector cannot process it, or if
-    its pieces are of different kinds."""
+def _detect_trial(
+    point: str, pieces: list[Waveform], moves: str, chosen: ChosenDetector
+) -> DetectedTrial:
+    """Return the result for one trial, with the moves of x as text. Raises ValueError if the
+    detector cannot process it, or if its pieces are of different kinds."""
     import numpy as np
 
     rate_Hz = pieces[0].rate_Hz
     if rate_Hz is None:
         raise ValueError("the file gives no sampling rate of v_1 and v_2")
     detector = chosen.make(rate_Hz)
+    for move in from_text(moves):
+        detector.command(move)
     events: list[SlipEvent] = []
     rows, differences, predictive = [], [], []
     for piece, volts in _rows_of(pieces):

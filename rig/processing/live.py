@@ -35,6 +35,7 @@ from numpy.typing import NDArray
 
 from rig.core.errors import LONGEST_REASON, ConfigurationError, ExitCode, RigError, shortened
 from rig.detector.checking import event_fault
+from rig.detector.commands import XMove, to_text
 from rig.detector.events import SlipEvent
 from rig.detector.registered import ChosenDetector, chosen_detector, is_own
 
@@ -58,8 +59,9 @@ MOST_BYTES = 1 << 18
 CHECK_EVERY_ms = 20
 """Interval at which the age of the oldest block is checked."""
 
-BEGIN, ROWS, FINISH = range(3)
-"""What a message asks: to begin a recording, to judge rows, to end the recording."""
+BEGIN, ROWS, FINISH, COMMAND = range(4)
+"""What a message asks: to begin a recording, to judge rows, to end the recording, to know of a move
+of x."""
 DONE, FAILED, READY = range(3)
 """What an answer is: events in JSON (empty for none), a reason, or the detector's identity."""
 HEAD = struct.Struct("<BQq")
@@ -114,6 +116,11 @@ class LiveDetector(ABC):
     def add(self, volts: Reals, first_sample: int) -> None:
         """Hands over rows (n, 2) of v_1 and v_2 in V, the first of which has this index. Raises
         nothing and, unless the detector is patient, waits for nothing."""
+
+    @abstractmethod
+    def command(self, move: XMove) -> None:
+        """Says that x was commanded to move (`rig.detector.contract.Detector.command`), before the
+        rows from which on it does. Raises nothing and waits like `add`."""
 
     @abstractmethod
     def finish(self) -> None:
@@ -206,6 +213,13 @@ class _Direct(LiveDetector):
     def add(self, volts: Reals, first_sample: int) -> None:
         self._ask(lambda: self._detector.add(volts, first_sample))
 
+    def command(self, move: XMove) -> None:
+        def told() -> list[SlipEvent]:
+            self._detector.command(move)
+            return []
+
+        self._ask(told)
+
     def finish(self) -> None:
         self._ask(self._detector.finish)
 
@@ -290,6 +304,9 @@ class _InChild(LiveDetector):
             first = first_sample + begin
             self._rows = first + len(part)
             self._send(ROWS, first, self._rows, part.tobytes())
+
+    def command(self, move: XMove) -> None:
+        self._send(COMMAND, self._rows, self._rows, to_text([move]).encode())
 
     def finish(self) -> None:
         self._send(FINISH, 0, self._rows)

@@ -165,7 +165,9 @@ def test_parameters_that_are_none_are_refused(
 def test_an_unknown_detector_is_refused_with_the_known_ones(rig: Any, runs: list[str]) -> None:
     done = rig.run("detect", "--detector", "paper", runs[0])
     assert done.code == 2
-    assert "--detector paper: has to be one of paper-hp, paper-literal, rig" in done.errors[0]
+    assert (
+        "--detector paper: has to be one of impulse, paper-hp, paper-literal, rig" in done.errors[0]
+    )
 
 
 @pytest.mark.thorough

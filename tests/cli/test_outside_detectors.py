@@ -110,10 +110,11 @@ def test_the_list_names_it_with_its_package(rig: Any) -> None:
     shown = rig.run("detectors")
     assert shown.code == 0, shown.stderr
     lines = shown.stdout.splitlines()
-    assert [line.split()[0] for line in lines] == ["paper-hp", "paper-literal", "rig", "lab-level"]
-    assert re.search(r"lab-level +3 +lab-level 1\.0 +Reports a slip where v_d first", lines[3])
+    own = ["impulse", "paper-hp", "paper-literal", "rig"]
+    assert [line.split()[0] for line in lines] == [*own, "lab-level"]
+    assert re.search(r"lab-level +3 +lab-level 1\.0 +Reports a slip where v_d first", lines[4])
     said = json.loads(rig.run("detectors", "--json").stdout)
-    assert said["detectors"][3]["settings"] == {"level_mV": 20.0}
+    assert said["detectors"][4]["settings"] == {"level_mV": 20.0}
 
 
 BROKEN = {
@@ -150,7 +151,7 @@ def test_a_broken_one_is_named_and_disables_only_itself(rig: Any, fault: str) ->
     listed = rig.run("detectors")
     assert listed.code == 0
     assert [line.split()[0] for line in listed.stdout.splitlines()] == [
-        "paper-hp", "paper-literal", "rig",
+        "impulse", "paper-hp", "paper-literal", "rig",
     ]  # fmt: skip
     assert listed.stderr.count("warning:") == 1
     assert rig.run("detect", file.name).code == 0

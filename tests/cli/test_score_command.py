@@ -81,7 +81,7 @@ def population(tmp_path: Path) -> Path:
         ),
         (["--wire", "--elements", "8"], "--wire cannot be combined with --elements"),
         (["--kinds", "slide,fall"], "'fall' is not a kind of trial; choose among slide,roll"),
-        (["--detector", "ouija"], "--detector ouija: has to be one of paper-hp, paper-literal"),
+        (["--detector", "ouija"], "--detector ouija: has to be one of impulse, paper-hp,"),
         (["--speed", "0"], "--speed 0: must be a speed above 0 mm/s"),
         (["--speed", "3N"], "--speed 3N: 'N' does not convert to mm/s"),
         (["--youngs-modulus", "-1MPa"], "youngs_modulus_MPa = -1.0 MPa: has to be above 0 MPa"),

@@ -16,7 +16,7 @@ from rig.detector.network import Network
 from rig.detector.settings import DetectorSettings, named_detectors
 
 RATE_Hz = 1000.0
-NAMES = ("rig", "paper-literal", "paper-hp")
+NAMES = ("rig", "paper-literal", "paper-hp", "impulse")
 LIGHT_mV = 3.0
 """Press after which the hump and the impulse are those of a slip for `rig`, too, which compares
 them with the press."""

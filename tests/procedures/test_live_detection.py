@@ -10,10 +10,12 @@ import pytest
 import recorded_trials as trials
 from pydantic import ValidationError
 
+from procedures.pressed.commanded_x import CommandedX
 from procedures.pressed.detection import DetectionRecord, LiveDetection
 from procedures.pressed.reading import TrialRecord
 from procedures.slip_trial.settings import SlipTrialSettings
 from rig.core.clock import WallClock
+from rig.detector.commands import XMove
 from rig.detector.registered import chosen_detector
 from rig.files.journal.detections import EVENT_CODES, SILENT_CODE, from_text, to_text
 
@@ -36,7 +38,7 @@ def recorded(detection: LiveDetection) -> tuple[TrialRecord, Journal]:
     return record, journal
 
 
-@pytest.mark.parametrize("name", ["paper-hp", "paper-literal", "rig"])
+@pytest.mark.parametrize("name", ["paper-hp", "paper-literal", "rig", "impulse"])
 def test_blocks_of_any_length_give_the_events_of_the_whole_record(name: str) -> None:
     volts = trials.slipping()
     whole = chosen_detector(name).make(trials.RATE_HZ)
@@ -55,6 +57,87 @@ def test_blocks_of_any_length_give_the_events_of_the_whole_record(name: str) -> 
     assert [event[1] for event in journal.events] == [EVENT_CODES[kind] for kind, *_ in found]
     assert from_text(to_text(record.detections)) == record.detections
     assert "of its record (sample " in journal.events[0][2]
+
+
+def test_the_moves_of_a_record_are_those_that_the_detector_knew_and_find_the_same_again() -> None:
+    volts = trials.slipping()
+    live = LiveDetection("impulse", WallClock())
+    live.begin()
+    live.command(XMove(100, 0.5, 900))
+    live.judge(volts[:400])
+    live.command(XMove(380, 0.1, 4000))  # told 20 rows too late
+    live.judge(volts[400:])
+    live.command(XMove(len(volts) + 5, 0.0, 0))
+    live.finish()
+    rows = len(volts)
+    assert live.moves == [XMove(100, 0.5, 900), XMove(400, 0.1, 4000), XMove(rows + 5, 0.0, 0)]
+    again = chosen_detector("impulse").make(trials.RATE_HZ)
+    for move in live.moves:
+        again.command(move)
+    expected = [(e.kind, e.sample, e.confidence) for e in again.add(volts) + again.finish()]
+    record, _ = recorded(live)
+    assert [(one.kind, one.sample, one.confidence) for one in record.detections] == expected != []
+    live.begin()
+    assert live.moves == [], "another record begins"
+
+
+class Wall:
+    """A clock that the test sets."""
+
+    now_s = 10.0
+
+    def now(self) -> float:
+        return self.now_s
+
+
+class Told:
+    """Stands for the detection: the moves that it is told of."""
+
+    def __init__(self) -> None:
+        self.moves: list[XMove] = []
+
+    def command(self, move: XMove) -> None:
+        self.moves.append(move)
+
+
+def x_by_commands(*commands: tuple[float, float, float]) -> list[tuple[int, float, int]]:
+    """What the detector is told where x is commanded, at times in s of the record that begins with
+    x at 10 mm, to go to a position in mm at a speed in mm/s."""
+    clock, told, record = Wall(), Told(), TrialRecord(1, 100.0, 1000.0, 4.0)
+    x = CommandedX(clock, record, told)  # type: ignore[arg-type]
+    x.command(10.0, 1.0)  # before the record
+    record.begun_s = clock.now_s
+    x.begin(10.0)
+    for at_s, to_mm, speed_mm_s in commands:
+        clock.now_s = record.begun_s + at_s
+        x.command(to_mm, speed_mm_s)
+    x.end()
+    x.command(0.0, 1.0)  # after it
+    return [(move.sample, move.speed_mm_s, move.until) for move in told.moves]
+
+
+def test_a_move_of_x_ends_where_it_comes_to_its_target() -> None:
+    assert x_by_commands((1.0, 9.5, 0.25)) == [(1000, -0.25, 3000)]
+
+
+def test_a_move_that_is_changed_under_way_is_reckoned_from_where_x_is_then() -> None:
+    # A second at 0.25 mm/s, then back.
+    assert x_by_commands((1.0, 11.0, 0.25), (2.0, 10.0, 0.5)) == [
+        (1000, 0.25, 5000),
+        (2000, -0.5, 2500),
+    ]
+    # It had arrived, so that the same speed is a further move.
+    assert x_by_commands((1.0, 10.25, 0.25), (3.0, 10.5, 0.25)) == [
+        (1000, 0.25, 2000),
+        (3000, 0.25, 4000),
+    ]
+
+
+def test_a_stop_is_told_and_what_hardly_changes_the_motion_is_not() -> None:
+    ramp = [(1.0 + 0.01 * tick, 20.0, 1.0 + 0.011 * tick) for tick in range(16)]
+    told = x_by_commands(*ramp, (2.0, 0.0, 0.0), (2.5, 0.0, 0.0))
+    assert [round(speed_mm_s, 2) for _, speed_mm_s, _ in told] == [1.0, 1.11, 0.0]
+    assert told[-1] == (2000, 0.0, 2000)
 
 
 def test_a_detector_that_raises_ends_with_a_warning_and_blocks_continue() -> None:

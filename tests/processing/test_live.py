@@ -21,6 +21,7 @@ sys.path.insert(0, str(Path(__file__).parent.parent / "files"))
 import recorded_trials as trials
 
 from rig.core.errors import RigError
+from rig.detector.commands import XMove
 from rig.detector.events import SlipEvent
 from rig.detector.registered import chosen_detector
 from rig.processing import live
@@ -190,6 +191,22 @@ def test_one_of_another_package_runs_in_a_process_of_its_own(
     assert len(session_of(process.pid)) == 2
     one.close()
     until(lambda: session_of(process.pid) == [])
+    assert one.dropped() is None
+
+
+def test_a_command_reaches_one_of_another_package_at_its_row(
+    lab: Callable[..., None], started: Callable[..., live.LiveDetector]
+) -> None:
+    heard = "    x = 0.0\n\n    def commanded(self, before, after):\n        self.x = after\n\n"
+    lab((SAY, "return str(self.x)"), ("    def say", heard + "    def say"))
+    one = started(patient=True)
+    one.begin()
+    for part, first in blocks(crossing(), 50):
+        if first == 200:
+            one.command(XMove(250, -0.5, 350))
+        one.add(part, first)
+    found = [(each.event.sample, each.event.reason) for each in one.take()]
+    assert found == [(200, "0.0"), (300, "-0.5"), (400, "0.0")]
     assert one.dropped() is None
 
 

@@ -11,12 +11,14 @@ import pytest
 from tiers import mostly_thorough
 
 from rig.detector import registered
+from rig.detector.commands import XMove
 from rig.detector.contract import Detector
 from rig.detector.events import SlipEvent
 from rig.testing import detector_contract
 from rig.testing.detectors import checks_of
 
 test_paper_hp = detector_contract("paper-hp")
+test_impulse = detector_contract("impulse")
 test_rig = pytest.mark.thorough(detector_contract("rig"))
 test_paper_literal = pytest.mark.thorough(detector_contract("paper-literal"))
 
@@ -119,9 +121,24 @@ class Changing(Steps):
         return super().judge(volts)
 
 
+class AtOnce(Steps):
+    """Acts on a command when it is given, not at its row."""
+
+    told = 0
+
+    def command(self, move: XMove) -> None:
+        """Counts the commands."""
+        self.told += 1
+
+    def judge(self, volts: np.ndarray) -> list[SlipEvent]:
+        """Finds nothing after three commands."""
+        return super().judge(volts) if self.told < 3 else []
+
+
 FAULTS: dict[str, type[Detector]] = {
     "blocks-give-the-events-of-the-whole": EachBlockAnew,
     "events-lie-in-the-rows-in-which-they-were-decided": Late,
+    "commands-of-x-are-taken": AtOnce,
     "instances-share-nothing": Shared,
     "a-gap-begins-anew": WithoutReset,
     "rows-that-cannot-be-are-refused": Tolerant,

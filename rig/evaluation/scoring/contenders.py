@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from rig.core.settings import Settings, fingerprint
 from rig.detector import kernel
+from rig.detector.commands import XMove
 from rig.detector.contract import Detector
 from rig.detector.events import unjudged_s
 from rig.detector.registered import ChosenDetector
@@ -44,12 +45,18 @@ class Named(Protocol):
 
 
 class Contender(Named, Protocol):
-    """A detector or baseline that can be scored: it sees the recording and nothing else."""
+    """A detector or baseline that can be scored: it sees the recording and the commands of x, and
+    nothing else."""
 
     def reports(
-        self, volts: Floats, rate_Hz: float, factors: tuple[float, ...]
+        self,
+        volts: Floats,
+        rate_Hz: float,
+        factors: tuple[float, ...],
+        moves: tuple[XMove, ...] = (),
     ) -> list[DetectorReport]:
-        """Returns its reports on a recording (n, 2) in V, one for each factor on its threshold."""
+        """Returns its reports on a recording (n, 2) in V, in which x was commanded to make these
+        moves, one for each factor on its threshold."""
         ...
 
 
@@ -74,7 +81,11 @@ class DetectorContender:
         return None if seeds is None else SeedRange(first=seeds[0], end=seeds[1] + 1)
 
     def reports(
-        self, volts: Floats, rate_Hz: float, factors: tuple[float, ...]
+        self,
+        volts: Floats,
+        rate_Hz: float,
+        factors: tuple[float, ...],
+        moves: tuple[XMove, ...] = (),
     ) -> list[DetectorReport]:
         """Returns the events that it detects at each threshold."""
         reports: dict[str, DetectorReport] = {}
@@ -83,12 +94,16 @@ class DetectorContender:
             detector = self.detector.at_threshold(factor)
             key = fingerprint(detector.settings)  # a detector without a threshold is run once
             if key not in reports:
-                reports[key] = self._report(volts, detector.make(rate_Hz), rate_Hz)
+                reports[key] = self._report(volts, detector.make(rate_Hz), rate_Hz, moves)
             found.append(reports[key])
         return found
 
     @staticmethod
-    def _report(volts: Floats, detector: Detector, rate_Hz: float) -> DetectorReport:
+    def _report(
+        volts: Floats, detector: Detector, rate_Hz: float, moves: tuple[XMove, ...]
+    ) -> DetectorReport:
+        for move in moves:
+            detector.command(move)
         events = [*detector.add(volts), *detector.finish()]
         slips = [one.time_s for one in events if one.kind == "incipient slip"]
         armings = [one.time_s for one in events if one.kind == "predictive"]
@@ -120,7 +135,11 @@ class BaselineContender:
         return self.settings.tuned_on
 
     def reports(
-        self, volts: Floats, rate_Hz: float, factors: tuple[float, ...]
+        self,
+        volts: Floats,
+        rate_Hz: float,
+        factors: tuple[float, ...],
+        moves: tuple[XMove, ...] = (),
     ) -> list[DetectorReport]:
-        """Returns its alarms and armings at each threshold."""
+        """Returns its alarms and armings at each threshold; it does not use commands."""
         return baseline_reports(volts, rate_Hz, self.settings, factors)

@@ -59,5 +59,6 @@ def _judged(one: MadeTrial, contenders: Sequence[Contender], sweep: bool) -> Sco
         truth = replace(truth, label="tap")
     traits = {**drawn, **record.traits}
     return judge_one(
-        one.trial.name, truth, record.volts, record.rate_Hz, traits, contenders, sweep=sweep
-    )
+        one.trial.name, truth, record.volts, record.rate_Hz, traits, contenders, sweep=sweep,
+        moves=record.x_moves,
+    )  # fmt: skip
