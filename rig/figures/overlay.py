@@ -314,7 +314,7 @@ def _aligned(run: RunFile) -> list[Trial]:
     for number, point in enumerate(run.point_ids()):
         series = {wave.stream: wave for wave in run.waveforms(point)}
         motion = float(begins[number]), float(ends[number])
-        instants = instants_of(run, number, series, found[point], motion if slides else None)
+        instants = instants_of(run, number, series, found[point], *([motion] if slides else []))
         trials.append((series, motion[0], instants))
     return trials
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import matplotlib as mpl
+import numpy as np
 
 from rig.figures.pressed import (
     a_figure_a_trial,
@@ -38,6 +39,23 @@ def draw_trials(run: RunFile) -> dict[str, Figure]:
     return a_figure_a_trial(run, draw_trial)
 
 
+def strokes_of(run: RunFile, begin_s: float) -> list[tuple[float, float]]:
+    """Return from when to when in s of a record x moves in one direction, for a path that begins at
+    `begin_s`: its segments, those in the same direction together. A rest ends a stroke."""
+    times_s = run.settings.get("path_times_s", ())
+    steps_mm = np.diff(run.settings.get("path_positions_mm", ()))
+    strokes: list[tuple[float, float]] = []
+    before = 0.0
+    for from_s, to_s, step_mm in zip(times_s[:-1], times_s[1:], steps_mm, strict=True):
+        direction = float(np.sign(step_mm))
+        if direction and direction == before:
+            strokes[-1] = (strokes[-1][0], begin_s + to_s)
+        elif direction:
+            strokes.append((begin_s + from_s, begin_s + to_s))
+        before = direction
+    return strokes
+
+
 def draw_trial(run: RunFile, number: int, point: str, detected: Detections) -> Figure:
     """Draw v_d, the strips, the forces and the position of x over time, with the motion shaded, and
     the slips, true (simulated bench) and `detected`."""
@@ -69,7 +87,7 @@ def draw_trial(run: RunFile, number: int, point: str, detected: Detections) -> F
         for axes in panels:
             legend_above(axes)
         from_touch_on(way, t, pressing, float(run.column("set_normal_force")[number]))
-        instants = instants_of(run, number, series, detected)
+        instants = instants_of(run, number, series, detected, *strokes_of(run, begin))
         draw_rows(rows, instants, way.get_xlim())
         mark((difference,), instants)
         letter(panels)

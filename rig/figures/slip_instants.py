@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass, field
+from itertools import zip_longest
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -25,7 +26,7 @@ from rig.figures.style import BLACK, GREEN, GREY, SMALLEST_PT, VERMILLION
 from rig.files.journal.detections import NO_DETECTOR, from_text
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
     from matplotlib.axes import Axes
 
@@ -36,10 +37,15 @@ TRUE, MEASURED, DETECTED = GREEN, BLACK, VERMILLION
 MARKS = {"predictive": "none", "incipient slip": "full"}
 """Filling of the triangles of the events that are shown. Rejections and rolls are in the processed
 file."""
-EVENTS = "△ motion begun, ▲ slip"
+EVENTS = "△ motion, ▲ slip"
 """How the events of a detector are drawn."""
+SAME_SLIP_S = 1e-4
+"""Difference up to which two accounts of the World have the same begin of a slip."""
 ROWS_LEFT = 0.66
 """Left margin in inches of a figure with rows of accounts, with room for their names."""
+BANDS = {"true": (0.88, 1.0), "measured": (0.76, 0.88), "detected": (0.0, 0.12)}
+"""Parts of a panel's height in which several slips of a record are marked, by account: as lines
+through the panel those of two accounts, some ms apart, would hide each other and the signal."""
 ROOM_FOR_A_TIME = 0.25
 """Share of the time axis that a time needs when it is written."""
 
@@ -62,6 +68,8 @@ class TrueSlips:
     ridges: tuple[RidgeSlip, ...]
     """The watched ridge and its neighbours, in the order of their numbers."""
     gross_s: float | None
+    later: tuple[tuple[float, float], ...] = ()
+    """Begin and end in s of each further slip of the whole ridge with the strips."""
 
     @property
     def whole_s(self) -> float | None:
@@ -80,10 +88,14 @@ class Detections:
     """Why no detector has judged the trial."""
 
     @property
+    def slips_s(self) -> tuple[float, ...]:
+        """Times of the detected slips, ascending."""
+        return tuple(sorted(e.time_s for e in self.events if e.kind == "incipient slip"))
+
+    @property
     def slip_s(self) -> float | None:
         """Time of the first detected slip."""
-        slips = (event.time_s for event in self.events if event.kind == "incipient slip")
-        return min(slips, default=None)
+        return min(self.slips_s, default=None)
 
 
 @dataclass(frozen=True)
@@ -95,6 +107,21 @@ class SlipInstants:
     detected: Detections = field(default_factory=Detections)
     measurable: bool = True
     """Whether the forces of such a trial show when it slips; those of a roll do not."""
+    later_measured_s: tuple[float, ...] = ()
+    """Times of the further slips that the forces show, one for each stroke of x."""
+
+    def slips_s(self) -> dict[str, tuple[float, ...]]:
+        """Return the times of all slips by account, without those of neighbouring ridges."""
+        true = self.true
+        whole_s = None if true is None else true.whole_s
+        later = () if true is None else tuple(begin_s for begin_s, _ in true.later)
+        return {
+            "true": later if whole_s is None else (whole_s, *later),
+            "measured": ()
+            if self.measured_s is None
+            else (self.measured_s, *self.later_measured_s),
+            "detected": self.detected.slips_s,
+        }
 
     def anchor_s(self, otherwise_s: float) -> float:
         """Return the time around which the slip is shown enlarged: that of the best account that
@@ -119,26 +146,46 @@ def true_slips(reading: Mapping[str, Any], record_s: float) -> TrueSlips | None:
     first, whole = known["first_slip_us"], known["whole_slip_us"]
     near = range(max(1, watched - 1), min(len(whole), watched + 1) + 1)
     slips = [RidgeSlip(n, seconds(first[n - 1]), seconds(whole[n - 1])) for n in near]
-    return TrueSlips(watched, tuple(slips), seconds(known["gross_slip_us"]))
+    whole_s = seconds(whole[watched - 1])
+    later = () if whole_s is None else later_slips(known, record_s, whole_s)
+    return TrueSlips(watched, tuple(slips), seconds(known["gross_slip_us"]), later)
 
 
-def measured_slip(
-    series: Mapping[str, Waveform], begin_s: float, end_s: float, start_mm: float
-) -> float | None:
-    """Return the time at which F_t/F_n is largest between `begin_s` and `end_s`; None where the
-    motion does not determine it. `series` are the streams of the trial by their names."""
+def later_slips(
+    known: Mapping[str, Any], record_s: float, after_s: float
+) -> tuple[tuple[float, float], ...]:
+    """Return begin and end in s of each slip of the whole ridge with the strips that begins later
+    than `after_s`; one that lasts beyond the record, which is `record_s` long, ends with it."""
+    begun_us = known["record_begun_us"]
+    begins = [1e-6 * (us - begun_us) for us in known.get("ridge_slip_begins_us", ())]
+    ends = [1e-6 * (us - begun_us) for us in known.get("ridge_slip_ends_us", ())]
+    slips = zip_longest(begins, ends, fillvalue=record_s)
+    return tuple(
+        (begin_s, min(end_s, record_s))
+        for begin_s, end_s in slips
+        if after_s + SAME_SLIP_S < begin_s < record_s
+    )
+
+
+def measured_slip(series: Mapping[str, Waveform], begin_s: float, end_s: float) -> float | None:
+    """Return the time at which F_t/F_n is largest in a motion of x in one direction, from `begin_s`
+    to `end_s`; None where the motion does not determine it. `series` are the streams of the trial
+    by their names."""
     force, position, ticks = (series.get(name) for name in ("force", "position", "ticks"))
     if force is None or position is None or ticks is None:
         return None
     rate_Hz = force.rate_Hz or 1.0
     t = np.arange(len(force.values("F_n"))) / rate_Hz
     held = (t >= begin_s) & (t <= end_s)
-    travel = np.abs(np.interp(t, ticks.values("elapsed"), position.values("x")) - start_mm)
+    x_mm = np.interp(t[held], ticks.values("elapsed"), position.values("x"))
+    # After a turn F_t still has the sign of the stroke before.
+    dragging = force.values("F_t")[held]
+    forwards = np.sign(np.median(dragging[dragging.size // 2 :])) if dragging.size else 1.0
     try:
         found = friction(
             force.values("F_n")[held],
-            np.abs(force.values("F_t")[held]),
-            travel[held],
+            forwards * dragging,
+            np.abs(x_mm - x_mm[:1]),
             rate_Hz=rate_Hz,
         )
     except FrictionError:
@@ -167,7 +214,7 @@ def _of_processed_files(run: RunFile) -> dict[str, Detections]:
             with ProcessedFile.open(path) as processed:
                 if processed.source.run_uuid != run.header.run_uuid:
                     continue
-                name = f"{processed.detector.name} {processed.version} (processed file)"
+                name = f"{processed.detector.name} {processed.version} (processed)"
                 found = {trial.id: Detections(name, trial.events) for trial in processed.trials()}
         except RigError:
             continue  # `rig verify` says what is wrong with it
@@ -213,48 +260,61 @@ def instants_of(
     number: int,
     series: Mapping[str, Waveform],
     detected: Detections,
-    slide: tuple[float, float] | None = None,
+    *strokes: tuple[float, float],
 ) -> SlipInstants:
-    """Return all accounts of a trial of a run, given its streams and what a detector found. Only a
-    `slide`, from and to these times in s, has forces that show when it slips."""
+    """Return all accounts of a trial of a run, given its streams and what a detector found. Only
+    `strokes`, motions of x in one direction from and to these times in s, have forces that show
+    when it slips."""
     signals = series["signals"]
     record_s = (len(next(iter(signals.counts.values()))) - 1) / (signals.rate_Hz or 1.0)
     true = true_slips(run.readings()[number], record_s)
-    if slide is None:
+    if not strokes:
         return SlipInstants(true, None, detected, measurable=False)
-    start_mm = float(run.settings.get("start_mm", 0.0))
-    return SlipInstants(true, measured_slip(series, *slide, start_mm), detected)
+    found_s = [measured_slip(series, *stroke) for stroke in strokes]
+    known_s = [at_s for at_s in found_s if at_s is not None]
+    first_s = known_s[0] if known_s else None
+    return SlipInstants(true, first_s, detected, later_measured_s=tuple(known_s[1:]))
 
 
 def mark(panels: tuple[Axes, ...], instants: SlipInstants, top: float = 1.0) -> None:
     """Draw a line through the panels, up to this share of their height, for the slip of the whole
-    ridge, for the measured slip and for the first detected one."""
-    true = None if instants.true is None else instants.true.whole_s
-    for at_s, colour, line in (
-        (true, TRUE, (0, (4, 2))),
-        (instants.measured_s, MEASURED, (0, (1, 1.5))),
-        (instants.detected.slip_s, DETECTED, "solid"),
+    ridge, for the measured slip and for the detected one. Several slips of a record have short
+    lines at the edges of the panels, each account in a band of its own."""
+    slips = instants.slips_s()
+    several = max(map(len, slips.values())) > 1
+    for account, colour, line in (
+        ("true", TRUE, (0, (4, 2))),
+        ("measured", MEASURED, (0, (1, 1.5))),
+        ("detected", DETECTED, "solid"),
     ):
+        low, high = BANDS[account] if several else (0.0, 1.0)
+        style = {"color": colour, "linestyle": "solid" if several else line}
         for axes in panels:
-            if at_s is not None:
-                axes.axvline(at_s, 0, top, color=colour, linestyle=line, linewidth=0.7)
+            for at_s in slips[account]:
+                axes.axvline(at_s, low * top, high * top, linewidth=0.7, **style)
 
 
 def draw_rows(axes: Axes, instants: SlipInstants, seen: tuple[float, float]) -> None:
     """Draw the accounts as rows of marks over the times `seen`, each with its time in s, and say
     above what they rest on. What lies outside is written at the edge."""
-    detected = instants.detected
+    detected, slips = instants.detected, instants.slips_s()
     rows: list[tuple[str, str]] = []
     axes.set_xlim(*seen)
     if instants.true is not None:
         for slip in instants.true.ridges:
             rows.append((f"true, ridge {slip.ridge}", TRUE))
-            _ridge(axes, len(rows) - 1, slip, seen)
+            later = instants.true.later if slip.ridge == instants.true.watched else ()
+            _ridge(axes, len(rows) - 1, slip, seen, later)
         rows.append(("true, gross", TRUE))
         _instant(axes, len(rows) - 1, instants.true.gross_s, "D", TRUE, seen)
     if instants.measurable:
         rows.append(("measured", MEASURED))
-        _instant(axes, len(rows) - 1, instants.measured_s, "v", MEASURED, seen)
+        row, count = len(rows) - 1, len(slips["measured"])
+        if count > 1:
+            axes.plot(slips["measured"], [row] * count, "v", color=MEASURED, markersize=3.5)
+            _write_count(axes, row, count, MEASURED)
+        else:
+            _instant(axes, row, instants.measured_s, "v", MEASURED, seen)
     rows.append(("detected", DETECTED))
     last = len(rows) - 1
     for kind, filling in MARKS.items():
@@ -265,7 +325,9 @@ def draw_rows(axes: Axes, instants: SlipInstants, seen: tuple[float, float]) -> 
         )  # fmt: skip
     for begin_s, end_s in unjudged_s(detected.events, seen[1]):
         axes.plot([begin_s, end_s], [last, last], color=GREY, linewidth=3, alpha=0.5)
-    if detected.detector:
+    if len(slips["detected"]) > 1:
+        _write_count(axes, last, len(slips["detected"]), DETECTED)
+    elif detected.detector:
         _write_time(axes, last, detected.slip_s, DETECTED, seen)
     axes.set_title(_legend(instants), loc="left", linespacing=1.1)
     axes.set_yticks(range(len(rows)), [name for name, _ in rows])
@@ -287,12 +349,24 @@ def _legend(instants: SlipInstants) -> str:
     return f"{first}\ndetected: {by}" if first else f"detected: {by}"
 
 
-def _ridge(axes: Axes, row: int, slip: RidgeSlip, seen: tuple[float, float]) -> None:
-    """Draw a bar from the slip of the first node to that of the whole ridge."""
+def _ridge(
+    axes: Axes, row: int, slip: RidgeSlip, seen: tuple[float, float],
+    later: Sequence[tuple[float, float]] = (),
+) -> None:  # fmt: skip
+    """Draw a bar from the slip of the first node to that of the whole ridge; of `later` slips each
+    has a circle at its begin and a broad bar while it lasts, and no time is written."""
     if slip.first_node_s is not None:
         end = seen[1] if slip.whole_s is None else slip.whole_s
         axes.plot([slip.first_node_s, end], [row, row], color=TRUE, linewidth=1.2)
         axes.plot(slip.first_node_s, row, "|", color=TRUE, markersize=5)
+    for begin_s, end_s in later:
+        axes.plot([begin_s, end_s], [row, row], color=TRUE, linewidth=3, alpha=0.3)
+        axes.plot(begin_s, row, "o", color=TRUE, markersize=2.5)
+    if later:
+        _write_count(axes, row, 1 + len(later), TRUE)
+        if slip.whole_s is not None:
+            axes.plot(slip.whole_s, row, "o", color=TRUE, markersize=3.5)
+        return
     never = "none" if slip.first_node_s is None else "never whole"
     _instant(axes, row, slip.whole_s, "o", TRUE, seen, never)
 
@@ -304,6 +378,14 @@ def _instant(
     if at_s is not None:
         axes.plot(at_s, row, marker, color=colour, markersize=3.5)
     _write_time(axes, row, at_s, colour, seen, never)
+
+
+def _write_count(axes: Axes, row: int, count: int, colour: str) -> None:
+    """Write how many slips a row has at its left edge: their times would hide their marks."""
+    axes.annotate(
+        f"{count} ×", (0, row), (2, 0), xycoords=("axes fraction", "data"),
+        textcoords="offset points", ha="left", va="center", color=colour, fontsize=SMALLEST_PT,
+    )  # fmt: skip
 
 
 def _write_time(

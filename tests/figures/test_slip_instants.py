@@ -2,21 +2,26 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 from pathlib import Path
 from types import SimpleNamespace
 from typing import cast
 
+import matplotlib as mpl
 import pytest
-from legible import words
+from legible import faults, words
 from matplotlib.figure import Figure
 from recorded import FAST_SLIDE, ROLL, unpack
 
 from rig.detector.events import SlipEvent
 from rig.detector.registered import chosen_detector
+from rig.figures import style
+from rig.figures.path_trial import strokes_of
 from rig.figures.slip_instants import (
     DETECTED,
     MEASURED,
+    ROWS_LEFT,
     TRUE,
     Detections,
     RidgeSlip,
@@ -84,7 +89,7 @@ def test_a_processed_file_is_believed_before_the_default_detector(
     with RunFile.open(run_file) as run:
         found = detections_of(run)[TRIAL]
     assert found.detector.startswith("paper-literal ")
-    assert found.detector.endswith(" (processed file)")
+    assert found.detector.endswith(" (processed)")
 
 
 def test_a_file_whose_strips_cannot_be_judged_says_why_and_is_drawn_all_the_same(
@@ -137,6 +142,82 @@ def test_the_lines_of_the_accounts_differ_in_colour_and_dashes() -> None:
         (1.24, TRUE), (1.35, MEASURED), (1.25, DETECTED),
     ]  # fmt: skip
     assert len({str(line._dash_pattern) for line in axes.lines}) == 3
+
+
+SLIPS_S = (1.2, 1.5, 1.9, 2.4)
+"""Of a stick-slip, a re-grip or a path to and fro; each lasts 50 ms."""
+
+
+def several_slips() -> SlipInstants:
+    """A record of several slips, each detected 4 ms later, of which the forces show two."""
+    events = [SlipEvent("incipient slip", 0, at_s + 0.004, 0.7) for at_s in SLIPS_S]
+    later = tuple((at_s, at_s + 0.05) for at_s in SLIPS_S[1:])
+    ridges = (RidgeSlip(2, 1.1, 1.15), RidgeSlip(3, 1.12, SLIPS_S[0]), RidgeSlip(4, 1.15, 1.25))
+    true = TrueSlips(3, ridges, 1.3, later)
+    detected = Detections("paper-hp 3 (default)", tuple(events))
+    return SlipInstants(true, 1.3, detected, later_measured_s=(1.98,))
+
+
+def test_the_world_records_every_slip_of_the_ridge_with_the_strips() -> None:
+    slips = {
+        "ridge_slip_begins_us": [2_300_000, 2_500_000, 3_900_000, 4_200_000],
+        "ridge_slip_ends_us": [2_350_000, 2_600_000],
+    }
+    found = true_slips({"simulated_truth": json.dumps(TRUTH | slips)}, record_s=3.0)
+    assert found is not None
+    assert found.whole_s == pytest.approx(1.3)
+    rounded = [(round(begin_s, 6), round(end_s, 6)) for begin_s, end_s in found.later]
+    assert rounded == [(1.5, 1.6), (2.9, 3.0)], "the last is not over, one came after the record"
+
+
+def test_every_slip_of_a_record_is_marked_in_its_accounts_row_and_band() -> None:
+    """The figure of a path trial had the true times of its first slip only."""
+    axes = Figure().subplots()
+    draw_rows(axes, several_slips(), (1.0, 3.0))
+    names = [label.get_text() for label in axes.get_yticklabels()]
+    written = [text.get_text() for text in axes.texts]
+    assert written == ["1.150 s", "4 ×", "1.250 s", "1.300 s", "2 ×", "4 ×"]
+
+    def marked_s(name: str, marker: str) -> set[float]:
+        lines = [line for line in axes.lines if line.get_marker() == marker]
+        row = names.index(name)
+        return {
+            float(x) for line in lines for x, y in zip(*line.get_data(), strict=True) if y == row
+        }
+
+    assert marked_s("true, ridge 3", "o") == set(SLIPS_S)
+    assert marked_s("measured", "v") == {1.3, 1.98}
+    assert marked_s("detected", "^") == {at_s + 0.004 for at_s in SLIPS_S}
+    axes = Figure().subplots()
+    mark((axes,), several_slips())
+    for colour, count in ((TRUE, 4), (MEASURED, 2), (DETECTED, 4)):
+        lines = [line for line in axes.lines if line.get_color() == colour]
+        assert len(lines) == count
+        assert len({tuple(line.get_ydata()) for line in lines}) == 1
+    bands = sorted({tuple(line.get_ydata()) for line in axes.lines})
+    assert all(high <= low for (_, high), (low, _) in itertools.pairwise(bands)), "none hides one"
+
+
+def test_several_slips_are_legible_at_84_mm() -> None:
+    with mpl.rc_context(style.STYLE):
+        figure = style.column_figure(70)
+        above, rows = figure.subplots(2, 1, sharex=True)
+        above.plot([1.0, 3.0], [0.0, 0.0])
+        draw_rows(rows, several_slips(), (1.0, 3.0))
+        mark((above,), several_slips())
+        style.letter([above, rows])
+        style.set_margins(figure, top=0.3, gap_mm=12.0, left=ROWS_LEFT)
+        assert faults(figure) == []
+
+
+def test_a_stroke_is_a_motion_in_one_direction() -> None:
+    settings = {
+        "path_times_s": (0.0, 0.5, 1.0, 1.5, 2.0, 2.5),
+        "path_positions_mm": (0.0, 0.2, 0.4, 0.4, 0.0, 0.1),
+    }
+    run = cast("RunFile", SimpleNamespace(settings=settings))
+    assert strokes_of(run, 3.0) == [(3.0, 4.0), (4.5, 5.0), (5.0, 5.5)]
+    assert strokes_of(cast("RunFile", SimpleNamespace(settings={})), 3.0) == []
 
 
 def test_the_slip_is_enlarged_with_p_a_the_neighbours_slip_and_p_b(folder: Path) -> None:
