@@ -60,3 +60,33 @@ max_speed_mm_s = 20.0
 torque_limit_percent = 45.0
 [force_sensor]
 {force_sensor}"""
+
+
+def plate_bench(force_sensor: str) -> str:
+    """A bench file with the skin above a plate, instruments that nobody connects to, and a force
+    sensor with these settings."""
+    return f"""
+name = "real"
+[fixture]
+mounted = "plate"
+contact_from_mm = 12.0
+contact_to_mm = 13.0
+[skin]
+[daq]
+driver = "keysight-u2300a"
+resource = "TCPIP::127.0.0.1::hislip0,1::INSTR"
+channels = {{ strip_1 = 101, strip_2 = 102 }}
+{_stage("z", 20.0)}{_stage("x", 40.0)}[force_sensor]
+{force_sensor}"""
+
+
+def _stage(axis: str, high_mm: float) -> str:
+    return f"""[stage_{axis}]
+driver = "festo-cmmt"
+axis = "{axis}"
+host = "127.0.0.1"
+low_limit_mm = 0.0
+high_limit_mm = {high_mm}
+max_speed_mm_s = 20.0
+torque_limit_percent = 45.0
+"""

@@ -29,6 +29,7 @@ class PathTrial(PressedProcedure):
 
     name = "path-trial"
     fixtures = ("plate",)
+    force_axes = "xz"
     Settings = PathTrialSettings
     columns = (
         Column("largest_tangential", "N", "Largest tangential force of the motion, in size"),

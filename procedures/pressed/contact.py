@@ -82,9 +82,13 @@ class ForceZero(NamedTuple):
     y_N: float = 0.0
     z_N: float = 0.0
 
-    def columns(self) -> Reading:
-        """Return the zero as columns of a reading."""
-        return {f"force_zero_{name}": value for name, value in self._asdict().items()}
+    def columns(self, axes: str) -> Reading:
+        """Return the zero as columns of a reading, without a value for what is not one of the
+        sensor's `axes`."""
+        return {
+            f"force_zero_{axis}_N": value if axis in axes else None
+            for axis, value in zip("xyz", self, strict=True)
+        }
 
 
 ZERO_COLUMNS = tuple(
@@ -97,8 +101,9 @@ ZERO_LABEL = "force sensor offset before taring (x, y, z); N"
 
 
 def force_zero_of(readings: Sequence[Reading]) -> dict[str, Any]:
-    """Return ``force_zero_N`` of a run's summary: x, y, z of the last reading. Its drift from run
-    to run shows a sensor that is overloaded, warm or touched by something."""
+    """Return ``force_zero_N`` of a run's summary: x, y, z of the last reading, where the sensor has
+    them all. Its drift from run to run shows a sensor that is overloaded, warm or touched by
+    something."""
     names = [column.key for column in ZERO_COLUMNS]
     found = [zero for r in readings if None not in (zero := [r.get(name) for name in names])]
     return {"force_zero_N": found[-1]} if found else {}

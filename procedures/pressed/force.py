@@ -71,6 +71,8 @@ class TrialForce:
         """Time on the run's clock at which the force of the latest `update` acted."""
         self.older_s = 0.0
         """Additional age of that force compared with the usual one."""
+        self._lacking = [column for column, axis in enumerate("xyz") if axis not in run.force.axes]
+        """Columns of the frames of axes that the sensor lacks."""
         self._first_frame = self._frames_sent = 0
         """Number of the record's first frame, and frames since then when the tick began."""
 
@@ -111,8 +113,12 @@ class TrialForce:
         assert frames is not None, "they have been seen"
         first, record.frames = record.frames, record.frames + fresh
         rate_S_s = self.timing.rate_S_s
-        run.record_rows("bridges", first, frames.raw[:fresh], rate_S_s, units=frames.raw_unit)
+        raw, force_N = frames.raw[:fresh], frames.force_N[:fresh]
+        if self._lacking:  # their zeros are no measurement
+            raw, force_N = raw.copy(), force_N.copy()
+            raw[:, self._lacking] = force_N[:, self._lacking] = np.nan
+        run.record_rows("bridges", first, raw, rate_S_s, units=frames.raw_unit)
         # The sensor's z points up out of the object: what presses on it is F_n.
-        newton = np.ascontiguousarray(frames.force_N[:fresh, [2, 0, 1]])
+        newton = np.ascontiguousarray(force_N[:, [2, 0, 1]])
         run.record_rows("force", first, newton, rate_S_s, units="N")
         record.force.append(newton)

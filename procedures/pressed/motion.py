@@ -48,7 +48,7 @@ class MotionRecord:
     normal_N: Values
     """Normal force, positive where it presses."""
     tangential_N: Values
-    """Force along x."""
+    """Force along x; NaN where the sensor does not measure it (`Procedure.force_axes`)."""
     signal_t_s: Values
     """Times of the strips' signals: equally spaced, 1000 a second, corrected for the delay of the
     anti-alias filter."""

@@ -220,7 +220,7 @@ def reading_of(run: Run, record: TrialRecord) -> Reading:
     reading: Reading = {
         "trial": record.number,
         "set_normal_force_N": record.normal_force_N,
-        **record.zero.columns(),
+        **record.zero.columns(run.force.axes),
         "contact_mm": record.contact_mm,
         "stiffness_N_mm": record.stiffness_N_mm,
         "overshoot_percent": max(0.0, float(error[t < record.motion_from_s].max())),

@@ -103,6 +103,7 @@ class TrialProcedure(Procedure):
             settings = self.settings
             bound = held_speed_bound(run.bench, settings.largest_force_N, settings.normal_force_N)
             run.event("info", "servo", f"z follows the force at up to {bound.in_words()}")
+            _say_what_is_not_measured(run)
             series = self.new_series(rates, load_scales_for(run))
             # Before anything is switched on: a detector of another package takes seconds to start.
             series.detection = start_detection(run)
@@ -147,3 +148,20 @@ class TrialProcedure(Procedure):
             )
             if name in summary and there in known
         }
+
+
+def _say_what_is_not_measured(run: Run) -> None:
+    """Report forces along axes that the sensor lacks; the file has no numbers for them."""
+    # As in start_series().
+    from rig.instruments.roles import axes_of
+
+    sensor, names = run.bench.force_sensor, {"x": "F_t", "y": "F_y"}
+    there = axes_of(sensor)
+    missing = [name for axis, name in names.items() if axis not in there]
+    if missing:
+        run.event(
+            "warning",
+            "force-axes",
+            f"the force sensor {sensor.identity.model} measures {' and '.join(there)} only: "
+            f"{' and '.join(missing)} are not measured and have no numbers (NaN) in the file",
+        )

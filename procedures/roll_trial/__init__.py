@@ -54,6 +54,7 @@ class RollTrial(TrialProcedure):
 
     name = "roll-trial"
     fixtures = ("semi-spherical-object",)
+    force_axes = "xz"
     Settings = RollTrialSettings
     layout = roll_layout.LAYOUT
     streams = roll_layout.STREAMS

@@ -39,6 +39,7 @@ class SlipTrial(TrialProcedure):
 
     name = "slip-trial"
     fixtures = ("plate",)
+    force_axes = "xz"
     Settings = SlipTrialSettings
     layout = slip_layout.LAYOUT
     summary_keys = (

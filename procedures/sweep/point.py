@@ -189,7 +189,7 @@ class SweepPointRun:
             "largest_load_N": sampler.largest_load_N,
             "preload_N": preload_N,
             "preload_error_N": preload_error_N,
-            **self.memory.preload.zero.columns(),
+            **self.memory.preload.zero.columns(run.force.axes),
             **self.memory.film_truth(run),
         }
 

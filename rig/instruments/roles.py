@@ -445,6 +445,10 @@ class OffersReader(Protocol):
         ...
 
 
+ALL_AXES = "xyz"
+"""Axes of a force sensor."""
+
+
 @dataclass(frozen=True)
 class ForceFrames:
     """Consecutive frames of a force sensor."""
@@ -470,7 +474,8 @@ class ForceSensor(Instrument, Protocol):
     threads may call the other methods at the same time.
 
     `reach` holds ``rate`` in frames/s, with twice the same value where it is fixed, and ``force``
-    in N.
+    in N. The class of a sensor that lacks axes states those that it has, ``axes = "z"``; one that
+    states none has all three (`axes_of`).
     """
 
     @property
@@ -507,6 +512,11 @@ class ForceSensor(Instrument, Protocol):
         """Define this reading as zero force; the amplifier's own zero stays as it is. Returns the
         force along x, y, z in N that the reading means relative to the amplifier's zero."""
         ...
+
+
+def axes_of(sensor: ForceSensor) -> str:
+    """Return the axes that a force sensor measures, as a text of ``x``, ``y`` and ``z``."""
+    return str(getattr(sensor, "axes", ALL_AXES))
 
 
 class DriverModule(Protocol):

@@ -71,8 +71,27 @@ class CheckedProcedure:
 
     def check(self, bench: Bench) -> None:
         """Refuse a bench that the run cannot work on."""
+        self._require_axes(bench)
         with self._blamed():
             self._procedure.check(bench)
+
+    def _require_axes(self, bench: Bench) -> None:
+        """Raise ConfigurationError where the force sensor lacks an axis that the procedure needs,
+        which would be recorded as a force of zero."""
+        if "force_sensor" not in bench.instruments:
+            return
+        from rig.instruments.roles import axes_of
+
+        sensor = bench.force_sensor
+        there = axes_of(sensor)
+        missing = [axis for axis in self._procedure.force_axes if axis not in there]
+        if missing:
+            raise ConfigurationError(
+                f"{self._procedure.name} needs the force along {' and '.join(missing)}, and the "
+                f"force sensor {sensor.identity.model} measures {' and '.join(there)} only",
+                "mount a force sensor with this axis and name it in the bench file, or run a "
+                "procedure that needs the normal force alone",
+            )
 
     def refine(self, readings: Sequence[Reading]) -> tuple[Point, ...]:
         """Return further points that the readings of the first plan require."""

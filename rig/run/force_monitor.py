@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from rig.core.clock import Clock
 from rig.core.errors import InstrumentError, RigError
-from rig.instruments.roles import ForceFrames, ForceSensor
+from rig.instruments.roles import ForceFrames, ForceSensor, axes_of
 from rig.run.force_axes import AXES, AxisWatch
 from rig.run.holds import Holds
 from rig.run.stream_reader import StreamReader
@@ -69,6 +69,8 @@ class ForceMonitor:
         """Time at which the newest buffered frame would have come without its delay."""
         self._missing_since_s: float | None = None
         self._looked_s = 0.0
+        self.axes = axes_of(sensor)
+        """Axes that the sensor measures. The others are 0 in its frames."""
         self._axes = AxisWatch(getattr(sensor, "axes", ""))
         self._at_rest: npt.NDArray[np.float32] | None = None
         """Raw frames of the latest `tare` that the reader's thread has not learned from."""

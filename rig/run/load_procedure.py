@@ -154,6 +154,9 @@ def _wrong_attributes(procedure: type[Procedure]) -> Iterator[str]:
     labels = procedure.summary_labels
     if not isinstance(labels, Mapping) or not all(isinstance(one, str) for one in labels.values()):
         yield "has summary_labels that are not a mapping of names to texts"
+    axes = procedure.force_axes
+    if not (isinstance(axes, str) and set(axes) <= set("xyz")):
+        yield "has force_axes that are not a text of x, y and z, such as 'xz'"
     words = procedure.point_name
     if not (isinstance(words, tuple) and list(map(type, words)) == [str, str]):
         yield 'has a point_name that is not a pair of words such as ("trial", "trials")'

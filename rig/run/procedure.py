@@ -105,6 +105,9 @@ class Procedure(ABC):
     """Where values of the summary come from that were not measured, by name: ``set`` for a setting,
     ``calibrated`` for a number of a calibration, or in words. A dotted name reaches into tables
     (``model.bounds``); a table's origin is that of all that is in it."""
+    force_axes: ClassVar[str] = "z"
+    """Axes of the force sensor that it cannot do without, such as ``xz`` for a friction. A run with
+    a sensor that lacks one is refused before anything is armed."""
     point_name: ClassVar[tuple[str, str]] = ("point", "points")
     """Noun for one of its points, and for several."""
 

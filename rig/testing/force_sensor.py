@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from rig.core.errors import InstrumentTimeoutError
-from rig.instruments.roles import ForceFrames, ForceSensor
+from rig.instruments.roles import ForceFrames, ForceSensor, axes_of
 from rig.testing.script import Role, Step, same, soon
 from rig.testing.signals import USUAL_RATE_S_s
 
@@ -93,6 +93,16 @@ def _begin(sensor: Any, service: Any, rate_S_s: float | None = None) -> float:
     assert rate == nearest, f"asked for {asked:g} frames/s, the sensor's nearest is {nearest:g}"
     assert sensor.reach()["rate"].holds(rate), f"reach() does not hold the rate of {rate:g} 1/s"
     return since
+
+
+def _stated_axes(sensor: Any, service: Any) -> None:
+    """Check that the class of a sensor that lacks axes says which ones it has."""
+    there = service.truth("axes")
+    assert axes_of(sensor) == there, (
+        f"the sensor measures {' and '.join(there)}, and its class states axes = "
+        f"{axes_of(sensor)!r}: write axes = {there!r} in the class of the driver, so that no run "
+        "that needs another axis takes its zeros for a force"
+    )
 
 
 def _force_stream(sensor: Any, service: Any) -> None:
@@ -182,6 +192,7 @@ FORCE_SENSOR = Role(
     ForceSensor,
     frozenset({"rate", "force"}),
     (
+        Step("axes", _stated_axes),
         Step("start(), read(), stop()", _force_stream),
         Step("calibrate(), tare()", _calibrated),
         Step("start() at another rate", _other_rate),

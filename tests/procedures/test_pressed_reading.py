@@ -39,6 +39,7 @@ def reading_of_record(recorded: TrialRecord, said: list[str] | None = None) -> d
         event=event,
         check_stop=lambda: None,
         clock=SimpleNamespace(truth=dict),
+        force=SimpleNamespace(axes="xyz"),
     )
     return dict(reading_of(run, recorded))
 

@@ -43,6 +43,7 @@ def rolled(rest_s: float, scale: float = 1.0, noise_mV: np.ndarray | float = 0.0
         event=lambda *said: None,
         check_stop=lambda: None,
         clock=SimpleNamespace(truth=dict),
+        force=SimpleNamespace(axes="xyz"),
     )
     return dict(reading_of(run, found, None))
 

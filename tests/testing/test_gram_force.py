@@ -21,10 +21,11 @@ CONTRACT = """from gram_force.simulator import GfOneCore
 from rig.testing import driver_contract
 test_gf_one = driver_contract("gf-one", core=GfOneCore, settings={"max_force_N": 40.0})
 """
-BENCH = packages.film_bench("""driver = "gf-one"
+SENSOR = """driver = "gf-one"
 host = "10.0.0.5"
 max_force_N = 30.0
-""")
+"""
+BENCH = packages.film_bench(SENSOR)
 
 
 @pytest.fixture
@@ -57,6 +58,29 @@ def test_a_dry_run_has_it_in_virtual_time(rig: Any, site: Path) -> None:
     done = rig.run("sweep", "--frequencies", "200", "--no-figures", "--json", "--dry-run")
     assert done.code == 0, done.stderr
     assert done.object["points_done"] == 1
+
+
+def test_a_trial_that_needs_the_tangential_force_is_refused_before_anything_moves(
+    rig: Any, site: Path
+) -> None:
+    packages.on_path(rig, site)
+    (rig.folder / "bench.toml").write_text(packages.plate_bench(SENSOR))
+    refused = rig.run("slip-trial", "--no-figures", "--dry-run", "--world-log", "world.jsonl")
+    assert refused.code == 2, refused.stderr
+    (line,) = refused.errors
+    assert "slip-trial needs the force along x" in line
+    assert "the force sensor ONE measures z only" in line
+    assert not [event for event in rig.log() if event["what"] in ("move", "home")]
+
+
+@pytest.mark.thorough
+def test_a_trial_that_can_do_without_it_says_what_is_not_measured(rig: Any, site: Path) -> None:
+    packages.install(site, "lab-creep", "[rig.procedures]\ncreep = procedures.example:Creep\n")
+    packages.on_path(rig, site)
+    (rig.folder / "bench.toml").write_text(packages.plate_bench(SENSOR))
+    done = rig.run("creep", "--hold", "1s", "--no-figures", "--dry-run")
+    assert done.code == 0, done.stderr
+    assert "the force sensor ONE measures z only: F_t and F_y are not measured" in done.stderr
 
 
 def test_a_fault_of_its_simulator_names_the_package_and_the_line(rig: Any, site: Path) -> None:

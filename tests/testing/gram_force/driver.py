@@ -38,6 +38,8 @@ class Settings(BaseSettings):
 
 
 class GfOne:
+    axes = "z"
+
     def __init__(self, settings, clock):
         self._settings, self._clock = settings, clock
         self._place = f"{settings.host}:{settings.tcp_port}"
