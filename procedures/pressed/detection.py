@@ -12,6 +12,7 @@ import threading
 from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -40,11 +41,17 @@ JOIN_S = 0.1
 """Interval of the signs of life while a detector starts."""
 
 
-def compile_detector(name: str) -> None:
-    """Have a detector of this project judge a row, so that nothing of it is compiled later. Code of
-    other packages is not imported here."""
-    if name != NO_DETECTOR and is_own(name):
+@cache
+def try_detector(name: str) -> None:
+    """Have a detector of this project judge a row, so that nothing of it is compiled later, or make
+    one of another package once in a process of its own: code of other packages is not imported
+    here. Raises RigError if it cannot be used."""
+    if name == NO_DETECTOR:
+        return
+    if is_own(name):
         chosen_detector(name).make(RATE_Hz).add(np.zeros((1, 2)))
+    else:
+        start(name, RATE_Hz, patient=True, woken=lambda: None).close()
 
 
 class LiveDetection:

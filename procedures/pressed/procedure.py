@@ -195,6 +195,7 @@ class PressedProcedure(TrialProcedure):
                 f"needs at least {LEAST_MOTION_S:g} s",
                 "ask for a longer one",
             )
+        self._refuse_force_without_effect()
         return trial_points(self.settings, self.moves(), motion_s, 0.0, len(self._conditions()))
 
     def overhead_s(self, fixture: FixtureSettings, homed: bool) -> float:
@@ -277,6 +278,23 @@ class PressedProcedure(TrialProcedure):
                     "press with another force, or raise --largest-force if skin and bench bear it",
                 )
         return forces
+
+    def _refuse_force_without_effect(self) -> None:
+        """Raise ConfigurationError for a ``--normal-force`` that is not the default and that a
+        procedure with forces of its own does not press with."""
+        given_N = self.settings.normal_force_N
+        default_N = type(self.settings).model_fields["normal_force_N"].default
+        if type(self).normal_forces_N is PressedProcedure.normal_forces_N or given_N == default_N:
+            return
+        forces = self._forces()
+        usual = type(self)(self.settings.model_copy(update={"normal_force_N": default_N}))
+        if forces == usual._forces():
+            own = ", ".join(f"{force_N:g}" for force_N in forces)
+            raise ConfigurationError(
+                f"{self.name} has forces of its own, {own} N: --normal-force {given_N:g} N "
+                "has no effect",
+                "leave --normal-force out",
+            )
 
     def _conditions(self) -> tuple[tuple[float, float], ...]:
         """Return normal force in N and offset in mm of the trials, one after the other."""

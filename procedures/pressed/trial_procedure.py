@@ -72,12 +72,13 @@ class TrialProcedure(Procedure):
         """State that trials pass on to later ones; None before the first arming."""
 
     def import_ahead(self) -> None:
-        """Import what a trial needs and compile its detector, which takes a minute on the first use
-        on a computer: never while something is switched on."""
-        from procedures.pressed.detection import compile_detector
+        """Import what a trial needs and try its detector, which takes a minute on the first use on
+        a computer: never while something is switched on. RigError for a detector that cannot be
+        used."""
+        from procedures.pressed.detection import try_detector
 
         import_what_a_trial_needs()
-        compile_detector(self.settings.detector)
+        try_detector(self.settings.detector)
 
     def check(self, bench: Bench) -> None:
         """Refuse a fixture that does not state where contact has to be felt, and a contact so stiff

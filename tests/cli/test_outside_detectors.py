@@ -13,7 +13,7 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parent.parent / "files"))
 
 import recorded_trials as trials
-from packages import install, on_path
+from packages import install, on_path, plate_bench
 from tiers import mostly_thorough
 
 from rig.detector.detector import DETECTOR_VERSION
@@ -155,6 +155,18 @@ def test_a_broken_one_is_named_and_disables_only_itself(rig: Any, fault: str) ->
     ]  # fmt: skip
     assert listed.stderr.count("warning:") == 1
     assert rig.run("detect", file.name).code == 0
+
+
+def test_a_broken_one_is_found_before_a_trial_connects_to_anything(rig: Any) -> None:
+    installed(rig, BROKEN["without judge"][0])
+    (rig.folder / "bench.toml").write_text(
+        plate_bench('driver = "me-gsv8"\nport = "socket://127.0.0.1:9"\n')
+    )
+    refused = rig.run("slip-trial", "--detector", "lab-level", "--no-figures")
+    assert refused.code == 2, refused.stderr
+    (error,) = refused.errors
+    assert "of the package lab-level" in error
+    assert "lacks judge" in error
 
 
 NONSENSE = {

@@ -129,6 +129,19 @@ def test_forces_that_cannot_be_are_refused_when_the_run_is_planned(
         Forces(PressedSettings()).points()
 
 
+def test_a_normal_force_that_has_no_effect_is_refused() -> None:
+    with pytest.raises(ConfigurationError, match=r"own, 1, 3 N: --normal-force 6 N has no effect"):
+        Forces(PressedSettings(normal_force_N=6.0)).points()
+    assert Forces(PressedSettings(normal_force_N=4.0)).points(), "the default was not given"
+
+
+def test_a_normal_force_that_own_forces_are_made_of_is_accepted(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(Forces, "normal_forces_N", lambda self: (1.0, self.settings.normal_force_N))
+    assert Forces(PressedSettings(normal_force_N=6.0)).points()
+
+
 def hold_of(stopped: list[str], silent_s: float = 0.0) -> ForceHold:
     """A hold of 4 N whose link has been silent for so long; stops of z are noted."""
     z = SimpleNamespace(stage=SimpleNamespace(stop=lambda: stopped.append("z")))

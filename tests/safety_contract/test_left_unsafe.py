@@ -8,6 +8,7 @@ import time
 
 import pytest
 from processes import children_named
+from tiers import mostly_nightly
 
 from rig.bench.plan import read_bench
 from rig.run.bench_mark import ProcessStamp
@@ -73,8 +74,7 @@ def test_a_run_and_its_guard_killed_together_are_reported_and_refuse_the_bench(r
     assert rig.marks() == []
 
 
-@pytest.mark.thorough
-@pytest.mark.parametrize("moment", range(5))
+@pytest.mark.parametrize("moment", mostly_nightly(range(5), [3, 4]))
 def test_whenever_both_are_killed_the_next_start_is_refused_until_it_was_made_safe(
     rig, bench_file, moment
 ):

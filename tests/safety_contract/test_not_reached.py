@@ -3,10 +3,11 @@ last seen and what the force sensor reads."""
 
 from __future__ import annotations
 
+import itertools
 import re
 
 import pytest
-from tiers import mostly_thorough
+from tiers import mostly_nightly
 
 WHILE_PRESSED = {
     "sweep": ("acquisition = 3\nafter_s = 0.05\n", ("--frequencies", "110,410")),
@@ -31,9 +32,17 @@ def lost_for_ever(rig, procedure, kind):
     )  # fmt: skip
 
 
-@pytest.mark.parametrize("procedure", mostly_thorough(WHILE_PRESSED, ["sweep"]))
-@pytest.mark.parametrize("kind", mostly_thorough(["silence", "close", "half-open"], ["silence"]))
-def test_what_stays_pressed_is_said_at_once_with_place_and_force(rig, procedure, kind):
+@pytest.mark.parametrize(
+    "case",
+    mostly_nightly(
+        itertools.product(WHILE_PRESSED, ("silence", "close", "half-open")),
+        [("slip-trial", "close"), ("roll-trial", "half-open")],
+        [("sweep", "silence")],
+    ),
+    ids="-".join,
+)
+def test_what_stays_pressed_is_said_at_once_with_place_and_force(rig, case):
+    procedure, kind = case
     ended = lost_for_ever(rig, procedure, kind)
     assert ended.code == 7, ended.stderr
     told = next(line for line in ended.stderr.splitlines() if "not safe yet" in line)

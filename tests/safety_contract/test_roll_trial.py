@@ -56,9 +56,9 @@ def the_reading(rig):
 @pytest.mark.parametrize(
     ("stages", "speed"),
     [
-        pytest.param("festo", "", marks=pytest.mark.thorough),
+        pytest.param("festo", "", marks=pytest.mark.nightly),
         ("az", "3 deg/s"),
-        pytest.param("festo-az", "5.71 deg/s", marks=pytest.mark.thorough),
+        pytest.param("festo-az", "5.71 deg/s", marks=pytest.mark.nightly),
         pytest.param("az-festo", "5.71 deg/s", marks=pytest.mark.thorough),
     ],
 )

@@ -87,13 +87,11 @@ EACH_LINK = (
     "slip: z, one look",
     "slip: force, its frames",
     "roll: rotary, a look",
-    "roll: z, one look",
     "sweep: generator, an amplitude",
-    "sweep: daq, a record",
     "slip: daq, a pause",
     "sweep: z, one late answer",
 )
-"""One request of each link, for each fate; the walk over the others, which mostly waits, is
+"""One request of each link, and each fate; the walk over the others, which mostly waits, is
 nightly."""
 
 

@@ -18,12 +18,14 @@ creep."""
 CASES = [case for case in itertools.product(STATES, CAUSES) if case != NOTHING_FOLLOWS]
 BY_DEFAULT = [("approach", "SIGTERM")]
 THOROUGH = [
-    (state, cause)
-    for state, cause in CASES
-    if cause != "Ctrl-C" or state in ("slide", "sweep, recording", "paused")
+    *(("homing", "interlock"), ("travel", "force limit"), ("approach", "force limit")),
+    *(("held", "SIGTERM"), ("held", "interlock"), ("slide", "Ctrl-C"), ("slide", "force limit")),
+    *(("roll", "SIGTERM"), ("roll", "interlock"), ("sweep, settling", "force limit")),
+    *(("sweep, recording", "Ctrl-C"), ("sweep, recording", "interlock")),
+    *(("paused", "Ctrl-C"), ("paused", "interlock")),
 ]
-"""Ctrl-C and SIGTERM are one path through the program, so that the second signal in each further
-state is nightly."""
+"""Each state, with two causes where something is pressed, and each cause in three states at least;
+the other pairs are nightly."""
 
 
 @pytest.mark.stages("festo", because="the states' moments are those of these stages")

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 from forked_rig import server
-from tiers import mostly_thorough
+from tiers import mostly_nightly
 
 from .batches import BatchTrial, batch_breaches, run_batch
 from .invariants import Ran, breaches, said_unheard_s
@@ -24,8 +24,15 @@ from .trials import Fault, Trial, draw, shrunk, world_of
 TRIALS = 33
 SEED_BY_DEFAULT = 6
 """A sweep with three faults."""
+ALIKE = {3, 5, 9, 11, 13, 15, 17, 19, 24, 27, 28, 29}
+"""Seeds whose faults other seeds have, too, in the same device; nightly."""
 SLIP_SHARE, ROLL_SHARE = 0.06, 0.04
 """They take three times as long as a short sweep; the benchmark makes more of them."""
+
+
+SEEDS = mostly_nightly(
+    range(TRIALS), sorted({*range(TRIALS)} - ALIKE - {SEED_BY_DEFAULT}), [SEED_BY_DEFAULT]
+)
 
 
 def failing(folder: Path) -> Callable[[Trial], bool]:
@@ -34,7 +41,7 @@ def failing(folder: Path) -> Callable[[Trial], bool]:
     return lambda trial: bool(breaches(run(server(), trial, folder / f"shrunk-{next(numbers)}")))
 
 
-@pytest.mark.parametrize("seed", mostly_thorough(range(TRIALS), [SEED_BY_DEFAULT]))
+@pytest.mark.parametrize("seed", SEEDS)
 def test_whatever_goes_wrong_the_invariants_hold(seed: int, tmp_path: Path) -> None:
     trial = draw(seed, SLIP_SHARE, ROLL_SHARE)
     ran = run(server(), trial, tmp_path / "trial")

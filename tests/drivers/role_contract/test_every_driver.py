@@ -13,11 +13,8 @@ from rig.testing import contract_of
 from .cases import CASES
 
 test_driver = contract_of(*CASES)
-test_driver_with_another_kind_at_each_request = pytest.mark.thorough(
-    contract_of(*CASES, further_deals=(1,))
-)
 test_driver_with_every_kind_at_each_request = pytest.mark.nightly(
-    contract_of(*CASES, further_deals=(2, 3, 4))
+    contract_of(*CASES, further_deals=(1, 2, 3, 4))
 )
 
 
