@@ -27,6 +27,7 @@ from pathlib import Path
 from typing import Any, Concatenate, Literal, NamedTuple, ParamSpec, Self, TypeVar
 
 from rig.batch.plan.conditions import BatchCondition, BatchPlan
+from rig.batch.queue_file import QueueConnection, QueueDamagedError, QueueWriteError
 from rig.core.atomic import replacing
 from rig.core.errors import ConfigurationError, RigError
 
@@ -67,69 +68,6 @@ CREATE TABLE event (
 );
 CREATE TABLE request (id INTEGER PRIMARY KEY, time TEXT NOT NULL, kind TEXT NOT NULL);
 """
-
-
-class QueueDamagedError(ConfigurationError):
-    """Raised where the file of a queue is not, or not any more, one that can be read."""
-
-    def __init__(self, why: str, path: Path):
-        super().__init__(
-            f"{path} cannot be read as the queue of a batch: {why}",
-            f"its runs' files are sound without it; rebuild it: rig batch rebuild {path.parent}",
-        )
-
-
-class _Connection(sqlite3.Connection):
-    """A connection that reports a damaged file as QueueDamagedError, wherever it is noticed."""
-
-    path = Path()
-
-    def cursor(self, factory: Any = None) -> Any:
-        """Return a cursor that reports the same."""
-        return super().cursor(_Cursor)
-
-    def execute(self, *given: Any) -> Any:
-        """Return the cursor of a statement."""
-        return self.cursor().execute(*given)
-
-
-class _Cursor(sqlite3.Cursor):
-    """A cursor of a `_Connection`."""
-
-    def execute(self, *given: Any) -> Self:
-        with _damage_named(self):
-            return super().execute(*given)
-
-    def fetchone(self) -> Any:
-        with _damage_named(self):
-            return super().fetchone()
-
-    def fetchall(self) -> list[Any]:
-        with _damage_named(self):
-            return super().fetchall()
-
-    def fetchmany(self, *given: Any, **named: Any) -> list[Any]:
-        with _damage_named(self):
-            return super().fetchmany(*given, **named)
-
-    def __next__(self) -> Any:
-        with _damage_named(self):
-            return super().__next__()
-
-
-@contextlib.contextmanager
-def _damage_named(cursor: sqlite3.Cursor) -> Iterator[None]:
-    try:
-        yield
-    except sqlite3.DatabaseError as error:
-        if type(error) is not sqlite3.DatabaseError:  # a full disk and a lock are subclasses
-            raise
-        assert isinstance(cursor.connection, _Connection)
-        raise QueueDamagedError(str(error), cursor.connection.path) from error
-
-
-class QueueWriteError(RigError):
-    """Raised where the disk does not take a transaction; the queue is as it was before it."""
 
 
 _Given = ParamSpec("_Given")
@@ -282,7 +220,7 @@ class Queue:
             sql = sqlite3.connect(
                 f"{path.absolute().as_uri()}?mode={mode}",
                 uri=True,
-                factory=_Connection,
+                factory=QueueConnection,
                 timeout=BUSY_S,
                 isolation_level=None,
                 check_same_thread=False,

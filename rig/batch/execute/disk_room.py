@@ -9,7 +9,7 @@ from collections import deque
 from collections.abc import Callable
 from pathlib import Path
 
-from rig.batch.queue import QueueDamagedError, QueueWriteError
+from rig.batch.queue_file import QueueDamagedError, QueueWriteError
 
 LEAST_B = 1_000_000
 """Room, in bytes, that is asked for in any case: for the queue, the logs and the heartbeat."""

@@ -38,7 +38,8 @@ from rig.batch.folder import BatchFolder
 from rig.batch.plan.policy import after_failure, kind_of, reason_to_end
 from rig.batch.plan.procedures import installed
 from rig.batch.plan.window import does_not_fit
-from rig.batch.queue import AttemptResult, Claim, Queue, QueueWriteError, give_up
+from rig.batch.queue import AttemptResult, Claim, Queue, give_up
+from rig.batch.queue_file import QueueWriteError
 from rig.core.errors import ExitCode, RigError
 from rig.core.units import counted
 from rig.run.interlock_store import InterlockStore
