@@ -23,8 +23,9 @@ def recorded(axes: str) -> dict[str, Any]:
     def record_rows(name: str, first: int, values: Any, rate_S_s: float, units: str) -> None:
         rows[name] = values
 
-    run: Any = SimpleNamespace(force=force, record_rows=record_rows)
-    record: Any = SimpleNamespace(force_rate_S_s=1000.0, frames=0, force=[])
+    clock = SimpleNamespace(now=lambda: 0.0)
+    run: Any = SimpleNamespace(force=force, clock=clock, record_rows=record_rows)
+    record: Any = SimpleNamespace(force_rate_S_s=1000.0, frames=0, force=[], frame_looks=[])
     trial_force = TrialForce(run, record)
     force.frames_seen = 4
     trial_force.count_frames()
