@@ -2,10 +2,17 @@
 
 from __future__ import annotations
 
+import re
+import sys
+from pathlib import Path
 from typing import Any
 
 import pytest
 from page import Page
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "figures"))
+
+import recorded
 
 from procedures.pressed.layout import STREAMS
 from rig.figures import style
@@ -43,6 +50,34 @@ def test_a_figure_that_fails_is_a_warning_and_costs_nothing_else(rig: Any) -> No
     file = rig.only("*.h5")
     assert file.with_suffix(".png").exists()
     assert not (file.parent / f"{file.stem}-friction-speed.png").exists()
+
+
+@pytest.mark.thorough
+def test_the_figure_of_several_runs_is_drawn_as_the_page_says(rig: Any) -> None:
+    page = Page(PAGE, rig)
+    (entry,) = re.findall(
+        r'^\[project.entry-points."rig.overlays"\]\n.*\n', page.text, re.MULTILINE
+    )
+    (function,) = re.findall(r"^```python\n(def draw_several.*?)^```$", page.text, re.M | re.DOTALL)
+    (imported,) = re.findall(r"with `(from rig[^`]*)` above", page.text)
+    module = "lab_figures/mu_figure.py"
+    page.files[module] = page.files[module].replace(
+        "\n\n\ndef draw(", f"\n{imported}\n\n\n{function}\n\ndef draw("
+    )
+    assert "def draw_several" in page.files[module]
+    page.files["pyproject.toml"] += f"\n{entry}"
+    page.make()
+    folder = recorded.unpack(rig.folder)
+    names = (recorded.FAST_SLIDE, recorded.TWO_SLIDES)
+    done = rig.run("show", "--overlay", *(str(folder / name) for name in names))
+    assert done.code == 0, done.stderr
+    assert "lab-figures" not in done.stderr
+    stem = recorded.FAST_SLIDE.removesuffix(".h5")
+    drawn = (folder / f"{stem}-overlay-friction-speed.svg").read_text("utf-8")
+    assert "SIMULATED 2 runs" in drawn
+    assert "speed 1 mm/s" in drawn
+    assert "Time (s)" in drawn
+    assert (folder / f"{stem}-overlay.png").exists(), "this project's own is drawn as well"
 
 
 @pytest.mark.thorough
