@@ -9,6 +9,10 @@ chi-square against the World's film, which the sweep does not know.
 Run with ``pytest -m benchmark -n 0 -s tests/benchmarks/bench_load_dependence.py``;
 `RIG_REPEATS=2` for two films of each kind through the wire, which take some minutes each.
 `RIG_REGISTER=FILE` keeps what each of them gave, so that an interrupted call continues.
+
+`test_points_drawn_again` takes the plans and stated errors of whole sweeps of simulated films, from
+the folder `RIG_SWEEPS`, and draws their points anew around the World's curve: it judges the
+analysis of exactly such sweeps, apart from how their points were measured.
 """
 
 from __future__ import annotations
@@ -22,11 +26,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from measured import heading, repeats, row
+from scipy.stats import binom
 
 from rig.analysis.film.frequency_plan import scan_frequencies_Hz
 from rig.analysis.film.gain_curve import analyse
 from rig.analysis.film.linearity import load_linearity
-from rig.analysis.response.curve import points_of
+from rig.analysis.film.truth import FilmTruth
+from rig.analysis.response.curve import likely_preloads, points_of
 from rig.analysis.verdict import Bounds
 from rig.files.runfile.reader import RunFile
 from rig.physics.film_clamp import FilmClampSettings, load_gain, preload_gain
@@ -38,7 +44,12 @@ from recorded_film import PLAN, beside_truth, print_estimates, record
 pytestmark = [pytest.mark.benchmark, pytest.mark.timeout(3600)]
 
 REGISTER = Path(os.environ["RIG_REGISTER"]) if "RIG_REGISTER" in os.environ else None
-FILMS, ANALYSED, SWEPT = 200, 20, repeats(5)
+SWEEPS = (
+    sorted(Path(os.environ["RIG_SWEEPS"]).rglob("*_sweep_*.h5"))
+    if "RIG_SWEEPS" in os.environ
+    else []
+)
+FILMS, ANALYSED, SWEPT, DRAWN = 200, 20, repeats(5), repeats(6)
 LOADS_N = (0.2, 0.5, 1.0, 3.0, 10.0)
 DEPENDENCES = (0.0, 0.1)
 """Changes of the gain that the World has, in dB/decade of load."""
@@ -46,6 +57,7 @@ PRELOAD_STEPS_N, PRELOAD_ERROR_N = 0.05, 0.001
 BOUNDS = Bounds()
 COVERAGE = (0.90, 0.98)
 SPREAD = (0.9, 1.1)
+CHANCE = 1e-3
 
 
 def five_loads(seed, dependence_dB):
@@ -122,6 +134,74 @@ def test_intervals_of_films_under_five_loads(dependence_dB):
     assert COVERAGE[0] <= np.mean(covered) <= COVERAGE[1]
 
 
+@pytest.mark.skipif(not SWEEPS, reason="RIG_SWEEPS names no folder with run files of sweeps")
+def test_points_drawn_again():
+    heading(f"points of {len(SWEEPS)} sweeps drawn again, {DRAWN} times each")
+    judged = []
+    for file in SWEEPS:
+        with RunFile.open(file) as run:
+            seed, dependence_dB = run.outcome.seed, world_s_dependence_dB(run)
+            judged += [drawn_again(run, seed, dependence_dB, draw) for draw in range(DRAWN)]
+    print_estimates(judged)
+    row(
+        "chi-square by degree",
+        [j.analysis.fit.chi_square / j.analysis.fit.degrees for j in judged],
+        "",
+        3,
+    )
+    for name in judged[0].estimates:
+        found = [j.estimates[name] for j in judged if name in j.estimates]
+        hits = [estimate.covers(truth) for estimate, truth in found]
+        # Below 90 % by more than chance: with few draws chance is large.
+        assert binom.cdf(sum(hits), len(hits), COVERAGE[0]) > CHANCE, name
+
+
+def world_s_dependence_dB(run):  # noqa: N802
+    """The change of the gain by decade of load that the World of a sweep had."""
+    told = next(r["simulated_truth"] for r in run.readings() if r.get("simulated_truth"))
+    return FilmTruth.of(str(told)).gain_per_load_decade_dB
+
+
+def drawn_again(run, seed, dependence_dB, draw):
+    """The analysis of the World's own responses at the points of a sweep, with noise of their
+    stated errors, and preloads that differ from the measured ones by what these leave open."""
+    column, random = run.column, np.random.default_rng([seed, draw, 36])
+    frequency, _, covariance = points_of(column)
+    preload, uncertain, load = map(column, ("preload", "preload_error", "load_amplitude"))
+    clamp = FilmClampSettings(gain_per_load_decade_dB=dependence_dB)
+    likely, left = likely_preloads(preload, uncertain)
+    truth = true_response(frequency, *drawn_film(seed)) * load_gain(clamp, load)
+    truth = truth * preload_gain(clamp, likely + left * random.standard_normal(load.size))
+    noise = np.linalg.cholesky(covariance) @ random.standard_normal((load.size, 2, 1))
+    # Stated errors scatter, since each is estimated from the residual of its record.
+    scatter = random.chisquare(column("degrees")) / column("degrees")
+    found = analyse(
+        frequency,
+        truth + noise[:, 0, 0] + 1j * noise[:, 1, 0],
+        covariance * scatter[:, None, None],
+        degrees=column("degrees"),
+        preloads=preload,
+        preload_errors=uncertain,
+        loads=load,
+    )
+    judged = beside_truth(seed, found)
+    shift_dB = level_shift_dB(column, clamp)
+    for name, factor in (("b", None), ("circuit level", 10 ** (shift_dB / 20))):
+        estimate, value = judged.estimates[name]
+        judged.estimates[name] = estimate, value + shift_dB if factor is None else value * factor
+    judged.estimates["effect of the preload"] = found.fit.preload_effect, clamp.gain_per_newton_dB
+    judged.estimates["slope over load"] = found.linearity.slope, dependence_dB
+    return judged
+
+
+def level_shift_dB(column, clamp):  # noqa: N802
+    """What the level at the mean preload and load of a sweep has more than that of the film, which
+    is at the nominal preload and 1 N."""
+    by_preload = clamp.gain_per_newton_dB * (column("preload").mean() - clamp.nominal_preload_N)
+    decades = float(np.log10(column("load_amplitude")).mean())
+    return by_preload + clamp.gain_per_load_decade_dB * decades
+
+
 @pytest.mark.parametrize("mains_mV", [0.1, 0.0])
 @pytest.mark.parametrize("dependence_dB", DEPENDENCES)
 def test_sweeps_through_the_wire(rig, dependence_dB, mains_mV):
@@ -180,9 +260,7 @@ def judged_sweep(run, seed, dependence_dB):
     assert not beside.invented
     assert not beside.missed
     estimates |= beside.estimates
-    # The World's level is that at the nominal preload and 1 N; the analysis states it at the means.
-    shift_dB = clamp.gain_per_newton_dB * (column("preload").mean() - clamp.nominal_preload_N)
-    shift_dB += dependence_dB * float(np.log10(column("load_amplitude")).mean())
+    shift_dB = level_shift_dB(column, clamp)
     for name, factor in (("b", None), ("circuit level", 10 ** (shift_dB / 20))):
         estimate, truth = estimates[name]
         estimates[name] = estimate, truth + shift_dB if factor is None else truth * factor

@@ -46,8 +46,8 @@ class ResponseCurve:
     covariances: Reals
     """Covariances of the (real, imaginary) parts in (V/N)², (n, 2, 2)."""
     preloads_N: Reals | None = None
-    """Static force at each point, (n,), as :func:`_likely` makes it of the measured ones; None if
-    unknown or the same everywhere."""
+    """Static force at each point, (n,), as :func:`likely_preloads` makes it of the measured ones;
+    None if unknown or the same everywhere."""
     preload_errors_N: Reals | None = None
     """Standard error of this force, (n,); None if unknown."""
     loads_N: Reals | None = None
@@ -89,7 +89,7 @@ class ResponseCurve:
         preload = _varied(preloads, frequency.size)
         uncertain = None if preload is None else _finite(preload_errors, frequency.size)
         if preload is not None and uncertain is not None:
-            preload, uncertain = _likely(preload, uncertain)
+            preload, uncertain = likely_preloads(preload, uncertain)
             preload = _varied(preload, frequency.size)
         return cls(
             frequency[order],
@@ -242,7 +242,7 @@ def _varied(preloads: ArrayLike | None, size: int) -> Reals | None:
     return found if np.isfinite(found).all() and np.ptp(found) > SAME_PRELOAD_N else None
 
 
-def _likely(preloads: Reals, errors: Reals) -> tuple[Reals, Reals]:
+def likely_preloads(preloads: Reals, errors: Reals) -> tuple[Reals, Reals]:
     """Returns the most likely preloads and their standard errors, from measured ones, all (n,).
 
     A mean force that vibration has disturbed may be off by more than the preloads differ. Taken as
