@@ -39,6 +39,8 @@ MARKS = {"predictive": "none", "incipient slip": "full"}
 file."""
 EVENTS = "△ motion, ▲ slip"
 """How the events of a detector are drawn."""
+UNLOADED = 0.05
+"""F_t at the begin of a stroke, relative to its largest, up to which it begins unloaded."""
 SAME_SLIP_S = 1e-4
 """Difference up to which two accounts of the World have the same begin of a slip."""
 ROWS_LEFT = 0.66
@@ -178,13 +180,18 @@ def measured_slip(series: Mapping[str, Waveform], begin_s: float, end_s: float) 
     t = np.arange(len(force.values("F_n"))) / rate_Hz
     held = (t >= begin_s) & (t <= end_s)
     x_mm = np.interp(t[held], ticks.values("elapsed"), position.values("x"))
-    # After a turn F_t still has the sign of the stroke before.
     dragging = force.values("F_t")[held]
-    forwards = np.sign(np.median(dragging[dragging.size // 2 :])) if dragging.size else 1.0
+    if not dragging.size:
+        return None
+    dragging = np.sign(np.median(dragging[dragging.size // 2 :])) * dragging
+    if dragging[0] < -UNLOADED * dragging.max():
+        # After a turn F_t still has the sign of the stroke before: loading begins where it is zero.
+        held[np.flatnonzero(held)[: np.argmax(dragging >= 0)]] = False
+        dragging, x_mm = dragging[-held.sum() :], x_mm[-held.sum() :]
     try:
         found = friction(
             force.values("F_n")[held],
-            forwards * dragging,
+            dragging,
             np.abs(x_mm - x_mm[:1]),
             rate_Hz=rate_Hz,
         )

@@ -6,9 +6,10 @@ import itertools
 import json
 from pathlib import Path
 from types import SimpleNamespace
-from typing import cast
+from typing import Any, cast
 
 import matplotlib as mpl
+import numpy as np
 import pytest
 from legible import faults, words
 from matplotlib.figure import Figure
@@ -31,6 +32,7 @@ from rig.figures.slip_instants import (
     draw_rows,
     instants_of,
     mark,
+    measured_slip,
     true_slips,
 )
 from rig.figures.slip_trial import draw_trial
@@ -218,6 +220,30 @@ def test_a_stroke_is_a_motion_in_one_direction() -> None:
     run = cast("RunFile", SimpleNamespace(settings=settings))
     assert strokes_of(run, 3.0) == [(3.0, 4.0), (4.5, 5.0), (5.0, 5.5)]
     assert strokes_of(cast("RunFile", SimpleNamespace(settings={})), 3.0) == []
+
+
+def test_the_forces_show_the_slip_of_each_stroke_to_and_fro() -> None:
+    """F_t rises to 0.7 F_n, slides at 0.65 F_n, and goes the other way after the turn."""
+    t = np.arange(1200) / 1000.0
+    x_mm = np.where(t < 0.6, t, 1.2 - t)
+    rises = np.clip(4.0 * np.minimum(t, 0.6), 0.0, 0.7)
+    rises[t > 0.2] = 0.65
+    falls = np.maximum(0.65 - 4.0 * (t - 0.6), -0.7)
+    falls[t > 0.6 + 1.37 / 4.0 + 0.02] = -0.65
+    noise = 1e-3 * np.random.default_rng(0).standard_normal(t.size)
+    dragging = 4.0 * (np.where(t < 0.6, rises, falls) + noise)
+
+    def stream(rate_Hz: float | None, **values: Any) -> Any:
+        return SimpleNamespace(rate_Hz=rate_Hz, values=values.__getitem__)
+
+    series = {
+        "force": stream(1000.0, F_n=np.full(t.size, 4.0), F_t=dragging),
+        "position": stream(None, x=x_mm),
+        "ticks": stream(None, elapsed=t),
+    }
+    first, second = measured_slip(series, 0.0, 0.599), measured_slip(series, 0.6, 1.199)
+    assert first == pytest.approx(0.2, abs=0.03)
+    assert second == pytest.approx(0.6 + 1.37 / 4.0, abs=0.03)
 
 
 def test_the_slip_is_enlarged_with_p_a_the_neighbours_slip_and_p_b(folder: Path) -> None:
