@@ -69,8 +69,15 @@ def computed_by(stored: Results | None, now: Results | None) -> str:
         (found := differences(stored.values, now.values)) == {} and (stored.program == now.program)
     ):
         return said
-    finds = f"{counted(len(found), 'value')} otherwise" if found else "the same"
+    # A later version may say the same in other words.
+    numbers = [one for one in found.values() if not _in_other_words(one)]
+    same = "the same in other words" if found else "the same"
+    finds = f"{counted(len(numbers), 'value')} otherwise" if numbers else same
     return f"{said}; this is {_named(now.program, full=True)}, which finds {finds}"
+
+
+def _in_other_words(one: Difference) -> bool:
+    return isinstance(one.stored, str) and isinstance(one.recomputed, str)
 
 
 def _named(program: Program, full: bool) -> str:

@@ -13,9 +13,10 @@ import recorded_run as run
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from rig.cli.results import computed_by
 from rig.files.definitions import definition_path
 from rig.files.journal.reader import read_journal
-from rig.files.journal.values import Results
+from rig.files.journal.values import Program, Results
 from rig.files.journal.writer import JournalWriter
 from rig.files.runfile.compile import compile_run
 from rig.files.runfile.reader import RunFile
@@ -223,6 +224,19 @@ def test_what_two_versions_find_differently_is_named_and_nothing_else() -> None:
     }
     within = {**SLOPE, "value": 20.01 + 0.009 * SLOPE["standard_error"]}
     assert differences({"slope": SLOPE}, {"slope": within}) == {}
+
+
+def test_other_words_for_the_same_are_no_other_values() -> None:
+    program = Program(name="tactile-rig", version="0.9.1", configuration="abc")
+    stored = Results(program=program, values={"analysis": ["slope 20.0"], "points": 5})
+    now = stored.model_copy(update={"program": program.model_copy(update={"version": "0.9.2"})})
+    for values, finds in (
+        ({"analysis": ["slope 20.0"], "points": 5}, "the same"),
+        ({"analysis": ["slope 20.00"], "points": 5}, "the same in other words"),
+        ({"analysis": ["slope 20.00"], "points": 6}, "1 value otherwise"),
+    ):
+        said = computed_by(stored, now.model_copy(update={"values": values}))
+        assert said.endswith(f"this is 0.9.2 (abc), which finds {finds}")
 
 
 def test_show_says_beside_the_stored_value_what_this_version_finds(rig: Any) -> None:
