@@ -118,6 +118,9 @@ VERDICTS = {
 def in_brief(summary: Mapping[str, Any], put_in: Mapping[str, Any]) -> list[str]:
     """Return the verdicts, then the film's values with the half-widths of their 95 % intervals and
     what a World put in; empty without a model."""
+    from rig.analysis.chi_square import probability_above
+    from rig.analysis.film.fit import MISFIT_PROBABILITY
+
     found: dict[str, Any] | None = summary.get("model")
     if found is None:
         return []
@@ -145,7 +148,9 @@ def in_brief(summary: Mapping[str, Any], put_in: Mapping[str, Any]) -> list[str]
         lines.append("no notch found")
     lines += valued("change with the preload", found["preload_effect"], "preload_effect")
     fit = f"χ² = {found['chi_square']:.0f} for {found['degrees']} d.o.f."
-    return [*lines, f"joint fit: {fit}; ± are 95 % intervals"]
+    poor = probability_above(found["chi_square"], found["degrees"]) < MISFIT_PROBABILITY
+    means = "poor: the ± above mean little" if poor else "good; ± are 95 % intervals"
+    return [*lines, f"joint fit: {fit}, {means}"]
 
 
 def _answer(statement: str, verdict: Verdict) -> str:

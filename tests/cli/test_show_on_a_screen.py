@@ -138,7 +138,9 @@ def test_whole_sweeps_fit(rig: Any) -> None:
 @pytest.mark.thorough
 def test_a_part_of_the_range_says_what_it_cannot_decide(rig: Any) -> None:
     done = rig.sweep("--lowest", "20", "--highest", "2000", "--points-per-half-width", "0")
-    assert "cannot be decided by these data (" in shown(rig, done.object["file"])
+    said = shown(rig, done.object["file"])
+    assert "cannot be decided by these data (" in said
+    assert " d.o.f., poor: the ± above mean little" in said
 
 
 @pytest.mark.thorough
