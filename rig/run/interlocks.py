@@ -375,7 +375,7 @@ class InterlockWatch:
         at = f"at {self._clock.now():.3f} s of bench time"
         if contact.readable:
             return f"{what} opened {at}"
-        cause = self._failed.get(declared.role, "no answer")
+        cause = self._failed.get(declared.role, f"{declared.role} does not answer in time")
         return f"{what} cannot be read {at}, which counts as open: {cause}"
 
     def _tell(self) -> None:

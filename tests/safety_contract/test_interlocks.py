@@ -75,6 +75,9 @@ def test_whatever_reads_as_open_ends_the_run(rig, how):
     assert ended.code == 4, ended.stderr
     assert f"error: interlock door (person) {told}" in ended.stderr
     assert rig.outputs() == [True, False], "off, and not on again"
+    if told == "cannot be read at":
+        (why,) = (line for line in ended.errors if told in line)
+        assert "which counts as open: daq" in why, "the instrument that reads it is named"
 
 
 INPUTS = {
