@@ -29,9 +29,15 @@ class Section:
     rank: int = 1
     """The section of the lowest rank takes the lines that it wants first."""
 
+    @property
+    def least(self) -> int:
+        """Lines that it needs in any case, with its texts shortened."""
+        return len(self.within(min(_LEAST, 1 + len(self.texts))))
+
     def within(self, room: int) -> list[str]:
-        """Return the lines of the section, at most `room`, which has to be 3 or more: each text
-        whole, as long as a line is left for each that follows; else as many as fit."""
+        """Return the lines of the section, at most `room`, which has to be 3 or more, or 2 for one
+        text: each text whole, as long as a line is left for each that follows; else as many as fit.
+        """
         if not self.texts:
             return []
         if len(self.texts) == 1 and len(line := f"{self.name}: {self.texts[0]}") <= COLUMNS:
@@ -65,8 +71,8 @@ def on_a_screen(head: Sequence[str], sections: Sequence[Section], foot: Sequence
     found: dict[int, list[str]] = {}
     order = sorted(range(len(printed)), key=lambda k: printed[k].rank)
     for place, k in enumerate(order):
-        others = sum(len(printed[other].within(_LEAST)) for other in order[place + 1 :])
-        found[k] = printed[k].within(max(left - others, _LEAST))
+        others = sum(printed[other].least for other in order[place + 1 :])
+        found[k] = printed[k].within(max(left - others, printed[k].least))
         left -= len(found[k])
     return [*above, *(line for k in range(len(printed)) for line in found[k]), *below]
 

@@ -98,6 +98,11 @@ def test_sections_share_what_is_left_by_their_rank() -> None:
     results = lines.index("results:")
     assert lines[results - 1] == "  ... and 8 more; --all shows them"
     assert lines[-3].startswith("  ... and ")
+    results = Section("results", [f"value {n}" for n in range(20)], 0)
+    lines = on_a_screen([], [results, Section("warnings", [3 * long], 3)], [])
+    assert len(lines) == LINES
+    assert "  value 19" in lines, "a long warning takes no line from the results"
+    assert lines[-1].endswith("...")
     whole = on_a_screen([], [Section("warnings", [long], 3)], [])
     assert whole[0] == "warnings:"
     assert " ".join(line.strip() for line in whole[1:]) == long
