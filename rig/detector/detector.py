@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import ClassVar
 
@@ -17,7 +18,6 @@ place_numba_cache(Path(__file__).parent)
 from rig.detector import kernel  # noqa: E402 - after numba's cache has its place
 from rig.detector.contract import Detector, FASTEST_Hz, SLOWEST_Hz  # noqa: E402
 from rig.detector.events import EVENT_KINDS, UNJUDGED, SlipEvent  # noqa: E402
-from rig.detector.filter_design import butterworth_high_pass  # noqa: E402
 from rig.detector.low_pass import LowPass, design_low_pass  # noqa: E402
 from rig.detector.settings import DetectorSettings, ImpulseSettings  # noqa: E402
 
@@ -94,7 +94,7 @@ class IncipientSlipDetector(Detector):
         self._braking_rows = 0
         if isinstance(settings, ImpulseSettings):
             self._braking_rows = round(settings.braking_s * rate_Hz)
-        self._sections = butterworth_high_pass(settings.impulse_Hz, rate_Hz)
+        self._sections = _high_pass(settings.impulse_Hz, rate_Hz)
         inputs = len(kernel.INPUTS if settings.network is None else settings.network.inputs)
         if settings.network is None:
             self._hidden, self._output = np.zeros((inputs + 1, 0)), np.zeros((2, 1))
@@ -228,3 +228,15 @@ def _constants(settings: DetectorSettings, rate_Hz: float, low_pass: LowPass) ->
     c["rolling_rows"] = round(kernel.ROLLING_ms * ms)
     c["share"] = -np.expm1(-1 / (np.array(kernel.AVERAGES_ms) * ms))
     return c
+
+
+@lru_cache(maxsize=32)
+def _high_pass(corner_Hz: float, rate_Hz: float) -> Reals:
+    """Returns the second-order sections of a Butterworth high-pass filter of order 3."""
+    # Imported here because scipy.signal takes 0.6 s to import, which every trial would pay.
+    from scipy.signal import butter
+
+    sections: Reals = np.ascontiguousarray(
+        butter(3, corner_Hz, "highpass", fs=rate_Hz, output="sos")
+    )
+    return sections

@@ -20,7 +20,6 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import Field, model_validator
 
 from rig.core.settings import Settings
-from rig.detector.filter_design import root_between
 from rig.detector.fir import frequency_response, kaiser_shape, minimum_phase
 
 Reals = NDArray[np.float64]
@@ -178,6 +177,7 @@ def _with_lag(settings: LowPassSettings, lag_deg: float, rate_Hz: float) -> Real
 
     The length is chosen to the nearest tap, and the attenuation is adjusted for the remainder.
     """
+    from scipy.optimize import brentq
 
     def lag_of(half: int, stop_dB: float) -> float:
         taps = minimum_phase(_prototype(settings, half, stop_dB, rate_Hz))
@@ -210,7 +210,7 @@ def _with_lag(settings: LowPassSettings, lag_deg: float, rate_Hz: float) -> Real
     low, high = settings.stop_dB - 0.1, settings.stop_dB + 0.1
     while error(low) * error(high) > 0:
         low, high = max(21.0, low - 0.5), high + 0.5
-    return _prototype(settings, half, root_between(error, low, high, 1e-6), rate_Hz)
+    return _prototype(settings, half, float(brentq(error, low, high, xtol=1e-6)), rate_Hz)
 
 
 def _shortest(
@@ -246,6 +246,8 @@ def _shortest(
 def _prototype(settings: LowPassSettings, half: int, stop_dB: float, rate_Hz: float) -> Reals:
     """Returns linear-phase taps (2 half + 1,) with gain 1 at 0 Hz and -3 dB where the settings ask
     for it."""
+    from scipy.optimize import brentq
+
     place = np.arange(-half, half + 1)
     window = np.kaiser(place.size, kaiser_shape(stop_dB))
     phase = np.cos(2 * np.pi * settings.half_power_Hz / rate_Hz * place)
@@ -259,7 +261,7 @@ def _prototype(settings: LowPassSettings, half: int, stop_dB: float, rate_Hz: fl
     def error(cut_off_Hz: float) -> float:
         return float(taps_of(cut_off_Hz) @ phase) - wanted
 
-    return taps_of(root_between(error, 0.0, rate_Hz / 2, 1e-9 * rate_Hz))
+    return taps_of(float(brentq(error, 0.0, rate_Hz / 2, xtol=1e-9 * rate_Hz)))
 
 
 def _lag_deg(response: NDArray[np.complex128]) -> float:
