@@ -77,7 +77,7 @@ def test_the_default_detector_is_paper_hp_and_the_help_says_why(rig: Any, runs: 
     assert named.stdout == default.stdout.replace("Saved ", "Saved before as ")
     shown = " ".join(re.sub(r"[│╭╮╰╯─]", " ", rig.run("detect", "--help").stdout).split())
     assert "[default: paper-hp]" in shown
-    assert "the one without false alarms is the default" in shown
+    assert "the one with the fewest false alarms is the default" in shown
 
 
 @pytest.mark.thorough
@@ -132,7 +132,10 @@ def test_parameters_may_be_given_otherwise(rig: Any, runs: list[str]) -> None:
     done = rig.run("detect", *HP, "--settings", "deaf.toml", runs[0])
     assert done.code == 0, done.stderr
     assert "incipient slip" not in done.stdout
-    shown = rig.run("show", "--no-figures", done.stdout.split("Saved ")[1].split(";")[0])
+    file = done.stdout.split("Saved ")[1].split(";")[0]
+    brief = " ".join(rig.run("show", "--no-figures", file).stdout.split())
+    assert "fire_mV 100" in brief
+    shown = rig.run("show", "--no-figures", "--all", file)
     for line in ("  fire_mV: 100", "    stop_Hz: 60", "    lag_deg: none", "simulated: yes"):
         assert line in shown.stdout.splitlines()
 

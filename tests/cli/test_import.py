@@ -45,7 +45,7 @@ def test_an_import_can_be_verified_and_shown_like_any_run(rig: Any) -> None:
     assert verified.code == 0
     assert verified.stdout.endswith(": sound (complete, 1 of 1 points)\n")
     file.with_suffix(".svg").unlink()
-    shown = rig.run("show", str(file), "--figures")
+    shown = rig.run("show", str(file), "--figures", "--all")
     assert shown.code == 0, shown.stderr
     assert "IMPORTED recording finger $7$.csv" in file.with_suffix(".svg").read_text("utf-8")
     lines = [line.strip() for line in shown.stdout.splitlines()]

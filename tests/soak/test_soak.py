@@ -91,7 +91,7 @@ def misread(tmp_path: Path, fault: Fault) -> Ran:
 
 
 @pytest.mark.parametrize(
-    ("acquisition", "frequency"), [(6, 110), pytest.param(7, 410, marks=pytest.mark.thorough)]
+    ("acquisition", "frequency"), [(6, 110), pytest.param(10, 410, marks=pytest.mark.thorough)]
 )
 def test_a_record_with_a_flipped_bit_is_taken_again_and_not_kept(
     acquisition: int, frequency: int, tmp_path: Path
