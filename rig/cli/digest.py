@@ -87,8 +87,9 @@ def of_model(said: Mapping[str, Any]) -> list[str]:
     head = [f"file: {end_of(said['file'], COLUMNS - 6)}", f"title: {said['title']}"]
     head.append(f"program: {said['program']}")
     results = [f"{name}: {value}" for name, value in said["results"].items()]
-    settings = _settings(said["settings"], rank=1)
-    return on_a_screen(head, [settings, Section("results", results, rank=0)], [MORE])
+    # What was asked for is little, and what was computed is a list of columns.
+    settings = _settings(said["settings"], rank=0)
+    return on_a_screen(head, [settings, Section("results", results, rank=1)], [MORE])
 
 
 def _times(said: Mapping[str, Any]) -> str:
