@@ -33,51 +33,43 @@ def on_path(rig: Any, site: Path) -> None:
 def film_bench(force_sensor: str) -> str:
     """A bench file with a film in its clamp, instruments that nobody connects to, and a force
     sensor with these settings."""
-    return f"""
-name = "real"
-[fixture]
-mounted = "film-clamp"
-contact_from_mm = 12.0
-contact_to_mm = 13.0
-[film]
-[load_cell]
-sensitivity_V_N = 0.1
-[generator]
+    generator = """[generator]
 driver = "keysight-33500b"
 resource = "TCPIP::127.0.0.1::1::SOCKET"
 max_amplitude_V = 5.0
-[daq]
-driver = "keysight-u2300a"
-resource = "TCPIP::127.0.0.1::hislip0,1::INSTR"
-channels = {{ load_cell = 101, film = 102 }}
-[stage_z]
-driver = "festo-cmmt"
-axis = "z"
-host = "127.0.0.1"
-low_limit_mm = 0.0
-high_limit_mm = 20.0
-max_speed_mm_s = 20.0
-torque_limit_percent = 45.0
-[force_sensor]
-{force_sensor}"""
+"""
+    daq = _daq("load_cell = 101, film = 102")
+    return clamp_bench(f"{generator}{daq}{_stage('z', 20.0)}[force_sensor]\n{force_sensor}")
+
+
+def clamp_bench(instruments: str) -> str:
+    """A bench file with a film in its clamp and these instruments."""
+    return f"{_mounted('film-clamp')}[film]\n[load_cell]\nsensitivity_V_N = 0.1\n{instruments}"
 
 
 def plate_bench(force_sensor: str) -> str:
     """A bench file with the skin above a plate, instruments that nobody connects to, and a force
     sensor with these settings."""
+    instruments = _daq("strip_1 = 101, strip_2 = 102") + _stage("z", 20.0) + _stage("x", 40.0)
+    return f"{_mounted('plate')}[skin]\n{instruments}[force_sensor]\n{force_sensor}"
+
+
+def _mounted(fixture: str) -> str:
     return f"""
 name = "real"
 [fixture]
-mounted = "plate"
+mounted = "{fixture}"
 contact_from_mm = 12.0
 contact_to_mm = 13.0
-[skin]
-[daq]
+"""
+
+
+def _daq(channels: str) -> str:
+    return f"""[daq]
 driver = "keysight-u2300a"
 resource = "TCPIP::127.0.0.1::hislip0,1::INSTR"
-channels = {{ strip_1 = 101, strip_2 = 102 }}
-{_stage("z", 20.0)}{_stage("x", 40.0)}[force_sensor]
-{force_sensor}"""
+channels = {{ {channels} }}
+"""
 
 
 def _stage(axis: str, high_mm: float) -> str:

@@ -204,7 +204,7 @@ class Sweep(Procedure):
         return put_in(readings, summary)
 
     def in_brief(self, summary: Mapping[str, Any], put_in: Mapping[str, Any]) -> Sequence[str]:
-        """Return the verdicts and the film's values; single values where there is no model."""
+        """Return the verdicts and the film's values, or single values where no model was fitted."""
         from procedures.sweep.summary import in_brief
 
         return in_brief(summary, put_in) or super().in_brief(summary, put_in)

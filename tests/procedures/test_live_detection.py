@@ -90,8 +90,8 @@ class Wall:
         return self.now_s
 
 
-class Told:
-    """Stands for the detection: the moves that it is told of."""
+class Moves:
+    """Stands for the detection: it keeps the moves of x that a trial passes on."""
 
     def __init__(self) -> None:
         self.moves: list[XMove] = []
@@ -101,9 +101,9 @@ class Told:
 
 
 def x_by_commands(*commands: tuple[float, float, float]) -> list[tuple[int, float, int]]:
-    """What the detector is told where x is commanded, at times in s of the record that begins with
+    """What the detector receives where x is commanded, at times in s of the record that begins with
     x at 10 mm, to go to a position in mm at a speed in mm/s."""
-    clock, told, record = Wall(), Told(), TrialRecord(1, 100.0, 1000.0, 4.0)
+    clock, told, record = Wall(), Moves(), TrialRecord(1, 100.0, 1000.0, 4.0)
     x = CommandedX(clock, record, told)  # type: ignore[arg-type]
     x.command(10.0, 1.0)  # before the record
     record.begun_s = clock.now_s

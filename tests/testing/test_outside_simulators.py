@@ -18,16 +18,7 @@ nominal_force_N = 50.0
 max_force_N = 40.0
 matrix_N_mV_V = [[83.2, 0.4, -0.6], [0.4, 79.9, 0.8], [1.5, 0.5, 83.7]]
 """
-CLAMP = """
-name = "real"
-[fixture]
-mounted = "film-clamp"
-contact_from_mm = 12.0
-contact_to_mm = 13.0
-[film]
-[load_cell]
-sensitivity_V_N = 0.1
-[generator]
+CLAMP = packages.clamp_bench("""[generator]
 driver = "acme-generator"
 resource = "TCPIP::10.0.0.2::1::SOCKET"
 max_amplitude_V = 5.0
@@ -41,7 +32,7 @@ port = "socket://10.0.0.4:4001"
 high_limit_mm = 20.0
 max_speed_mm_s = 20.0
 torque_limit_percent = 25.0
-"""
+""")
 
 
 @pytest.fixture
