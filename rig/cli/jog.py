@@ -27,7 +27,8 @@ from rig.run.bench_selector import BenchRequest, bench_file
 
 if TYPE_CHECKING:
     from rig.cli.terminal import Terminal
-    from rig.jog.session import JogOutcome, JogSettings
+    from rig.jog.axes import JogSettings
+    from rig.jog.session import JogOutcome
     from rig.run.bench_selector import ChosenBench
     from rig.run.stopping import StopFlag
 
@@ -64,7 +65,7 @@ class JogOptions:
     def settings(self) -> JogSettings:
         """Return the validated settings; ConfigurationError names every option that is wrong."""
         from rig.cli.options import settings_from
-        from rig.jog.session import JogSettings
+        from rig.jog.axes import JogSettings
 
         given = {
             "step_mm": self.step,
@@ -172,7 +173,8 @@ def _at_the_bench(
     from rig.bench.apply_calibrations import apply_calibrations
     from rig.bench.connect import connect
     from rig.cli.terminal import HELP
-    from rig.jog.session import AXES, JogSession
+    from rig.jog.axes import AXES
+    from rig.jog.session import JogSession
     from rig.run.bench_mark import BenchMarks
     from rig.run.guard import GuardLink, report_path
     from rig.run.interlock_store import InterlockStore

@@ -9,7 +9,7 @@ import pytest
 
 from rig.core.errors import LimitError
 from rig.instruments.roles import Reach
-from rig.jog.session import JogSettings, axes_of
+from rig.jog.axes import JogSettings, axes_of
 
 LIMIT_N = 40.0
 
