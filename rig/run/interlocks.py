@@ -81,6 +81,8 @@ class InterlockWatch:
         self._failed: dict[str, str] = {}
         """Reason why an instrument's inputs could not be read the last time, by role."""
         self._reasons: dict[str, str] = {}
+        self._unread: set[str] = set()
+        """Contacts that count as open because they could not be read."""
         """Reason why each latched contact is latched, in words."""
         self._proving: str | None = None
         """Contact whose proof test is under way: it is opened on purpose."""
@@ -360,6 +362,8 @@ class InterlockWatch:
             if failures:
                 why += f"; not stopped at once: {'; '.join(failures)}"
             self._reasons[name] = why
+            if not contact.readable:
+                self._unread.add(name)
             self._news.append(("error", why))
             try:
                 self._store.latch(name, why)
@@ -389,6 +393,8 @@ class InterlockWatch:
         self._told.add(name)
         what = self._reasons.get(name, f"interlock {name} (person) opened")
         hint = "check the bench and close it"
+        if name in self._unread:
+            hint = f"check {self._declared[name].role}, which reads it, and that it is closed"
         if self._store.lasting:
             hint += f", then there: {RESET} --bench {self._bench.plan.source}"
         return InterlockError(what, f"{hint}; then start again")

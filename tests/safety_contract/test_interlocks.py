@@ -78,6 +78,7 @@ def test_whatever_reads_as_open_ends_the_run(rig, how):
     if told == "cannot be read at":
         (why,) = (line for line in ended.errors if told in line)
         assert "which counts as open: daq" in why, "the instrument that reads it is named"
+        assert "check daq, which reads it" in why, "and is what to look at"
 
 
 INPUTS = {
