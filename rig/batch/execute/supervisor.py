@@ -449,7 +449,7 @@ class Supervisor:
         if event["reason"]:
             text += f": {event['reason']}"
         if event["again"]:
-            text += "; it is tried again"
+            text += "; it stays queued for another attempt"
         self._say(text)
         if event["ending"] != "complete" or event["code"]:
             self._record(self._queue.add_event, "warning", text)
