@@ -126,6 +126,7 @@ def test_a_file_without_its_checksum_is_not_called_damaged(rig: Any, run_file: P
     assert "warning: alone.h5: the file cannot be checked for corruption" in shown.stderr
 
 
+@pytest.mark.thorough
 def test_show_draws_into_the_named_folder_and_works_without_figures(
     rig: Any, run_file: Path
 ) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import subprocess
 import sys
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,6 @@ sys.path.insert(0, str(Path(__file__).parent.parent / "files"))
 
 import recorded_trials as trials
 from packages import install, on_path, plate_bench
-from tiers import mostly_thorough
 
 from rig.detector.detector import DETECTOR_VERSION
 from rig.files.journal.detections import from_text
@@ -138,22 +138,29 @@ BROKEN = {
 }
 
 
-@pytest.mark.parametrize("fault", mostly_thorough(BROKEN, default=("without judge",)))
-def test_a_broken_one_is_named_and_disables_only_itself(rig: Any, fault: str) -> None:
-    source, expected = BROKEN[fault]
-    installed(rig, source)
-    file = recorded(rig)
-    refused = rig.run("detect", "--detector", "lab-level", file.name)
-    assert refused.code == 2
-    (error,) = refused.errors
-    assert "of the package lab-level" in error
-    assert re.search(expected, error), error
+@pytest.mark.thorough
+def test_each_broken_one_is_named_and_disables_only_itself(rig: Any) -> None:
+    for number, (source, _) in enumerate(BROKEN.values()):
+        entries = f"[rig.detectors]\nlab-{number} = lab{number}.level:Level\n"
+        modules = {f"lab{number}/__init__.py": "", f"lab{number}/level.py": source}
+        install(rig.folder / "site", f"lab-level-{number}", entries, modules)
+    on_path(rig, rig.folder / "site")
     listed = rig.run("detectors")
     assert listed.code == 0
     assert [line.split()[0] for line in listed.stdout.splitlines()] == [
         "impulse", "paper-hp", "paper-literal", "rig",
     ]  # fmt: skip
-    assert listed.stderr.count("warning:") == 1
+    warnings = [line for line in listed.stderr.splitlines() if line.startswith("warning:")]
+    assert len(warnings) == len(BROKEN)
+    for number, (_, expected) in enumerate(BROKEN.values()):
+        (warning,) = (one for one in warnings if f"of the package lab-level-{number} " in one)
+        assert re.search(expected, warning), warning
+    file = recorded(rig)
+    refused = rig.run("detect", "--detector", "lab-0", file.name)
+    assert refused.code == 2
+    (error,) = refused.errors
+    assert "of the package lab-level-0 " in error
+    assert re.search(BROKEN["it cannot be imported"][1], error), error
     assert rig.run("detect", file.name).code == 0
 
 
@@ -196,29 +203,67 @@ NONSENSE = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("nonsense", mostly_thorough(NONSENSE, default=("an event of the future",)))
-def test_nonsense_is_refused_and_leaves_nothing(rig: Any, nonsense: str) -> None:
-    old, new, expected = NONSENSE[nonsense]
+def nonsensical(nonsense: str) -> str:
+    """The source of a level detector that returns nonsense of this kind."""
+    old, new, _ = NONSENSE[nonsense]
     source = LEVEL.replace(old, new)
     if nonsense == "no list":
         source = source.replace("0.75)]", "0.75))")
     assert source != LEVEL
-    installed(rig, source)
+    return source
+
+
+def test_nonsense_is_refused_and_leaves_nothing(rig: Any) -> None:
+    installed(rig, nonsensical("an event of the future"))
     file = recorded(rig)
     done = rig.run("detect", "--detector", "lab-level", "--json", file.name)
     assert len(done.stdout.splitlines()) == 1
-    if not expected:
-        assert done.code == 0, done.stderr
-        with ProcessedFile.open(next((file.parent / "processed").glob("*.h5"))) as processed:
-            assert abs(processed.trials()[0].v_d).max() > 0.01
-        return
     assert done.code == 1, done.stderr
     (error,) = done.errors
     assert "detector 'lab-level' of the package lab-level" in error
-    assert re.search(expected, error), error
+    assert re.search(NONSENSE["an event of the future"][2], error), error
     assert not (file.parent / "processed").exists()
 
 
+DETECT_WITH_EACH = """
+import json, sys
+from pathlib import Path
+from rig.detector.registered import chosen_detector
+from rig.processing.detection import DetectionJob, DetectionResult, detect_file
+told = []
+for name in sys.argv[2:]:
+    found = detect_file(DetectionJob(Path(sys.argv[1]), chosen_detector(name), Path(name)))
+    told.append("" if isinstance(found, DetectionResult) else found.message)
+print(json.dumps(told))
+"""
+
+
+@pytest.mark.thorough
+def test_every_kind_of_nonsense_is_refused_and_leaves_nothing(rig: Any) -> None:
+    names = [f"lab-{number}" for number in range(len(NONSENSE))]
+    for name, nonsense in zip(names, NONSENSE, strict=True):
+        module = name.replace("-", "_")
+        entries = f"[rig.detectors]\n{name} = {module}:Level\n"
+        source = {f"{module}.py": nonsensical(nonsense)}
+        install(rig.folder / "site", name, entries, source)
+    on_path(rig, rig.folder / "site")
+    done = subprocess.run(
+        [sys.executable, "-c", DETECT_WITH_EACH, str(recorded(rig)), *names],
+        cwd=rig.folder, env=rig.env, capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    for name, told, (_, _, expected) in zip(
+        names, json.loads(done.stdout), NONSENSE.values(), strict=True
+    ):
+        if not expected:
+            with ProcessedFile.open(next((rig.folder / name).glob("*.h5"))) as processed:
+                assert abs(processed.trials()[0].v_d).max() > 0.01
+            continue
+        assert f"detector '{name}' of the package {name}" in told
+        assert re.search(expected, told), told
+        assert not (rig.folder / name).exists()
+
+
+@pytest.mark.thorough
 def test_what_it_prints_does_not_reach_the_command_s_data(rig: Any) -> None:
     installed(rig, 'print("loading")\n' + LEVEL.replace("above =", 'print("hello"); above ='))
     done = rig.run("detect", "--detector", "lab-level", "--json", recorded(rig).name)

@@ -191,11 +191,11 @@ def test_tuned_thresholds_are_written_with_their_seeds_and_every_table_says_tuni
 
 
 def scored(folder: Path, listing: str, out: str) -> dict:
+    """What is found in listed files by the default detector."""
     (folder / "list.csv").write_text(listing)
     return json.loads(
-        run("--files", folder / "list.csv", "--detector", "paper-hp", "--no-roc", "--json",
-            "--out", folder / out)
-    )  # fmt: skip
+        run("--files", folder / "list.csv", "--no-roc", "--json", "--out", folder / out)
+    )
 
 
 def values(told: dict) -> dict[str, float]:
@@ -208,6 +208,7 @@ def values(told: dict) -> dict[str, float]:
 def test_labelled_files_are_scored_by_their_list_or_by_what_a_simulated_bench_knows(tmp_path):
     slip_file(tmp_path)
     told = scored(tmp_path, "file\nslip.h5\n", "own")
+    assert [one["name"] for one in told["detectors"]] == ["paper-hp"], "the default"
     assert told["simulated"] is True
     found = values(told)
     assert found["found"] == 1.0
@@ -222,13 +223,6 @@ def test_labelled_files_are_scored_by_their_list_or_by_what_a_simulated_bench_kn
     found = values(told)
     assert (found["found"], found["early"], found["tap_alarms"]) == (0.0, 1.0, 1.0)
     assert ("noise_mV", "below 0.2") in {(row["trait"], row["bin"]) for row in told["results"]}
-
-
-def test_without_a_name_the_default_detector_is_scored(tmp_path):
-    slip_file(tmp_path)
-    (tmp_path / "list.csv").write_text("file\nslip.h5\n")
-    given = ("--files", tmp_path / "list.csv", "--no-roc", "--json", "--out", tmp_path / "out")
-    assert [one["name"] for one in json.loads(run(*given))["detectors"]] == ["paper-hp"]
 
 
 @pytest.mark.parametrize(

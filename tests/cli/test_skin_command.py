@@ -8,7 +8,6 @@ import h5py
 import numpy as np
 import pytest
 from click.testing import Result
-from tiers import mostly_thorough
 from typer.testing import CliRunner
 
 import rig
@@ -47,32 +46,6 @@ def refused(*arguments: str) -> str:
     return line
 
 
-def test_a_slide_from_edited_settings_is_drawn_and_summed_up(tmp_path: Path):
-    settings = tmp_path / "slide.json"
-    settings.write_text(json.dumps(SHORT))
-    said = run(
-        "slide",
-        "--settings",
-        str(settings),
-        "--elements",
-        "4",
-        "--results",
-        str(tmp_path),
-        "--json",
-    )
-    summary = json.loads(said)
-    assert summary["simulated"] is True
-    names = [Path(f).name for f in summary["files"]]
-    assert names == [
-        "skin-slide.h5",
-        "skin-slide.png", "skin-slide.svg", "skin-slide-deformed.png", "skin-slide-deformed.svg",
-    ]  # fmt: skip
-    for file in summary["files"]:
-        begins = {"png": b"\x89PNG", "svg": b"<?xml", ".h5": b"\x89HDF"}[file[-3:]]
-        assert Path(file).read_bytes().startswith(begins)
-    assert len(summary["ridge_whole_slip_s"]) == 9
-
-
 @pytest.fixture(scope="module")
 def kept(cache_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict]:
     """The data of a slide on a skin of 4 elements a ridge, and the summary that was printed."""
@@ -89,6 +62,20 @@ def kept(cache_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[
 def kept_slide(kept: tuple[Path, dict]) -> Path:
     """The file of that slide."""
     return kept[0]
+
+
+def test_a_slide_from_edited_settings_is_drawn_and_summed_up(kept: tuple[Path, dict]):
+    _, summary = kept
+    assert summary["simulated"] is True
+    names = [Path(f).name for f in summary["files"]]
+    assert names == [
+        "skin-slide.h5",
+        "skin-slide.png", "skin-slide.svg", "skin-slide-deformed.png", "skin-slide-deformed.svg",
+    ]  # fmt: skip
+    for file in summary["files"]:
+        begins = {"png": b"\x89PNG", "svg": b"<?xml", ".h5": b"\x89HDF"}[file[-3:]]
+        assert Path(file).read_bytes().startswith(begins)
+    assert len(summary["ridge_whole_slip_s"]) == 9
 
 
 def test_the_data_of_a_slide_are_kept_and_explain_themselves(
@@ -177,10 +164,8 @@ def test_another_programs_file_is_still_refused_clearly(tmp_path: Path):
     assert "an HDF5 file, but not a run file: it has no journal header" in result.stderr
 
 
-@pytest.mark.parametrize(
-    "taken",
-    mostly_thorough(["skin-slide.h5", "skin-slide-deformed.svg"], default=["skin-slide.h5"]),
-)
+@pytest.mark.parametrize("taken", ["skin-slide.h5", "skin-slide-deformed.svg"])
+@pytest.mark.thorough
 def test_neither_data_nor_figures_are_overwritten(tmp_path: Path, taken: str):
     (tmp_path / taken).write_text("mine")
     settings = tmp_path / "slide.json"
@@ -200,6 +185,7 @@ def test_a_roll_is_drawn(tmp_path: Path):
     assert (tmp_path / "skin-roll.png").exists()
 
 
+@pytest.mark.thorough
 def test_shown_settings_can_be_given_back(tmp_path: Path):
     shown = run("history", "--show-settings", "--relief", "tangential_lowered")
     edited = json.loads(shown)
@@ -230,6 +216,7 @@ def test_the_skin_itself_can_be_edited(tmp_path: Path):
     assert "poissons_ratio 0.5 (no unit) must be at least 0 and below 0.5" in line
 
 
+@pytest.mark.thorough
 def test_a_sphere_rolls_and_has_no_section_to_draw(tmp_path: Path):
     settings = tmp_path / "roll.json"
     body = {"shape": "sphere", "slices": 2}

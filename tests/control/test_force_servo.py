@@ -256,7 +256,7 @@ def test_a_hundred_commands_a_second_hold_slower_slides(
     assert -0.05 < held.low < held.high < 0.05
 
 
-@pytest.mark.parametrize("rate_Hz", [100, 500])
+@pytest.mark.parametrize("rate_Hz", [100, pytest.param(500, marks=pytest.mark.thorough)])
 @pytest.mark.parametrize(("force_N", "ratio"), [(2.0, 0.95), (4.0, 0.7), (8.0, 0.95)])
 def test_a_repeated_slide_is_held_at_any_rate(skin6, rate_Hz, force_N, ratio) -> None:
     """The hardest corners, friction 1.2 at 6 mm/s, once the first slide has shown what comes."""

@@ -15,6 +15,7 @@ import h5py
 import numpy as np
 import pytest
 import recorded_run as run
+from tiers import mostly_thorough
 
 from rig.files.checksum import sha256_of
 from rig.files.definitions import definition_path
@@ -294,7 +295,7 @@ FULL_DISK = """
 import resource, sys
 from rig.core.errors import RigError
 from rig.files.runfile.compile import compile_run
-for size in range(0, int(sys.argv[2]), 9001):
+for size in range(0, int(sys.argv[2]), int(sys.argv[3])):
     resource.setrlimit(resource.RLIMIT_FSIZE, (size, resource.RLIM_INFINITY))
     try:
         compile_run(sys.argv[1])
@@ -303,15 +304,18 @@ for size in range(0, int(sys.argv[2]), 9001):
 """
 
 
-def test_a_full_disk_leaves_the_journal_and_no_half_file(tmp_path: Path, file: Path) -> None:
+@pytest.mark.parametrize("every", mostly_thorough([9001, 27001], default=[27001]))
+def test_a_full_disk_leaves_the_journal_and_no_half_file(
+    tmp_path: Path, file: Path, every: int
+) -> None:
     """Wherever in the file the disk is full; HDF5 alone crashes the process at some places."""
     journal = run.write_run(tmp_path / "a.rigj")
     size = file.stat().st_size
-    command = [sys.executable, "-c", FULL_DISK, str(journal), str(size)]
+    command = [sys.executable, "-c", FULL_DISK, str(journal), str(size), str(every)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
     assert (done.returncode, done.stderr) == (0, "")
     lines = done.stdout.splitlines()
-    assert len(lines) == -(-size // 9001)
+    assert len(lines) == -(-size // every)
     for line in lines:
         assert line.startswith(f"RecordingError {tmp_path / 'a.h5'}: cannot be written: File too")
         assert "journal is untouched" in line

@@ -217,7 +217,7 @@ def test_a_run_file_of_a_stranger(
     assert all("MemoryError" not in finding for finding in findings), findings
 
 
-@settings(FEW, max_examples=5)
+@settings(FEW, max_examples=3)
 @given(data=st.data())
 def test_a_damaged_run_file_is_found_damaged(
     tmp_path_factory: pytest.TempPathFactory, sound: bytes, data: st.DataObject

@@ -10,6 +10,7 @@ import foreign_files as files
 import numpy as np
 import pytest
 from imports import BY_NUMBER, assert_as_written, read, refused
+from tiers import mostly_thorough
 
 from rig.files.imported.import_file import read_foreign
 from rig.files.imported.source import MAX_BYTES
@@ -293,7 +294,9 @@ def test_several_segments_and_special_blocks_are_refused_by_name(tmp_path: Path)
 # MATLAB
 
 
-@pytest.mark.parametrize("kind", ["5", "5 compressed", "7.3"])
+@pytest.mark.parametrize(
+    "kind", mostly_thorough(["5", "5 compressed", "7.3"], default=["5 compressed", "7.3"])
+)
 def test_matlab_variables_come_through(tmp_path: Path, kind: str) -> None:
     written = files.signals()
     variables = {

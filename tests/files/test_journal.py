@@ -231,8 +231,8 @@ def test_every_prefix_keeps_every_acknowledged_sample(tmp_path: Path) -> None:
         for number in range(2):
             journal.point_begin(run.POINTS[number], {})
             for k in range(2):
-                journal.block(0, 20 * k, number + 0.1 * k, run.samples(number, 20))
-                rows += 20
+                journal.block(0, 6 * k, number + 0.1 * k, run.samples(number, 6))
+                rows += 6
                 boundaries.append(journal.size)
                 journal.sync()
                 acknowledged.append((journal.acknowledged_bytes, rows, number))

@@ -322,6 +322,7 @@ def test_what_other_code_has_made_is_written_again(
     assert detected(own_run).kept
 
 
+@pytest.mark.thorough
 def test_the_digest_covers_all_code_from_run_file_to_processed_file() -> None:
     script = (
         "import sys, rig.processing.detection as d\n"

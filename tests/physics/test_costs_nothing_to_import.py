@@ -12,9 +12,14 @@ import pytest
         ("rig.physics", {"numpy", "numba", "scipy", "skfem"}),
         ("rig.physics.skin", {"numpy", "numba", "scipy", "skfem"}),
         ("rig.physics.trials", {"numba", "scipy", "skfem", "matplotlib"}),
-        ("rig.physics.loading_history", {"numba", "scipy", "skfem", "matplotlib"}),
         ("rig.cli.skin", {"numpy", "numba", "scipy", "skfem", "matplotlib"}),
-        ("rig.figures.skin", {"numba", "scipy", "skfem"}),
+        pytest.param(
+            *("rig.physics.loading_history", {"numba", "scipy", "skfem", "matplotlib"}),
+            marks=pytest.mark.thorough,
+        ),
+        pytest.param(
+            *("rig.figures.skin", {"numba", "scipy", "skfem"}), marks=pytest.mark.thorough
+        ),
     ],
 )
 def test_an_import_brings_nothing_expensive(module: str, absent: set[str]):

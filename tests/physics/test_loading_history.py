@@ -72,7 +72,9 @@ def test_every_force_is_passed_on_while_friction_holds(history: History):
     assert (history.friction_force_N <= limit + 1e-9).all()
 
 
-@pytest.mark.parametrize(("ratio", "gross"), [(0.6, False), (0.75, True)])
+@pytest.mark.parametrize(
+    ("ratio", "gross"), [(0.6, False), pytest.param(0.75, True, marks=pytest.mark.thorough)]
+)
 def test_nearer_to_the_static_coefficient_ridge_3_would_slip_before_the_relief(ratio, gross):
     """The paper wants F_t/F_n "close to the static friction coefficient" (0.8 here) from 200 to
     300 and ridge 3 whole at 450: this skin cannot do both (decision 0020)."""
@@ -139,6 +141,7 @@ def test_a_history_that_cannot_be_is_refused(bad, words):
         HistorySettings(**bad)
 
 
+@pytest.mark.thorough
 def test_the_history_is_data_that_can_be_edited():
     """Without tangential force nothing slips as a whole and the skin stays symmetric."""
     only_normal = tuple(
@@ -150,6 +153,7 @@ def test_the_history_is_data_that_can_be_edited():
     assert np.abs(history.difference).max() < 1e-6 * np.abs(history.stress_MPa).max()
 
 
+@pytest.mark.thorough
 def test_the_map_finds_the_reference_strips_where_the_slide_does():
     """At the reference place the map is the reference slide's v_d; the outside reads most."""
     settings = MapSettings(

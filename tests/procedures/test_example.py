@@ -41,21 +41,19 @@ def assert_lifted(rig: Any) -> None:
 
 
 def test_a_run_presses_holds_reads_and_lifts(creep: Any) -> None:
-    done = creep.run(*arguments(creep, "--hold", "1500ms", "-n", "2", "--normal-force", "3N"))
+    done = creep.run(*arguments(creep, "--hold", "500ms", "-n", "1", "--normal-force", "3N"))
     assert done.code == 0, done.stderr
-    assert done.object["points_done"] == 2
+    assert done.object["points_done"] == 1
     assert abs(done.object["summary"]["mean_creep_um"]) < 1, "the simulated skin does not creep"
     assert_lifted(creep)
     file = creep.only("*.h5")
     with RunFile.open(file) as run:
         motion_s = run.column("motion_to") - run.column("motion_from")
-        assert motion_s == pytest.approx([1.5, 1.5], abs=0.05)
-        assert run.column("mean_normal_force") == pytest.approx([3.0, 3.0], rel=0.02)
-        assert run.settings["hold_s"] == 1.5
-        (samples,) = run.waveforms("trial-002", stream="force")
-        assert len(samples.values("F_n")) > 1500
-    verified = creep.run("verify", str(file))
-    assert verified.code == 0, verified.stdout
+        assert motion_s == pytest.approx([0.5], abs=0.05)
+        assert run.column("mean_normal_force") == pytest.approx([3.0], rel=0.02)
+        assert run.settings["hold_s"] == 0.5
+        (samples,) = run.waveforms("trial-001", stream="force")
+        assert len(samples.values("F_n")) > 500
     shown = creep.run("show", str(file))
     assert shown.code == 0, shown.stderr
     assert "mean_creep_um" in shown.stdout
@@ -75,6 +73,7 @@ def test_an_interrupted_run_lifts_and_resumes(creep: Any) -> None:
     assert resumed.object["points_done"] == 3
 
 
+@pytest.mark.thorough
 def test_a_batch_of_it_is_planned(creep: Any) -> None:
     (creep.folder / "night.toml").write_text(
         '[batch]\nname = "creep"\n[[experiment]]\nprocedure = "creep"\n'

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tiers import mostly_thorough
 
 from drivers.simulated.bench.control import ControlServer
 from drivers.simulated.instruments.festo_cmmt import CmmtDrive, SimulatedCmmtSettings
@@ -197,7 +198,11 @@ def slid(
     )
 
 
-@pytest.mark.parametrize("force_limit_N", [200.0, 0.7], ids=["strong", "held by friction"])
+@pytest.mark.parametrize(
+    "force_limit_N",
+    mostly_thorough([200.0, 0.7], default=[0.7]),
+    ids=["strong", "held by friction"],
+)
 def test_the_same_bits_whatever_the_lengths_of_the_advances_and_whoever_asks(
     force_limit_N: float,
 ) -> None:
