@@ -44,7 +44,7 @@ ABSENT = {
     "slip-trial": {"generator", ROTARY},
     "roll-trial": {"generator"},
 }
-PRESSED_WORLD = "[watch]\nforce_limit_N = 15.0\nreaction_s = 0.06\n"
+PRESSED_WORLD = f"{DOOR}[watch]\nforce_limit_N = 15.0\nreaction_s = 0.06\n"
 WORLDS = {
     "sweep": f"{DOOR}[watch]\nforce_limit_N = 40.0\nreaction_s = 0.06\n",
     "slip-trial": PRESSED_WORLD,

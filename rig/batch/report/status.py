@@ -96,7 +96,7 @@ class BatchStatus:
             spread = f" ± {time_span(self.remaining.spread_s)}" if self.remaining.spread_s else ""
             ends = f", until {self.finish:%Y-%m-%d %H:%M}" if self._real_time else ""
             shown.append(f"remaining: {time_span(self.remaining.bench_s)}{spread}{ends}")
-        shown.append(f"elapsed: {time_span(self.bench_s)} of bench time")
+        shown.append(f"taken by runs: {time_span(self.bench_s)} of bench time, rests not included")
         if self.presses or self.holds:
             holds, presses = (
                 counted(self.holds, "hold"),
