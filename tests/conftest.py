@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from benches import Bench, declare_soft_contact
+from benches import DECLARED_CONTACT, Bench, declare_soft_contact
 from compiled_kernels import ensure_compiled
 from forked_rig import ForkedProcess, environment, server
 from hypothesis import settings
@@ -146,6 +146,8 @@ class Rig:
     def __init__(self, folder: Path, bench: Bench | None = None):
         self.folder = folder
         self.bench = bench
+        self.quick_ways = False
+        """Whether z goes quickly where it has not been, on benches that commands simulate."""
         self.results = folder / "results"
         self.world_log = folder / "world.jsonl"
         self.env = environment()
@@ -162,11 +164,11 @@ class Rig:
         named = "--bench" in given or (
             given[0] != "simulate" and (self.folder / "bench.toml").exists()
         )
-        if self.bench is None or given[0] not in SIMULATING or named:
+        if given[0] not in SIMULATING or named:
             return given
-        if "--stages" not in given:
+        if self.bench is not None and "--stages" not in given:
             given += ["--stages", self.bench.stages]
-        if "--world" not in given:
+        if (self.bench is not None or self.quick_ways) and "--world" not in given:
             given += ["--world", self.world("")]
         return given
 
@@ -240,10 +242,15 @@ class Rig:
         return str(path)
 
     def world(self, text: str) -> str:
-        """Write World settings, with the bench's DAQ where they name none; their path."""
+        """Write World settings, with the bench's DAQ where they name none, and with the contact
+        that lets z go quickly where that was asked for; their path."""
         path = self.folder / "world.toml"
-        named = self.bench is None or "daq_model" in text
-        path.write_text(text if named else f'daq_model = "{self.bench.daq}"\n{text}')
+        own = ""
+        if self.bench is not None and "daq_model" not in text:
+            own += f'daq_model = "{self.bench.daq}"\n'
+        if self.quick_ways:
+            own += DECLARED_CONTACT
+        path.write_text(own + text)
         return str(path)
 
     def log(self) -> list[dict[str, Any]]:
@@ -325,6 +332,13 @@ def rig(tmp_path: Path, bench: Bench | None) -> Iterator[Rig]:
     made = Rig(tmp_path, bench)
     yield made
     made.close()
+
+
+@pytest.fixture
+def quick_ways(rig: Rig) -> None:
+    """Let z go quickly where it has not been, for tests that are not about the way: half of the
+    bench time of a short sweep and a quarter of a slip trial's."""
+    rig.quick_ways = True
 
 
 @pytest.fixture(scope="session")

@@ -11,6 +11,8 @@ from tiers import mostly_nightly, mostly_thorough
 from rig.files.runfile.reader import RunFile
 from rig.files.verify import verify
 
+pytestmark = pytest.mark.usefixtures("quick_ways")
+
 FREQUENCIES = ("--frequencies", "20,210,310,410,510")
 KINDS = ("silence", "garbage", "close", "truncate", "stale")
 IN_THE_MIDDLE = 14

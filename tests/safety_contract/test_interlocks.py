@@ -12,6 +12,8 @@ from typist import Typist
 
 from rig.files.runfile.reader import RunFile
 
+pytestmark = pytest.mark.usefixtures("quick_ways")
+
 SHORT = ("--frequencies", "300,600")
 DOOR = '[[interlock]]\nname = "door"\nclass = "person"\n'
 AIR = '[[interlock]]\nname = "air pressure"\nclass = "process"\ninput = "daq.501.1"\n'
@@ -172,13 +174,15 @@ def at_a_terminal(rig, *arguments):
 
 
 def test_a_latch_outlives_its_run_until_a_person_resets_it_at_the_bench(rig):
-    plan = contact("opened", MEASURING) + contact("closed", MEASURING, more="after_s = 1.0\n")
+    begun = 'move = 1\nof = "stage_z"\n'
+    plan = contact("opened", begun) + contact("closed", begun, more="after_s = 2.0\n")
     sweep = ("sweep", "--no-figures", *SHORT)
     with served(rig, DOOR, plan):
         first = rig.run(*sweep)
         assert first.code == 4, first.stderr
         assert "rig interlocks reset --bench bench.toml; then start again" in first.errors[0]
         outputs = rig.outputs()
+        rig.await_world("contact", count=2)  # opened, and closed again
         again = rig.run(*sweep, "--results", "elsewhere")
         assert again.code == 4, again.stderr
         assert "interlock door (person) opened at" in again.errors[0]

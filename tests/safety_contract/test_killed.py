@@ -21,6 +21,8 @@ from rig.files.journal.reader import read_journal
 from rig.files.runfile.reader import RunFile
 from rig.files.verify import verify
 
+pytestmark = pytest.mark.usefixtures("quick_ways")
+
 PATIENCE_S = 30.0
 SIXTY_POINTS = (
     "--frequencies", ",".join(str(f) for f in range(300, 6300, 100)), "--settling", "0.3s"
@@ -29,8 +31,9 @@ SIXTY_POINTS = (
 
 
 def test_a_killed_run_is_made_safe_compiled_and_can_be_resumed(rig):
-    running = rig.start_sweep(*SIXTY_POINTS)
-    running.wait_for(r"^20/60 ")
+    frequencies = ",".join(str(f) for f in range(300, 4300, 100))
+    running = rig.start_sweep("--frequencies", frequencies, "--settling", "0.3s")
+    running.wait_for(r"^10/40 ")
     running.send(signal.SIGKILL)
     running.process.wait()
     report = rig.guard_report()
@@ -46,11 +49,11 @@ def test_a_killed_run_is_made_safe_compiled_and_can_be_resumed(rig):
     assert verify(file) == []
     with RunFile.open(file) as run:
         assert run.outcome.status == "failed"
-        assert 10 <= len(run.point_ids()) < 60
+        assert 2 <= len(run.point_ids()) < 40  # what was put last may not have been written
 
     resumed = rig.run("resume", str(file), "--no-figures", "--json")
     assert resumed.code == 0, resumed.stderr
-    assert resumed.object["points_done"] == 60
+    assert resumed.object["points_done"] == 40
     assert verify(file) == []
 
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 import pytest
 from tiers import mostly_thorough
 
+pytestmark = pytest.mark.usefixtures("quick_ways")
+
 PARKED_mm = 5.0
 PRESSED = {"sweep": "acquisition = 6\n", "slip-trial": "acquisition = 1\nafter_s = 3.0\n"}
 """Under the preload, or under the normal force."""

@@ -104,6 +104,7 @@ STILL_PRESSED = {
 }
 
 
+@pytest.mark.usefixtures("quick_ways")
 @pytest.mark.parametrize("how", mostly_thorough(STILL_PRESSED, ["a little"]))
 def test_what_is_still_pressed_after_the_last_way_up_is_reported(rig, how):
     """Something lies on the sensor while the stage goes up after the last point."""

@@ -69,6 +69,7 @@ def run_with(rig, procedure, plan):
     )  # fmt: skip
 
 
+@pytest.mark.usefixtures("quick_ways")
 @pytest.mark.parametrize(
     ("procedure", "keys", "said"),
     [
@@ -180,6 +181,7 @@ def test_every_procedure_that_records_force_watches_every_axis(rig, procedure, a
     assert largest_N(rig) == 0.0
 
 
+@pytest.mark.usefixtures("quick_ways")
 def test_a_sensor_that_dies_while_the_force_is_held_ends_the_run_before_the_servo_presses_on(rig):
     ended = run(rig, "slip-trial", f'kind = "dead-noisy"\n{HELD}', "--rest", "3s")
     assert ended.code == 3, ended.stderr
@@ -213,6 +215,7 @@ def test_a_zero_that_has_moved_while_the_force_was_held_makes_the_trial_invalid(
     assert "along x" in ended.stderr
 
 
+@pytest.mark.usefixtures("quick_ways")
 @pytest.mark.parametrize("procedure", mostly_thorough(["sweep", "slip-trial"], ["sweep"]))
 def test_a_scale_that_has_become_wrong_is_refused_before_the_force_is_held(rig, procedure):
     usual = run(rig, procedure, 'kind = "wrong-scale"\nfactor = 1.0')
@@ -226,6 +229,7 @@ def test_a_scale_that_has_become_wrong_is_refused_before_the_force_is_held(rig, 
     assert largest_N(rig) < min(6 * wanted_N, PROCEDURES[procedure][2] + 0.5)
 
 
+@pytest.mark.usefixtures("quick_ways")
 @pytest.mark.thorough
 def test_a_strip_whose_touch_gain_is_not_what_it_was_ends_the_run(rig):
     nothing = 'kind = "wrong-scale"\nfactor = 1.0'
@@ -246,6 +250,7 @@ def test_a_strip_whose_touch_gain_is_not_what_it_was_ends_the_run(rig):
     assert [e["value"] for e in rig.log() if e["what"] == "last-force"] == [0.0]
 
 
+@pytest.mark.usefixtures("quick_ways")
 @pytest.mark.thorough
 def test_a_run_that_does_not_fit_is_accepted_with_a_reason_that_the_file_keeps(rig):
     reads_more = 'kind = "wrong-scale"\nfactor = 4.0'

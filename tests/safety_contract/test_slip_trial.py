@@ -17,6 +17,8 @@ from rig.files.runfile.reader import RunFile
 from rig.files.verify import verify
 from rig.processing.detection import detect_trials
 
+pytestmark = pytest.mark.usefixtures("quick_ways")
+
 SHORT = ("--distance", "0.4mm", "--speed", "0.5mm/s", "--rest", "100ms")
 """Slow enough to need no rehearsal on any stage."""
 

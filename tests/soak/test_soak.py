@@ -13,6 +13,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from benches import DECLARED_CONTACT
 from forked_rig import server
 from tiers import mostly_nightly
 
@@ -83,7 +84,8 @@ def misread(tmp_path: Path, fault: Fault) -> Ran:
     """A sweep of two points in which one answer is misread; no file has a row that was not sent."""
     fault |= {"kind": "flip"}
     options = ("--frequencies", "110,410", "--load", "1N", "--preload", "12N", "--seed", "1")
-    trial = Trial(1, ("sweep", *options), world_of("sweep", [fault]), (fault,))
+    world = DECLARED_CONTACT + world_of("sweep", [fault])
+    trial = Trial(1, ("sweep", *options), world, (fault,))
     ran = run(server(), trial, tmp_path / "trial")
     assert len(ran.faults_met) == 1
     assert breaches(ran) == []

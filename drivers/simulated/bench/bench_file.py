@@ -82,7 +82,7 @@ name = "simulated"
 mounted = "{options.fixture}"
 contact_from_mm = 12.0
 contact_to_mm = {13.6 if options.fixture == HEAD else 13.0}
-{_head_lines(options)}
+{_declared_contact(world)}{_head_lines(options)}
 {tables(options, endpoints)}
 {_own_table(endpoints, "force_sensor")}{_interlock_tables(interlocks)}"""
 
@@ -111,6 +111,13 @@ def _interlock_tables(interlocks: Sequence[dict[str, Any]]) -> str:
         "\n[[interlock]]\n" + "".join(f"{key} = {toml_value(own)}\n" for key, own in one.items())
         for one in interlocks
     )
+
+
+def _declared_contact(world: WorldSettings) -> str:
+    """Return the line of the fixture that states its stiffest contact, where it is to state one."""
+    if world.stiffest_contact_N_mm is None:
+        return ""
+    return f"stiffest_contact_N_mm = {world.stiffest_contact_N_mm}\n"
 
 
 def _head_lines(options: Options) -> str:

@@ -92,6 +92,10 @@ class WorldSettings(ContactsSettings):
     """Size of the DAQ's buffer, all channels together."""
     generator_link: Literal["socket", "hislip"] = "socket"
     """Kind of the generator's connection."""
+    stiffest_contact_N_mm: float | None = Field(default=None, gt=0)
+    """Stiffest contact in N/mm that the bench file declares of its fixture; None: it declares none,
+    since its text is an example that people copy for stiffer benches. The contacts simulated here
+    have 88 N/mm (film in its clamp) and 145 N/mm (skin)."""
     watch: WatchSettings | None = None
     """Checks of the World's own monitor; None for none."""
 
