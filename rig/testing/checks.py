@@ -318,18 +318,20 @@ def experiment_with_retries(
     except InstrumentError as failure:
         failures.append(failure)
         instrument = connect(case, service)
-    for step in role_of(case).script:
-        before = service.faults.requests
-        if begins is not None:
-            begins.append(before)
-        try:
-            step.act(instrument, service)
-        except InstrumentError as failure:
-            failures.append(failure)
-            step.act(instrument, service)
-        if fault_at is not None and fault_at <= before < service.faults.requests:
-            break
-    close(service, instrument)
+    try:
+        for step in role_of(case).script:
+            before = service.faults.requests
+            if begins is not None:
+                begins.append(before)
+            try:
+                step.act(instrument, service)
+            except InstrumentError as failure:
+                failures.append(failure)
+                step.act(instrument, service)
+            if fault_at is not None and fault_at <= before < service.faults.requests:
+                break
+    finally:
+        close(service, instrument)  # also where a step has failed twice: its port may be shared
 
 
 def check_silence_is_told_with_device_command_time_and_remedy_and_charged(case: Case) -> None:

@@ -28,7 +28,8 @@ from rig.processing import live
 
 T = TypeVar("T")
 RATE_Hz = 1000.0
-PATIENCE_S = 20.0
+PATIENCE_S = 120.0
+"""Beside busy processes the child, which is niced, may get little of a processor."""
 LEVEL = '''"""A level detector."""
 import os
 import numpy as np
