@@ -451,6 +451,7 @@ def test_entry_points_that_cannot_be_read_disable_their_own_package_only(rig: An
 
 
 @pytest.mark.thorough
+@pytest.mark.parametrize("unreadable", ["no text"], indirect=True)
 @pytest.mark.usefixtures("unreadable")
 def test_a_run_works_beside_entry_points_that_cannot_be_read(rig: Any) -> None:
     done = rig.run("sweep", "--frequencies", "200", "--no-figures")

@@ -11,6 +11,7 @@ from typing import Any
 
 import h5py
 import pytest
+from benches import declare_soft_contact
 
 from rig.files.runfile.reader import RunFile
 from rig.files.verify import verify
@@ -200,6 +201,7 @@ def test_a_bench_in_real_time_is_driven_made_safe_and_ended(rig: Any) -> None:
     log = ("--world-log", str(rig.world_log))
     simulator = rig.start("simulate", "--write", "sim.toml", "--seed", "5", *log)
     assert "SIMULATED" in simulator.wait_for(r"drive it with --bench sim\.toml")
+    declare_soft_contact(rig.folder / "sim.toml")
 
     done = rig.run("sweep", *SHORT, "--bench", "sim.toml")
     assert done.code == 0, done.stderr

@@ -36,12 +36,20 @@ HP = ("--detector", "paper-hp")
 PATIENCE_S = 60.0
 
 
-@pytest.fixture
-def runs(rig: Any) -> list[str]:
-    """Names of three slip trials in the folder; the last one is quiet."""
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the files of three slip trials; the last one is quiet."""
+    folder = tmp_path_factory.mktemp("runs")
     given = [trials.slipping(seed=1), trials.slipping(seed=2), trials.quiet()]
     for number, volts in enumerate(given):
-        trials.write_trials(rig.folder / f"r{number}.rigj", {"trial-001": volts})
+        trials.write_trials(folder / f"r{number}.rigj", {"trial-001": volts})
+    return folder
+
+
+@pytest.fixture
+def runs(rig: Any, recorded: Path) -> list[str]:
+    """Names of these files, copied into the folder of the command."""
+    shutil.copytree(recorded, rig.folder, dirs_exist_ok=True)
     return ["r0.h5", "r1.h5", "r2.h5"]
 
 

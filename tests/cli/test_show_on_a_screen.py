@@ -3,14 +3,12 @@ file, and names what matters there."""
 
 from __future__ import annotations
 
-import json
-import signal
 import sys
 from pathlib import Path
 from typing import Any
 
 import pytest
-from packages import install, on_path
+from tiers import mostly_nightly
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "files"))
 sys.path.insert(0, str(Path(__file__).parents[1] / "figures"))
@@ -121,23 +119,24 @@ def test_values_of_another_procedure_are_shown_one_by_one(rig: Any, tmp_path: Pa
 # --- files that the program writes now ----------------------------------------------------------
 
 
-@pytest.mark.thorough
-def test_whole_sweeps_fit(rig: Any) -> None:
+@pytest.mark.parametrize(
+    "loads", mostly_nightly(["1", "1,5"], thorough=["1,5"]), ids=["one load", "two loads"]
+)
+def test_a_whole_sweep_fits(rig: Any, loads: str) -> None:
     short = ("--coarse-per-decade", "4", "--fine-per-decade", "12")
-    for loads in ((), ("--loads", "1,5")):
-        done = rig.sweep(*short, *loads)
-        assert done.code == 0, done.stderr
-        said = shown(rig, done.object["file"])
-        for text in (
-            "  20 dB/decade (stress rate): holds",
-            "(World: 20)",
-            "  level b at 1 Hz: ",
-            "  corner: 145",
-            "  joint fit: χ² = ",
-        ):
-            assert text in said
-        assert said.count("  notch: ") == 3
-        assert ("does not depend on the load: holds" in said) == bool(loads)
+    done = rig.sweep(*short, "--loads", loads)
+    assert done.code == 0, done.stderr
+    said = shown(rig, done.object["file"])
+    for text in (
+        "  20 dB/decade (stress rate): holds",
+        "(World: 20)",
+        "  level b at 1 Hz: ",
+        "  corner: 145",
+        "  joint fit: χ² = ",
+    ):
+        assert text in said
+    assert said.count("  notch: ") == 3
+    assert ("does not depend on the load: holds" in said) == ("," in loads)
 
 
 @pytest.mark.thorough
@@ -149,36 +148,14 @@ def test_a_part_of_the_range_says_what_it_cannot_decide(rig: Any) -> None:
 
 
 @pytest.mark.thorough
-def test_trials_of_every_kind_fit(rig: Any) -> None:
-    quick = ("--rest", "100ms", "--no-figures", "--json")
-    for arguments in (
-        ("slip-trial", "--distance", "0.3", "-n", "4"),
-        ("slip-trial", "--distance", "0.3", "--force-error-rms", "0.001"),
-        ("roll-trial", "--angle", "2"),
-        ("path-trial",),
-    ):
-        done = rig.run(*arguments, *quick)
-        assert done.code in (0, 5), done.stderr
-        said = shown(rig, done.object["file"])
-        assert "  valid: " in said
-        assert ("invalid" in said) == (done.code == 5)
-
-
-@pytest.mark.thorough
-def test_an_interrupted_example_and_its_whole_run_fit(rig: Any, tmp_path: Path) -> None:
-    registered = "[rig.procedures]\ncreep = procedures.example:Creep\n"
-    on_path(rig, install(tmp_path / "site", "lab-creep", registered))
-    logged = ("--world-log", str(rig.world_log), "--json", "--no-figures")
-    running = rig.start("creep", "--hold", "8s", "-n", "3", *logged)
-    rig.await_world("touch-down", count=2)
-    running.send(signal.SIGINT)
-    stopped = running.finish()
-    assert stopped.code == 130, stopped.stderr
-    for file in (stopped.object["file"], stopped.object["journal"]):
-        said = shown(rig, file)
-        assert "status: stopped (" in said
-        assert "resume with: rig resume " in said
-    done = rig.run("resume", stopped.object["journal"], "--no-figures", "--json")
-    assert done.code == 0, done.stderr
-    assert "  mean_creep_um: " in shown(rig, done.object["file"])
-    assert json.loads(rig.run("show", "--json", done.object["file"]).stdout)["points_done"] == 3
+@pytest.mark.parametrize(
+    "arguments",
+    [("slip-trial", "--distance", "0.3", "--force-error-rms", "0.001"), ("path-trial",)],
+    ids=["an invalid slip trial", "a path trial"],
+)
+def test_a_trial_fits(rig: Any, arguments: tuple[str, ...]) -> None:
+    done = rig.run(*arguments, "--rest", "100ms", "--no-figures", "--json")
+    assert done.code == (0 if arguments == ("path-trial",) else 5), done.stderr
+    said = shown(rig, done.object["file"])
+    assert "  valid: " in said
+    assert ("invalid" in said) == (done.code == 5)

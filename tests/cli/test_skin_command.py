@@ -288,7 +288,7 @@ def test_options_take_units_as_those_of_procedures_do():
     assert json.loads(shown)["start_x_mm"] == pytest.approx(-6.0)
 
 
-@pytest.mark.thorough
+@pytest.mark.nightly
 def test_earlier_figures_are_never_overwritten(tmp_path: Path):
     small = {"skin": {"ridges": 3, "elements_per_ridge": 3, "refinement": "uniform"}, "ridge": 2}
     file = tmp_path / "history.json"
