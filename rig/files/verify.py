@@ -264,7 +264,7 @@ def _points(run: RunFile) -> Iterator[str]:
     for plot in run.header.layout.plots:
         for name in plot.sources():
             if run.entry[f"{plot.group}/{name}"].shape != (len(ids),):
-                yield f"{plot.group}/{name} has not one value a point"
+                yield f"{plot.group}/{name} does not have one value for each point"
 
 
 def _samples(run: RunFile) -> Iterator[str]:

@@ -197,7 +197,7 @@ def _wrong_layout(layout: Layout, streams: tuple[StreamPlan, ...]) -> Iterator[s
         elif unknown := [one for one in trace.channels() if one not in channels[trace.stream]]:
             yield (
                 f"has a layout whose trace {trace.group!r} shows the channel {unknown[0]!r}, "
-                f"which the stream {trace.stream!r} has not"
+                f"which the stream {trace.stream!r} does not have"
             )
 
 

@@ -101,7 +101,7 @@ def refusals(
             if move.quantity not in reach:
                 role = move.quantity.split(".")[0]
                 yield ConfigurationError(
-                    f"point {point.id} needs {move.quantity}, which this bench has not",
+                    f"point {point.id} needs {move.quantity}, which this bench does not have",
                     f"add a [{role}] table to {bench.plan.source}",
                 )
                 continue

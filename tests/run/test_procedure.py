@@ -109,7 +109,7 @@ FAULTS: dict[str, tuple[dict[str, Any], str]] = {
             "layout": of_columns(X, Column("y", "", "y"), traces=(Trace("t", "ticks", "a"),)),
             "streams": (StreamPlan("ticks", "clock", ("b",), "Ticks"),),
         },
-        "whose trace 't' shows the channel 'a', which the stream 'ticks' has not",
+        "whose trace 't' shows the channel 'a', which the stream 'ticks' does not have",
     ),
     "a stream of no type": (
         {"streams": (StreamPlan("ticks", "clock", ("b",), "Ticks", "float"),)},

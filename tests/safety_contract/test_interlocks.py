@@ -150,7 +150,7 @@ def test_a_drive_that_fails_behind_an_open_door_is_not_the_first_cause(rig):
 def test_a_fault_of_a_contact_that_the_bench_has_not_is_refused(rig):
     ended = rig.sweep(*SHORT, "--fault", rig.fault(contact("opened")))
     assert ended.code == 2, ended.stderr
-    assert "'door', which this bench has not (it has: none)" in ended.errors[0]
+    assert "'door', which this bench does not have (it has: none)" in ended.errors[0]
 
 
 # --- a latch outlives its run; in real time ---------------------------------------------------

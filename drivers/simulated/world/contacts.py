@@ -74,13 +74,13 @@ class Contacts:
         self._tell = tell
 
     def require(self, faults: Sequence[ContactFault]) -> None:
-        """Raise ConfigurationError for a fault of a contact that the bench has not."""
+        """Raise ConfigurationError for a fault of a contact that the bench does not have."""
         for fault in faults:
             if fault.name not in self._contacts:
                 known = ", ".join(self._contacts) or "none"
                 raise ConfigurationError(
                     f"the fault plan has a fault of the interlock {fault.name!r}, which this bench "
-                    f"has not (it has: {known})",
+                    f"does not have (it has: {known})",
                     "declare it as [[interlock]] in the file of World settings",
                 )
 
