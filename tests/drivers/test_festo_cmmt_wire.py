@@ -211,7 +211,7 @@ def test_silence_is_reported_and_charged_to_the_clock() -> None:
 
 
 def test_a_time_out_inside_a_keep_alive_ends_the_wait_once() -> None:
-    with service() as it:
+    with service(timeout_s=TIMEOUT_S) as it:
         axis = it.homed()
         break_wire(it, kind="silence", count=0)
         before = it.clock.now()

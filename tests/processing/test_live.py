@@ -174,9 +174,12 @@ def test_one_of_another_package_runs_in_a_process_of_its_own(
         one.begin()
         for part, first in blocks(crossing()):
             one.add(part, first)
+            if not patient and first % 100 == 0:
+                one.settle(PATIENCE_S)  # more than its socket holds would drop it as late
         found = one.take()
         while len(found) < 3:
             assert not patient
+            assert one.in_use, one.dropped()
             found += until(one.take)
         rows.append([each.event.sample for each in found])
         for each in found:

@@ -100,7 +100,9 @@ def test_behind_a_dead_sensor_and_a_wrong_torque_the_torque_limit_bounds_the_for
     plan = WRONG_TORQUE.format(keys='shows = "zero"') + DEAD
     ended = run_with(rig, procedure, plan)
     assert ended.code == 3, ended.stderr
-    assert "as if it pressed with all its torque limit allows" in ended.errors[0]
+    # The watch of the torque, or the drive, whichever is first.
+    assert "its torque limit" in ended.errors[0]
+    assert "suspect the force sensor" in ended.errors[0]
     assert largest_N(rig) <= PROCEDURES[procedure][2] + 0.5
     last_N = [entry["value"] for entry in rig.log() if entry["what"] == "last-force"]
     assert last_N == [0.0]
@@ -127,8 +129,12 @@ def test_the_servo_orders_nothing_deeper_than_the_latest_contact(rig):
     drift = f'kind = "drift"\nrate_N_s = -1.0\n{APPROACH}after_s = 4.0'
     world = "skin_mount.contact_mm = 12.92\n"
     ended = run(rig, "slip-trial", drift, "--rest", "20s", world=world)
-    assert ended.code == 4, ended.stderr
-    assert "deeper than contact_to_mm = 13 mm" in ended.errors[0]
+    # The servo's bound, or the torque, which changes while the sensor's force does not.
+    assert ended.code in (3, 4), ended.stderr
+    assert any(
+        words in ended.errors[0]
+        for words in ("deeper than contact_to_mm = 13 mm", "suspect the force sensor")
+    )
     deepest_mm = max(
         e["value"]["target_mm"]
         for e in rig.log()

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
-from patience import TIMEOUT_S
+from patience import TIMEOUT_S, UNDISTURBED_S
 from simulated.axis_bench import AxisBench
 from simulated.ideal import serving
 
@@ -65,7 +65,8 @@ class Service:
         self.line.said, self.line.at_us = [], []
         wire = {name: WireFaults(plan, name, RTU_DIALECT) for name in ("stage_z", "stage_x")}
         self.server = PtyServer(self.line, self.bench, slaved=True, faults=wire)
-        self._own = {**OWN, **own}
+        patience = {} if plan.fault else {"timeout_s": UNDISTURBED_S}
+        self._own = {**OWN, **patience, **own}
         self.axes: list[AzAxis] = []
 
     def settings(self, axis: str = "z") -> OrientalAzSettings:

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any
 
-from patience import TIMEOUT_S
+from patience import TIMEOUT_S, UNDISTURBED_S
 from simulated.axis_bench import AxisBench
 from simulated.ideal import serving
 
@@ -81,7 +81,8 @@ class Service:
         faults = [{"device": "it", **fault}] if fault else []
         plan = FaultPlan.model_validate({"fault": faults})
         self.server = ModbusTcpServer(self.wire, faults=WireFaults(plan, "it"))
-        self._own = {**OWN, **own}
+        patience = {} if fault or drive.get("faults") else {"timeout_s": UNDISTURBED_S}
+        self._own = {**OWN, **patience, **own}
         self.axes: list[FestoAxis] = []
 
     @property
