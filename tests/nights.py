@@ -12,6 +12,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from benches import DECLARED_CONTACT
+
 from rig.files.errors import JournalError
 from rig.files.journal.reader import read_journal
 from rig.files.runfile.reader import RunFile
@@ -23,6 +25,11 @@ name = "night"
 figures = false
 detect = false
 """
+QUICK_NIGHT = f"""{NIGHT}
+[simulation]
+world = "world.toml"
+"""
+"""The same with the World that `write_night` writes: z goes quickly where it has not been."""
 SWEEPS = (
     NIGHT
     + """
@@ -47,6 +54,12 @@ class Taken:
     state: str
     points: tuple[str, ...]
     readings: tuple[dict[str, Any], ...]
+
+
+def write_night(rig: Any, text: str) -> None:
+    """Write ``night.toml``, and the World that a `QUICK_NIGHT` names."""
+    rig.world(DECLARED_CONTACT)
+    (rig.folder / "night.toml").write_text(text)
 
 
 def folder_of(results: Path) -> Path:

@@ -106,6 +106,7 @@ def beside_wandering_mains(hum, draws=400, sigma=0.05):
         yield fit_sine(y, RATE, 51.0, interference=mains_lines())
 
 
+@pytest.mark.thorough
 def test_mains_a_beat_away_is_followed_to_its_true_frequency():
     found = list(beside_wandering_mains(hum=0.1))
     assert relative_to_bound(found, 1.0, 0.05) < 1.2

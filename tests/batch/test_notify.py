@@ -197,6 +197,7 @@ def listener() -> Iterator[ThreadingHTTPServer]:
     server.server_close()
 
 
+@pytest.mark.thorough
 def test_an_address_of_apprise_is_reported_and_one_that_refuses_is_a_warning(listener) -> None:
     here = f"json://user:secret@127.0.0.1:{listener.server_address[1]}"
     notifier = Notifier(

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
+from benches import DECLARED_CONTACT
 
 from procedures.roll_trial import RollTrial
 from procedures.slip_trial import SlipTrial
@@ -20,8 +21,8 @@ PROCEDURES = {one.name: one for one in (Sweep, SlipTrial, RollTrial)}
 
 def taken(rig: Any, procedure: str, number: int, world: str, *settings: str) -> ReferenceRun:
     """A run in a World that is otherwise than usual; its seed is its number's."""
-    (rig.folder / "world.toml").write_text(world)
-    options = ("--world", "world.toml", "--seed", "3", "--json", "--no-figures")
+    file = rig.world(DECLARED_CONTACT + world)
+    options = ("--world", file, "--seed", "3", "--json", "--no-figures")
     done = rig.run(procedure, *options, *settings)
     assert done.code == 0, done.stderr
     return ReferenceRun(number, done.object["summary"])

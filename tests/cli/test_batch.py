@@ -12,8 +12,7 @@ from contextlib import closing
 import h5py
 import pytest
 from nights import (
-    NIGHT,
-    SWEEPS,
+    QUICK_NIGHT,
     Taken,
     ask,
     await_answer,
@@ -23,10 +22,11 @@ from nights import (
     object_of,
     taken,
     worker_of,
+    write_night,
 )
 
 ONE_RUN = (
-    NIGHT
+    QUICK_NIGHT
     + """
 [[experiment]]
 procedure = "sweep"
@@ -43,11 +43,20 @@ procedure = "sweep"
 settings = { frequencies_Hz = [200], load_N = 1.0 }
 """
 )
+ONE_FREQUENCY = (
+    QUICK_NIGHT
+    + """
+[[experiment]]
+procedure = "sweep"
+settings = { frequencies_Hz = [200] }
+matrix = { load_N = [0.5, 1.0] }
+"""
+)
 
 
 def begin(rig, text: str):
     """Start a batch; it has its folder, and its first run is under way."""
-    (rig.folder / "night.toml").write_text(text)
+    write_night(rig, text)
     running = rig.start("batch", "run", "night.toml", "--json")
     running.wait_for(r"^run 1/")
     return running
@@ -57,7 +66,7 @@ def begin(rig, text: str):
 def uninterrupted(rig_of_the_module) -> dict[int, Taken]:
     """The same runs, each to its end."""
     rig = rig_of_the_module
-    (rig.folder / "night.toml").write_text(TWO_RUNS)
+    write_night(rig, TWO_RUNS)
     ended = rig.run("batch", "run", "night.toml", "--json")
     assert ended.code == 0, ended.stderr
     assert object_of(ended.stdout)["runs"]["done"] == 2
@@ -224,14 +233,14 @@ def test_a_time_out_is_tried_again_and_a_limit_never(rig) -> None:
         '[[fault]]\ndevice = "force_sensor"\nkind = "spike"\nforce_N = 60\n'
         'move = 3\nof = "stage_z"\n'
     )
-    text = SWEEPS.replace("[180, 200, 220]", "[200]") + (
+    text = ONE_FREQUENCY + (
         "repeat = 2\n"
-        '[simulation]\n[[simulation.fault]]\nruns = [1]\nplan = "silence.toml"\n'
+        '[[simulation.fault]]\nruns = [1]\nplan = "silence.toml"\n'
         '[[simulation.fault]]\nruns = [2]\nplan = "spikes.toml"\nattempts = 9\n'
         '[batch.notify]\ncommand = ["sh", "-c", "echo $1 >> told.txt", "tell"]\n'
     )
     text = text.replace("figures = false", "figures = false\nset_aside_after = 1")
-    (rig.folder / "night.toml").write_text(text)
+    write_night(rig, text)
     ended = rig.run("batch", "run", "night.toml", "--json")
     folder = folder_of(rig.results)
     assert ended.code == 5, ended.stderr

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from nights import NIGHT, PATIENCE_S, ask, await_point, folder_of, object_of, taken
+from nights import NIGHT, PATIENCE_S, ask, await_point, folder_of, object_of, taken, write_night
 
 pytestmark = pytest.mark.thorough
 
@@ -50,15 +50,18 @@ def test_a_full_disk_holds_the_batch_until_there_is_room(rig: Any, small_disk: P
     command = rig.folder / "notify"
     command.write_text(NOTIFY.format(python=sys.executable, path=str(told)))
     command.chmod(command.stat().st_mode | stat.S_IXUSR)
-    (rig.folder / "night.toml").write_text(
+    write_night(
+        rig,
         NIGHT
         + f"""
 hold_when = {{ free_disk_GB = 0 }}
 notify = {{ command = [{str(command)!r}], on = ["hold", "end"] }}
+[simulation]
+world = "world.toml"
 [[experiment]]
 procedure = "sweep"
 settings = {{ frequencies_Hz = [160, 180, 200, 220], settling_s = 4 }}
-"""
+""",
     )
     running = rig.start("batch", "run", "night.toml", "--json")
     running.wait_for(r"^run 1/")
@@ -90,14 +93,17 @@ settings = {{ frequencies_Hz = [160, 180, 200, 220], settling_s = 4 }}
 def test_a_batch_that_is_held_by_a_full_disk_stops_when_it_is_asked_to(
     rig: Any, small_disk: Path
 ) -> None:
-    (rig.folder / "night.toml").write_text(
+    write_night(
+        rig,
         NIGHT
         + """
 hold_when = { free_disk_GB = 0 }
+[simulation]
+world = "world.toml"
 [[experiment]]
 procedure = "sweep"
 settings = { frequencies_Hz = [160, 180, 200], settling_s = 4 }
-"""
+""",
     )
     running = rig.start("batch", "run", "night.toml", "--json")
     running.wait_for(r"^run 1/")

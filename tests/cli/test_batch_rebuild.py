@@ -6,12 +6,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from nights import NIGHT, ask, await_point, folder_of, taken
+from nights import QUICK_NIGHT, ask, await_point, folder_of, taken, write_night
 
 pytestmark = pytest.mark.thorough
 
 TWO = (
-    NIGHT
+    QUICK_NIGHT
     + """
 [[experiment]]
 procedure = "sweep"
@@ -32,7 +32,7 @@ def damage(queue: Path) -> None:
 
 
 def test_a_damaged_queue_is_one_line_and_is_made_anew_from_the_runs(rig: Any) -> None:
-    (rig.folder / "night.toml").write_text(TWO)
+    write_night(rig, TWO)
     running = rig.start("batch", "run", "night.toml")
     running.wait_for(r"^run 2/")
     batch = folder_of(rig.results)
@@ -66,12 +66,10 @@ def test_a_damaged_queue_is_one_line_and_is_made_anew_from_the_runs(rig: Any) ->
 
 
 def test_another_batch_file_than_that_of_the_runs_is_refused(rig: Any) -> None:
-    (rig.folder / "night.toml").write_text(
-        TWO.replace("[0.5, 1.0]", "[0.5]").replace("[160, 200, 240]", "[200]")
-    )
+    write_night(rig, TWO.replace("[0.5, 1.0]", "[0.5]").replace("[160, 200, 240]", "[200]"))
     assert rig.run("batch", "run", "night.toml").code == 0
     batch = folder_of(rig.results)
-    (rig.folder / "night.toml").write_text(TWO)
+    write_night(rig, TWO)
     damage(batch / "queue.sqlite")
     refused = rig.run("batch", "rebuild")
     assert refused.code == 2

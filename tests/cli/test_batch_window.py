@@ -6,7 +6,7 @@ from datetime import UTC, datetime, timedelta
 from typing import Any
 
 import pytest
-from nights import ask, folder_of
+from nights import ask, folder_of, write_night
 
 pytestmark = pytest.mark.thorough
 
@@ -26,6 +26,9 @@ stop_by = {stop_by}
 figures = false
 detect = false
 
+[simulation]
+world = "world.toml"
+
 [[experiment]]
 procedure = "sweep"
 settings = {{ frequencies_Hz = [200] }}
@@ -39,7 +42,7 @@ def test_stop_by_is_kept_in_a_night_in_which_the_clock_changes(rig: Any) -> None
     now = datetime.now(UTC)
     rig.env["TZ"] = zone_that_changes(now + timedelta(hours=1))
     by_the_clock = now + timedelta(hours=2.5)
-    (rig.folder / "night.toml").write_text(night(f"{by_the_clock:%H:%M:%S}"))
+    write_night(rig, night(f"{by_the_clock:%H:%M:%S}"))
     ended = rig.run("batch", "run", "night.toml")
     assert ended.code == 6, ended.stderr
     batch = folder_of(rig.results)

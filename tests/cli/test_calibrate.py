@@ -122,6 +122,7 @@ def test_a_sweeps_file_becomes_the_films_record(rig: Any, good: Path) -> None:
     assert "does not include the error of the load" in done.stderr
 
 
+@pytest.mark.thorough
 def test_the_load_cells_record_in_the_run_widens_b(rig: Any, tmp_path: Path) -> None:
     sensitivity = {"value": 0.1, "standard_error": 0.001}
     cell = {"kind": "load-cell", "sensor": "cell 3", "sensitivity_V_N": sensitivity}
@@ -134,6 +135,7 @@ def test_the_load_cells_record_in_the_run_widens_b(rig: Any, tmp_path: Path) -> 
     assert found["b_dB"]["standard_error"] == pytest.approx(0.0869, rel=0.02)
 
 
+@pytest.mark.thorough
 def test_a_second_record_of_a_day_stands_beside_the_first(rig: Any, good: Path) -> None:
     arguments = ("calibrate", "pvdf", str(good), "--to", "here", "--film", "film 9", "--valid",
                  "30d", "--operator", "B. Person")  # fmt: skip

@@ -386,6 +386,7 @@ def test_the_filter_is_printed_drawn_and_written_as_data(rig: Any) -> None:
     assert step[-1] == pytest.approx(1.0)
 
 
+@pytest.mark.thorough
 def test_a_specification_of_ones_own_takes_units_and_replaces_the_lag(rig: Any) -> None:
     done = rig.run(
         "filter", "--json", "--no-figures", "--half-power", "0.03kHz", "--stop-from", "80",

@@ -40,6 +40,7 @@ def test_the_plates_bench_runs_in_real_time_and_is_made_safe(rig: Any) -> None:
     assert simulator.finish().code == 0
 
 
+@pytest.mark.thorough
 def test_a_procedure_gets_the_bench_with_its_fixture(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -198,6 +198,7 @@ def test_shown_settings_can_be_given_back(tmp_path: Path):
     assert all(Path(f).exists() for f in said["files"])
 
 
+@pytest.mark.thorough
 def test_the_skin_itself_can_be_edited(tmp_path: Path):
     shown = json.loads(run("slide", "--show-skin", "--elements", "4"))
     assert shown["elements_per_ridge"] == 4

@@ -129,6 +129,7 @@ def test_a_mistake_gives_the_message_that_the_page_explains(rig: Any, message: s
     assert message in failed.stderr
 
 
+@pytest.mark.thorough
 def test_other_messages_are_those_of_the_page(rig: Any) -> None:
     page = Page(PAGE, rig)
     missing = rig.run("creep")

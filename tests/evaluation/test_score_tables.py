@@ -36,6 +36,7 @@ def test_percentiles_leave_out_what_did_not_happen_and_repeat_themselves():
     assert found == percentiles(values, "ms")
 
 
+@pytest.mark.thorough
 def test_the_bootstrap_covers_the_median_as_often_as_it_says():
     chance = np.random.default_rng(3)
     covered = 0

@@ -103,6 +103,7 @@ def test_a_setting_that_another_version_lacks_is_no_difference(folder: Path) -> 
         assert names_of([fast, old]) == ["speed 1 mm/s", "speed 0.7 mm/s"]
 
 
+@pytest.mark.thorough
 def test_the_picture_has_a_name_of_its_own_each_time(folder: Path, tmp_path: Path) -> None:
     files = [folder / ROLL, folder / ROLL]
     first = draw_overlay(files, tmp_path).files

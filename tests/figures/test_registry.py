@@ -147,7 +147,7 @@ def test_a_process_that_is_not_asked_ends_and_draws_nothing(lab: Laboratory) -> 
 def test_a_run_without_a_completed_point_has_no_figures(lab: Laboratory) -> None:
     lab.declare(lab_trial=FAILS)
     run = lab.run(points=0)
-    assert draw(run) == draw_in_child(run) == Drawn()
+    assert draw(run) == Drawn()
 
 
 def test_the_picture_of_the_procedure_is_not_overwritten(lab: Laboratory) -> None:

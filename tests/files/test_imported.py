@@ -319,6 +319,7 @@ def test_matlab_variables_come_through(tmp_path: Path, kind: str) -> None:
     assert recording.columns["v_2"] == "column 2 of variable both"
 
 
+@pytest.mark.thorough
 def test_the_only_matrix_needs_no_name(tmp_path: Path) -> None:
     written = files.signals()
     content = files.matlab_5(data=np.column_stack(list(written.values())), note="made in Kyoto")

@@ -110,6 +110,7 @@ def test_raw_numbers_their_scale_and_what_follows_are_there(file: Path) -> None:
         np.testing.assert_array_equal(opened["entry/force/F_n"], np.linspace(1, 2, 40))
 
 
+@pytest.mark.thorough
 def test_validators_and_viewers_take_it(file: Path, tmp_path: Path) -> None:
     import xarray
     from nexusformat.nexus.validate import lint_nxdl, validate_application, validate_file

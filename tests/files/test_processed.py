@@ -380,6 +380,7 @@ def validate(path: Path) -> list[tuple[int, int]]:
     return [validate_file(str(path)), validate_application(str(path), application=str(definition))]
 
 
+@pytest.mark.thorough
 def test_nexusformat_finds_nothing(found: DetectionResult, tmp_path: Path) -> None:
     assert validate(found.file) == [(0, 0), (0, 0)]
     silent = trials.write_trials(tmp_path / "a.rigj", {"trial-001": trials.quiet()})

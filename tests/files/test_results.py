@@ -119,6 +119,7 @@ def test_they_are_read_as_they_were_given_and_the_file_is_sound(file: Path) -> N
     assert verify(file) == []
 
 
+@pytest.mark.thorough
 def test_nexusformat_reads_them_and_finds_nothing(file: Path) -> None:
     from nexusformat.nexus import nxload
     from nexusformat.nexus.validate import validate_application, validate_file

@@ -104,8 +104,8 @@ def test_ridge_3_leads_gross_slip(skin6: CondensedSkin, speed_mm_s, slide_s, lea
     ("ratio", "peaks_mV"),
     [
         (0.7, (36.3, 50.1, 34.1, 2.2)),
-        (0.85, (5.7, 9.8, 3.4, 0.74)),
-        (0.95, (0.82, 0.86, 0.59, 0.39)),
+        pytest.param(0.85, (5.7, 9.8, 3.4, 0.74), marks=pytest.mark.thorough),
+        pytest.param(0.95, (0.82, 0.86, 0.59, 0.39), marks=pytest.mark.thorough),
     ],
 )
 def test_without_a_drop_or_with_a_long_one_there_is_no_impulse(skin6, ratio, peaks_mV):

@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from benches import DECLARED_CONTACT
 from pydantic import ValidationError
 
 from procedures.path_trial.path import Course, moves_along
@@ -43,7 +44,8 @@ def test_a_course_is_straight_between_its_corners_and_constant_after_them() -> N
 @pytest.mark.thorough
 def test_x_follows_the_path_and_the_force_its_course_and_the_skin_is_lifted(rig: Any) -> None:
     done = rig.run(
-        "path-trial", "--json", "--world-log", str(rig.world_log), "--normal-force", "3N",
+        "path-trial", "--json", "--world", rig.world(DECLARED_CONTACT),
+        "--world-log", str(rig.world_log), "--normal-force", "3N",
         "--tick", "200", "--path-times", "0,0.2,0.5,0.6",
         "--path-positions", "0,0.06,0.06,0", "--force-times", "0,0.8,1.1",
         "--force-shares", "1,1,0.5", "--stay", "0.4",
@@ -101,8 +103,9 @@ def test_a_set_point_that_leaps_is_no_lost_force_and_z_stays_slow_enough_to_brak
 
 @pytest.mark.thorough
 def test_a_series_has_a_figure_of_its_trials(rig: Any) -> None:
-    given = ("path-trial", "--json", "--force-times", "0,0.1", "--force-shares", "1,1.1")
-    two = rig.run(*given, "--stay", "0.1", "-n", "2")
+    world = rig.world(DECLARED_CONTACT)
+    given = ("--world", world, "--force-times", "0,0.1", "--force-shares", "1,1.1")
+    two = rig.run("path-trial", "--json", *given, "--stay", "0.1", "-n", "2")
     assert two.code == 0, two.stderr
     (name,) = [name for name in two.object["figures"] if name.endswith("-series.svg")]
     drawn = (rig.folder / name).read_text("utf-8")

@@ -52,26 +52,25 @@ def passed(ended: subprocess.CompletedProcess[str]) -> int:
 
 
 @pytest.mark.thorough
-@pytest.mark.parametrize("role", CORES)
-def test_an_instrument_of_every_role_fulfils_its_contract(tmp_path: Path, role: str) -> None:
-    assert passed(contract(installed(tmp_path / "site"), "-k", f"test_{role}")) >= FEWEST
+def test_an_instrument_of_every_role_fulfils_its_contract(tmp_path: Path) -> None:
+    assert passed(contract(installed(tmp_path / "site"))) >= FEWEST * len(CORES)
 
 
 @pytest.mark.thorough
-@pytest.mark.parametrize("role", ["stage", "daq", "rotary"])
-def test_an_instrument_fulfils_its_contract_on_the_other_kind_of_link(
-    tmp_path: Path, role: str
-) -> None:
+def test_instruments_fulfil_their_contract_on_the_other_kind_of_link(tmp_path: Path) -> None:
     site = installed(tmp_path / "site")
-    simulator = site / "acme" / f"{role}_simulator.py"
-    text = simulator.read_text()
     swapped = {'"tcp"': '"serial"', '"serial"': '"tcp"'}
-    (link,) = (one for one in swapped if f", {one}" in text)
-    simulator.write_text(text.replace(link, swapped[link]))
-    driver = site / "acme" / f"{role}_driver.py"
-    resync = 'settings.timeout_s, clock, resync=("ID?", r"ACME .*"))'
-    driver.write_text(driver.read_text().replace("settings.timeout_s, clock)", resync))
-    assert passed(contract(site, "-k", f"test_{role}")) >= FEWEST
+    roles = ("stage", "daq", "rotary")
+    for role in roles:
+        simulator = site / "acme" / f"{role}_simulator.py"
+        text = simulator.read_text()
+        (link,) = (one for one in swapped if f", {one}" in text)
+        simulator.write_text(text.replace(link, swapped[link]))
+        driver = site / "acme" / f"{role}_driver.py"
+        resync = 'settings.timeout_s, clock, resync=("ID?", r"ACME .*"))'
+        driver.write_text(driver.read_text().replace("settings.timeout_s, clock)", resync))
+    chosen = " or ".join(f"test_{role}" for role in roles)
+    assert passed(contract(site, "-k", chosen)) >= FEWEST * len(roles)
 
 
 MISTAKES = {

@@ -241,6 +241,7 @@ weakening_distance_um = 0.001
     assert len(started.log("world", "contact-failed")) == 1
 
 
+@pytest.mark.thorough
 def test_the_bench_file_describes_skin_and_plate(started: Started) -> None:
     tables = tomllib.loads(started.text)
     assert tables["fixture"]["mounted"] == "plate"
@@ -256,6 +257,7 @@ def test_the_bench_file_describes_skin_and_plate(started: Started) -> None:
     assert (anywhere["stage_x"]["port"], anywhere["stage_z"]["port"]) == (502, 502)
 
 
+@pytest.mark.thorough
 def test_what_no_simulated_bench_has_is_refused(tmp_path: Path) -> None:
     unknown: Any = "glove"
     refused = start({"fixture": unknown})
