@@ -282,6 +282,7 @@ def test_another_package_s_detector_of_our_name_does_not_replace_ours(rig: Any) 
 
 
 @pytest.mark.thorough
+@pytest.mark.usefixtures("quick_ways")
 def test_it_runs_beside_a_trial_and_the_grip_answers_it(rig: Any) -> None:
     installed(rig)
     done = rig.run(

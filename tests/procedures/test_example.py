@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from benches import DECLARED_CONTACT
 from packages import install, on_path
 
 from procedures.example import Creep
@@ -29,7 +30,8 @@ def creep(rig: Any, tmp_path: Path) -> Any:
 
 
 def arguments(rig: Any, *given: str) -> list[str]:
-    return ["creep", "--json", "--no-figures", "--world-log", str(rig.world_log), *given]
+    world = ("--world", rig.world(DECLARED_CONTACT), "--world-log", str(rig.world_log))
+    return ["creep", "--json", "--no-figures", *world, *given]
 
 
 def assert_lifted(rig: Any) -> None:
