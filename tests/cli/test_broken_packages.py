@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from benches import declare_soft_contact
 from packages import install, on_path
 from tiers import mostly_thorough
 
@@ -172,6 +173,7 @@ def everything_broken(site: Path) -> Path:
 
 
 @pytest.mark.thorough
+@pytest.mark.usefixtures("quick_ways")
 def test_every_other_command_works_beside_all_of_them(rig: Any, tmp_path: Path) -> None:
     done = rig.run("sweep", "--frequencies", "200", "--no-figures")
     assert done.code == 0, done.stderr
@@ -268,6 +270,7 @@ def acme(rig: Any, tmp_path: Path) -> Iterator[Path]:
     text = (rig.folder / "sim.toml").read_text()
     assert text.count('"keysight-u2300a"') == 1
     (rig.folder / "sim.toml").write_text(text.replace('"keysight-u2300a"', '"acme-daq"'))
+    declare_soft_contact(rig.folder / "sim.toml")
     yield site / "acme_daq.py"
     serving.send(signal.SIGINT)
     assert serving.finish().code == 0
@@ -453,6 +456,7 @@ def test_entry_points_that_cannot_be_read_disable_their_own_package_only(rig: An
 @pytest.mark.thorough
 @pytest.mark.parametrize("unreadable", ["no text"], indirect=True)
 @pytest.mark.usefixtures("unreadable")
+@pytest.mark.usefixtures("quick_ways")
 def test_a_run_works_beside_entry_points_that_cannot_be_read(rig: Any) -> None:
     done = rig.run("sweep", "--frequencies", "200", "--no-figures")
     assert done.code == 0, done.stderr
