@@ -160,6 +160,7 @@ def test_a_fault_of_a_contact_that_the_bench_has_not_is_refused(rig):
 def served(rig, world, plan=""):
     """A simulated bench in real time, with its bench file bench.toml."""
     options = ("--fault", rig.fault(plan)) if plan else ()
+    rig.quick_ways = False  # `rig.served` has its own
     with rig.served("--world", rig.world(world), *options):
         yield
 

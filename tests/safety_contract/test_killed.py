@@ -28,11 +28,14 @@ SIXTY_POINTS = (
     "--frequencies", ",".join(str(f) for f in range(300, 6300, 100)), "--settling", "0.3s"
 )  # fmt: skip
 """They take seconds: what is done to a run in the middle finds it there on a busy machine too."""
+FORTY_POINTS = (
+    "--frequencies", ",".join(str(f) for f in range(300, 4300, 100)), "--settling", "0.3s"
+)  # fmt: skip
+"""The same, for a run that all of them are taken of."""
 
 
 def test_a_killed_run_is_made_safe_compiled_and_can_be_resumed(rig):
-    frequencies = ",".join(str(f) for f in range(300, 4300, 100))
-    running = rig.start_sweep("--frequencies", frequencies, "--settling", "0.3s")
+    running = rig.start_sweep(*FORTY_POINTS)
     running.wait_for(r"^10/40 ")
     running.send(signal.SIGKILL)
     running.process.wait()
@@ -192,8 +195,8 @@ def await_report(path):
 
 @pytest.mark.thorough
 def test_a_run_whose_guard_was_killed_says_so_and_continues(rig):
-    running = rig.start_sweep(*SIXTY_POINTS)
-    running.wait_for(r"^5/60 ")
+    running = rig.start_sweep(*FORTY_POINTS)
+    running.wait_for(r"^5/40 ")
     (guard,) = children_named("rig.run.guard", running.process.pid)
     os.kill(guard, signal.SIGKILL)
     ended = running.finish()
@@ -207,10 +210,10 @@ def test_a_run_whose_guard_was_killed_says_so_and_continues(rig):
 @pytest.mark.thorough
 def test_a_run_whose_guard_is_stopped_says_so_once_and_continues(rig):
     running = rig.start(
-        *rig.sweep_arguments(*SIXTY_POINTS),
+        *rig.sweep_arguments(*FORTY_POINTS),
         before="import rig.run.guard as g; g.SILENT_S = g.ENDING_S = 0.5",
     )
-    running.wait_for(r"^5/60 ")
+    running.wait_for(r"^5/40 ")
     (guard,) = children_named("rig.run.guard", running.process.pid)
     os.kill(guard, signal.SIGSTOP)
     ended = running.finish()

@@ -11,32 +11,34 @@ import pytest
 from rig.files.runfile.reader import RunFile
 from rig.files.verify import verify
 
+pytestmark = pytest.mark.usefixtures("quick_ways")
+
 SETTLING = ("--settling", "0.3s")
 """So that a run takes seconds and is interrupted in the middle on a busy machine too."""
-SIXTY_POINTS = ("--frequencies", ",".join(f"{300 * 1.05**k:.6g}" for k in range(60)), *SETTLING)
+FORTY_POINTS = ("--frequencies", ",".join(f"{300 * 1.07**k:.6g}" for k in range(40)), *SETTLING)
 """No round numbers: what remains of mains and ringing would be alike at all of them."""
 
 
 @pytest.mark.thorough
 def test_a_resumed_sweep_equals_an_uninterrupted_one(rig):
-    whole = rig.sweep(*SIXTY_POINTS)
+    whole = rig.sweep(*FORTY_POINTS)
     assert whole.code == 0, whole.stderr
-    running = rig.start_sweep(*SIXTY_POINTS)
-    running.wait_for(r"^20/60 ")
+    running = rig.start_sweep(*FORTY_POINTS)
+    running.wait_for(r"^8/40 ")
     running.send(signal.SIGINT)
     stopped = running.finish()
     resumed_from = stopped.object["points_done"]
     resumed = rig.run("resume", stopped.object["journal"], "--no-figures", "--json")
 
     assert resumed.code == 0, resumed.stderr
-    assert resumed.object["points_done"] == 60
+    assert resumed.object["points_done"] == 40
     assert not list(rig.results.rglob("*.rigj")), "a complete run needs its journal no more"
     with (
         RunFile.open(rig.folder / whole.object["file"]) as expected,
         RunFile.open(rig.folder / resumed.object["file"]) as got,
     ):
         assert got.point_ids() == expected.point_ids()
-        assert len(set(got.point_ids())) == 60
+        assert len(set(got.point_ids())) == 40
         assert got.outcome.attempt == 2
         difference = (got.column("gain") - expected.column("gain"))[resumed_from:]
         errors = np.hypot(got.column("gain_error"), expected.column("gain_error"))[resumed_from:]
@@ -91,8 +93,8 @@ def test_a_complete_run_is_not_resumed(rig):
 
 @pytest.mark.thorough
 def test_a_journal_that_was_edited_is_not_resumed(rig):
-    running = rig.start_sweep(*SIXTY_POINTS)
-    running.wait_for(r"^5/60 ")
+    running = rig.start_sweep(*FORTY_POINTS)
+    running.wait_for(r"^5/40 ")
     running.send(signal.SIGINT)
     stopped = running.finish()
     journal = rig.folder / stopped.object["journal"]

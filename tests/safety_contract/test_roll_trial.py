@@ -14,8 +14,6 @@ from rig.files.definitions import definition_path
 from rig.files.runfile.reader import RunFile
 from rig.files.verify import verify
 
-pytestmark = pytest.mark.usefixtures("quick_ways")
-
 ROLLER = 'shape = "cylinder", radius_mm = 30.0'
 """What the reference figures belong to (decision 0020)."""
 QUIET = "strip_input = { noise_density_V_sqrtHz = 1e-7, mains_amplitude_mV = 0.0 }\n"
@@ -55,6 +53,7 @@ def the_reading(rig):
         return reading
 
 
+@pytest.mark.usefixtures("quick_ways")
 @pytest.mark.parametrize(
     ("stages", "speed"),
     [

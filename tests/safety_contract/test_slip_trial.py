@@ -17,8 +17,6 @@ from rig.files.runfile.reader import RunFile
 from rig.files.verify import verify
 from rig.processing.detection import detect_trials
 
-pytestmark = pytest.mark.usefixtures("quick_ways")
-
 SHORT = ("--distance", "0.4mm", "--speed", "0.5mm/s", "--rest", "100ms")
 """Slow enough to need no rehearsal on any stage."""
 
@@ -40,6 +38,7 @@ def assert_off_the_plate(rig):
     assert touched[-1:] != ["touch-down"]
 
 
+@pytest.mark.usefixtures("quick_ways")
 def test_a_trial_shows_what_the_model_does_and_measures_the_friction(rig, skin8):
     asked = ("--sample", "skin 7", "--object", "glass plate", "--notes", "wiped with ethanol")
     ended = rig.run(*arguments(rig, "--distance", "0.6mm", *asked))
@@ -176,6 +175,7 @@ def test_the_same_seed_gives_the_same_samples(rig):
             assert (values == second[name]).all(), name
 
 
+@pytest.mark.usefixtures("quick_ways")
 @pytest.mark.parametrize(
     ("number", "code"),
     [(signal.SIGINT, 130), pytest.param(signal.SIGQUIT, 131, marks=pytest.mark.thorough)],
