@@ -31,7 +31,7 @@ def deepest_mm(rig, since):
 @pytest.mark.thorough
 def test_one_lost_answer_of_a_stage_that_presses_does_not_stop_its_drive(rig):
     lost = rig.fault(f'[[fault]]\ndevice = "stage_z"\nkind = "silence"\n{PRESSED["sweep"]}')
-    ended = rig.sweep("--frequencies", "300,600", "--fault", lost)
+    ended = rig.sweep("--frequencies", "300,400,500,600", "--fault", lost)
     # A question is asked again; an order of which nobody knows whether it came ends the run.
     assert ended.code in (0, 3), ended.stderr
     assert "NOT SAFE" not in ended.stderr
@@ -46,7 +46,7 @@ def test_a_drive_that_its_own_time_out_has_stopped_is_acknowledged_and_lifted(ri
     plan = rig.fault(
         f'[[fault]]\ndevice = "stage_z"\nkind = "drive-fault"\ncode = {code}\n{PRESSED[what]}'
     )
-    asked = ("--frequencies", "300,600") if what == "sweep" else ("--distance", "1mm")
+    asked = ("--frequencies", "300,400,500,600") if what == "sweep" else ("--distance", "1mm")
     ended = rig.run(
         what, "--json", "--no-figures", "--world-log", str(rig.world_log), "--fault", plan, *asked
     )
@@ -69,7 +69,7 @@ def test_a_drive_that_times_out_and_cannot_be_lifted_is_reported_with_place_and_
         f'[[fault]]\ndevice = "stage_z"\nkind = "drive-fault"\ncode = {code}\n{PRESSED["sweep"]}'
         f'[[fault]]\ndevice = "stage_z"\nkind = "stuck"\n{PRESSED["sweep"]}'
     )
-    ended = rig.sweep("--frequencies", "300,600", "--fault", plan)
+    ended = rig.sweep("--frequencies", "300,400,500,600", "--fault", plan)
     assert ended.code == 7, ended.stderr
     told = next(line for line in ended.stderr.splitlines() if "the film may still be" in line)
     assert "stands at 12." in told
