@@ -308,7 +308,8 @@ def refuse_early_contact(run: Run, force_N: float, contact_N: float) -> None:
         "approach",
         f"force_sensor reads {force_N:.2g} N at {stage.position_mm():.2f} mm, before any contact "
         f"can be (contact_from_mm = {contact_range_mm(run.bench)[0]:g} mm)",
-        "check what is in the way; correct [fixture] if contact belongs there",
+        "check what is in the way, and that the force sensor reads no force where nothing touches; "
+        "correct [fixture] if contact belongs there",
     )
 
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import resource
 import select
 import signal
 import subprocess
@@ -185,12 +184,16 @@ def run_module(
     # library would otherwise be imported in its place.
     program = [sys.executable, "-P", "-m", module, *arguments]
     try:
-        child = Child(program, timeout_s, given=given, longest_output=max_answer_bytes)
+        child = Child(
+            _limited(program, timeout_s, max_memory_bytes),
+            timeout_s,
+            given=given,
+            longest_output=max_answer_bytes,
+        )
     except OSError as error:
         raise ChildError(f"it could not be started: {error}") from None
     ended = None
     try:
-        _limit(child.pid, timeout_s, max_memory_bytes)
         while ended is None and child.output_bytes <= max_answer_bytes:
             child.wait(CHECK_EVERY_S)
             ended = child.poll()
@@ -249,17 +252,15 @@ def _write_all(descriptor: int, content: bytes) -> None:
     os.lseek(descriptor, 0, os.SEEK_SET)
 
 
-def _limit(pid: int, timeout_s: float, memory_bytes: int) -> None:
-    """Limit a child that has just been started and is still loading Python."""
+def _limited(program: Sequence[str], timeout_s: float, memory_bytes: int) -> list[str]:
+    """Return the command that runs a program with bounds on its memory and its processor time."""
     # If this process is killed, no process is left to kill the child when its time is over. The
-    # limit of processor time then ends a child that is caught in an endless loop.
+    # limit of processor time then ends a child that is caught in an endless loop. The shell sets
+    # both before Python is loaded: set from here, they might come late on a busy computer. A lower
+    # limit that holds already stays.
     processor_s = int(2 * timeout_s) + 1
-    with contextlib.suppress(ProcessLookupError):  # it has ended already
-        for limit, value in (
-            (resource.RLIMIT_AS, memory_bytes),
-            (resource.RLIMIT_CPU, processor_s),
-        ):
-            resource.prlimit(pid, limit, (value, value))
+    limits = f"ulimit -v {memory_bytes // 1024}; ulimit -t {processor_s}"
+    return ["/bin/sh", "-c", f'{{ {limits}; }} 2>/dev/null; exec "$0" "$@"', *program]
 
 
 def _why(code: int) -> str:
