@@ -226,7 +226,8 @@ def test_a_time_out_inside_a_keep_alive_ends_the_wait_once() -> None:
 def test_a_broken_exchange_of_a_servo_is_an_error_and_the_next_one_works(
     kind: str, at: int
 ) -> None:
-    with service({"kind": kind, "command": "FC16 0", "at": 5 + at}) as it:
+    fault = {"kind": kind, "command": "FC16 0", "at": 5 + at}
+    with service(fault, communication_timeout_ms=5000) as it:  # longer than the link's own
         axis = it.homed()
         failures = 0
         for target in (10.0, 11.0, 12.0, 13.0, 14.0):
