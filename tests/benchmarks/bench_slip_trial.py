@@ -187,7 +187,7 @@ def run_timed(folder, bench_file):
     own, which the run's guard may kill."""
     work_s, loops = [], []
 
-    def timed(run, rate_Hz, duration_s, on_tick):
+    def timed(run, rate_Hz, duration_s, on_tick, *wait):
         def tick(at):
             begin = time.perf_counter()
             going_on = on_tick(at)
@@ -195,7 +195,7 @@ def run_timed(folder, bench_file):
             return going_on
 
         begin_s = time.monotonic()
-        done = loop.tick_loop(run, rate_Hz, duration_s, tick)
+        done = loop.tick_loop(run, rate_Hz, duration_s, tick, *wait)
         if rate_Hz == RATE_Hz:
             loops.append((begin_s, time.monotonic(), done.ticks, done.late))
         return done
