@@ -362,7 +362,9 @@ class InterlockWatch:
             if failures:
                 why += f"; not stopped at once: {'; '.join(failures)}"
             self._reasons[name] = why
-            if not contact.readable:
+            if contact.readable:
+                self._unread.discard(name)
+            else:
                 self._unread.add(name)
             self._news.append(("error", why))
             try:
