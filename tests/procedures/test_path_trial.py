@@ -69,7 +69,7 @@ def test_x_follows_the_path_and_the_force_its_course_and_the_skin_is_lifted(rig:
         near = np.abs(at_s - time_s) < 0.01
         assert normal_N[near].mean() == pytest.approx(wanted_N, abs=0.12)
     assert reading["smallest_normal_N"] == pytest.approx(1.5, abs=0.1)
-    assert rig.only("*.png").stat().st_size > 20_000, "one figure: none of a series for a single trial"
+    assert rig.only("*.png").stat().st_size > 20_000, "one trial has one figure"
     assert not reading["invalid"], "the force is judged by the set point of its time"
 
 
