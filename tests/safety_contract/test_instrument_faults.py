@@ -6,7 +6,7 @@ import itertools
 import re
 
 import pytest
-from tiers import mostly_nightly, mostly_thorough
+from tiers import mostly_nightly
 
 from rig.files.runfile.reader import RunFile
 from rig.files.verify import verify
@@ -45,7 +45,7 @@ DAQ_FAULTS = list(itertools.product(KINDS, ("WAV:DATA", "DIG", "WAV:COMP")))
     "fault",
     mostly_nightly(
         DAQ_FAULTS,
-        [fault for fault in DAQ_FAULTS if fault[1] == "WAV:DATA" or fault[0] == "close"],
+        [("truncate", "WAV:DATA"), ("close", "DIG"), ("close", "WAV:COMP")],
         [("silence", "WAV:DATA")],
     ),
     ids="-".join,
@@ -65,7 +65,7 @@ def test_a_daq_that_fails_once_ends_the_run_safely(rig, fault):
     assert_points_are_kept(rig, ended)
 
 
-@pytest.mark.parametrize("kind", mostly_thorough(KINDS[:4], ["garbage"]))
+@pytest.mark.parametrize("kind", mostly_nightly(KINDS[:4], ["close"], ["garbage"]))
 def test_a_generator_that_fails_once_is_still_switched_off(rig, kind):
     plan = f'[[fault]]\ndevice = "generator"\nkind = "{kind}"\ncommand = "SOUR1:FREQ"\nat = 4\n'
     ended = rig.sweep(*FREQUENCIES, "--fault", rig.fault(plan))
@@ -112,7 +112,7 @@ def assert_ended_safely(rig, ended, device, points=SLOW_POINTS, least=1):
         assert sorted(run.point_ids()) == sorted(told)
 
 
-@pytest.mark.parametrize("kind", mostly_thorough(KINDS, ["close"]))
+@pytest.mark.parametrize("kind", mostly_nightly(KINDS, ["silence", "stale"], ["close"]))
 def test_a_stage_that_fails_once_ends_the_run_safely(rig, kind):
     plan = plan_of("stage_z", kind, **WHILE_TAKING)
     ended = rig.sweep(*SLOW, "--fault", rig.fault(plan))
@@ -131,14 +131,13 @@ def test_a_connection_that_breaks_on_the_way_back_is_made_anew_and_the_film_is_l
     assert moves[-1] == ("at-rest", pytest.approx(5.0, abs=0.02))
 
 
-@pytest.mark.thorough
 @pytest.mark.parametrize(
-    ("kind", "lasting"),
-    [("garbage", {}), ("close", {}), ("silence", {"for_s": 0.08}), ("truncate", {"for_s": 0.08})],
+    "kind", mostly_nightly(["garbage", "close", "silence", "truncate"], ["close", "truncate"])
 )
-def test_a_force_stream_that_breaks_ends_the_run_safely_with_the_film_unloaded(rig, kind, lasting):
+def test_a_force_stream_that_breaks_ends_the_run_safely_with_the_film_unloaded(rig, kind):
     """Half a batch may end with a whole frame: so few that are missing are no gap yet. Frames that
     are missing are a hold first, for they may be late."""
+    lasting = {"for_s": 0.08} if kind in ("silence", "truncate") else {}
     plan = plan_of("force_sensor.stream", kind, **WHILE_TAKING, **lasting)
     ended = rig.sweep(*SLOW, "--fault", rig.fault(plan))
     assert_ended_safely(rig, ended, "force_sensor")

@@ -10,7 +10,7 @@ import time
 from pathlib import Path
 
 import pytest
-from tiers import mostly_thorough
+from tiers import mostly_nightly
 
 from rig.files.runfile.reader import RunFile
 from rig.files.verify import verify
@@ -36,7 +36,9 @@ CALLED = {
 
 
 @pytest.mark.parametrize(
-    "number", mostly_thorough(STOPS, [signal.SIGTERM]), ids=lambda number: number.name
+    "number",
+    mostly_nightly(STOPS, [signal.SIGQUIT, signal.SIGHUP], [signal.SIGTERM]),
+    ids=lambda number: number.name,
 )
 def test_a_signal_in_the_middle_ends_the_run_in_order(rig, number):
     running = rig.start_sweep(*SIXTY_POINTS)
@@ -136,7 +138,9 @@ def assert_stopped_in_order(rig, ended, number):
 
 
 @pytest.mark.parametrize(
-    "number", mostly_thorough(STOPS, [signal.SIGINT]), ids=lambda number: number.name
+    "number",
+    mostly_nightly(STOPS, [signal.SIGTERM], [signal.SIGINT]),
+    ids=lambda number: number.name,
 )
 def test_a_signal_while_paused_ends_the_run_in_order(rig, number):
     running = rig.start_sweep(*SIXTY_POINTS)
