@@ -20,7 +20,7 @@ class Creep(PressedProcedure):
 
     name = "creep"  # equal to the name of the entry point
     fixtures = ("plate",)  # what it can work with; a simulated bench gets the first one
-    columns = (Column("creep", "um", "Way of z during the hold"),)  # key of the reading: creep_um
+    columns = (Column("creep", "um", "Travel of z during the hold"),)  # its key: creep_um
 
     class Settings(PressedSettings):  # each field is an option, the suffix is its unit
         """The settings of a creep run."""

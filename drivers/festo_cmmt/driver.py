@@ -629,8 +629,7 @@ class FestoAxis:
 
 _LOOK = "check the drive's display and the axis"
 _STOPPED_BY_OTHERS = (
-    "the motion was stopped, not on our command (make-safe from another terminal, or the drive "
-    "itself)"
+    "the motion was stopped, not by this run (make-safe from another terminal, or the drive itself)"
 )
 
 

@@ -21,7 +21,7 @@ while the other is talked to. So each axis checks that every drive of its line a
 Sources: HP-5142E (sister product, same registers), om_modbus_master (vendor), M2FS-Control (an
 AZD-KD in use), pages of HM-60262E. Not confirmed on an AZ, and to be tried at the first bench:
 
-* starting is refused with exception 04 while STOP stands (`_command_stop`);
+* starting is refused with exception 04 while STOP is set (`_command_stop`);
 * an unknown register is refused with exception 02 (`identify`);
 * speed is in steps/s, rates in steps/s2 (`_motion`);
 * time-out, limits and overtravel take effect at once, without the command "configuration";
@@ -705,10 +705,9 @@ class AzAxis:
 _HOMED = AzInternalOutput.HOME_END | AzInternalOutput.ABSPEN
 _LOOK = "check the drive's display and the axis"
 _STOPPED_BY_OTHERS = (
-    "the motion was stopped, not on our command (make-safe from another terminal, or the drive "
-    "itself)"
+    "the motion was stopped, not by this run (make-safe from another terminal, or the drive itself)"
 )
-_HELD_BY_OTHERS = "a stop stands in the drive, not on our command (make-safe from another terminal)"
+_HELD_BY_OTHERS = "a stop is set in the drive, not by this run (make-safe from another terminal)"
 
 
 class _StopStandsError(RigError):

@@ -74,5 +74,5 @@ def _servo(state: AzState) -> str:
     """Return what the drive calls its state: its outputs do not say whether the motor has
     current."""
     if state.inputs & AzInput.STOP:
-        return "STOP stands"
+        return "STOP is set"
     return "ready" if state.outputs & AzOutput.READY else "not ready"

@@ -95,7 +95,7 @@ class ApproachWatch:
             return
         self._run.bench.stage_z.stop()
         what = (
-            f"stage_z is held at {position_mm:.3f} mm, where it was commanded to go on by "
+            f"stage_z is held at {position_mm:.3f} mm, although it was commanded to move a further "
             f"{commanded_mm:.2f} mm within {HELD_S:g} s"
         )
         if position_mm < self._first_mm or force_N > self._contact_N:
@@ -154,7 +154,7 @@ class ApproachWatch:
         raise InstrumentError(
             "force_sensor",
             "approach",
-            f"contact was felt at {self._touched_mm:.3f} mm, but stage_z has gone on to "
+            f"contact was felt at {self._touched_mm:.3f} mm, but stage_z has moved on to "
             f"{position_mm:.3f} mm and the force has not changed: it is {mean_N:.2g} N on average, "
             f"with a noise of {noise_N:.2g} N before contact",
             SUSPECT,

@@ -60,7 +60,7 @@ class PolledAxis(Protocol):
 
     @property
     def stage(self) -> LinearStage | RotaryStage:
-        """Its stage."""
+        """Stage that is polled."""
         ...
 
     def ask_poll(self) -> None:

@@ -72,7 +72,8 @@ TARE_TRIES = 3
 """How often the force is looked at for a stretch that nothing disturbs."""
 UNLOAD_DEADLINE_S = 20.0
 HOMING_S = 0.68
-"""Expected of a stage without a reference, wherever it stands (measured on simulated drives)."""
+"""Expected homing time of a stage without a reference, wherever it stands (measured on simulated
+drives)."""
 
 
 class ForceZero(NamedTuple):
@@ -229,7 +230,7 @@ def tare_in_free_air(run: Run) -> ForceZero:
     raise InstrumentError(
         "force_sensor",
         "tare",
-        f"the force has not been at rest in free air for {TARE_S:g} s in {TARE_TRIES} looks",
+        f"the force was not steady in free air during any of {TARE_TRIES} attempts of {TARE_S:g} s",
         "check that nothing touches the sensor and nothing shakes the bench; check cable and plug",
     )
 
@@ -344,7 +345,7 @@ def not_there(run: Run, within_s: float) -> InstrumentError:
         "stage_z",
         "approach",
         f"it stands at {run.bench.stage_z.position_mm():.3f} mm after {within_s:.3g} s of approach "
-        f"and has not come to {contact_range_mm(run.bench)[1]:g} mm (contact_to_mm)",
+        f"and did not reach {contact_range_mm(run.bench)[1]:g} mm (contact_to_mm)",
         "check what blocks the stage; then start again",
     )
 

@@ -4,7 +4,7 @@
         \"\"\"Hold a force and watch the skin creep.\"\"\"
 
         name, fixtures = "creep", ("plate",)
-        columns = (Column("creep", "um", "Way of z during the hold"),)
+        columns = (Column("creep", "um", "Travel of z during the hold"),)
 
         class Settings(PressedSettings):
             hold_s: float = 10.0
@@ -72,8 +72,8 @@ HOOKS = (
 """Methods whose arguments are checked where a subclass is defined."""
 
 MOTION = (
-    Column("motion_from", "s", "Begin of the motion, since the record's begin"),
-    Column("motion_to", "s", "End of the motion, since the record's begin"),
+    Column("motion_from", "s", "Start of the motion, since the start of the record"),
+    Column("motion_to", "s", "End of the motion, since the start of the record"),
 )
 TRACES = (
     Trace("data", "signals", "v_d", ("v_1", "v_2"), title="Differential PVDF signal"),

@@ -226,7 +226,7 @@ def point_name(number: int) -> str:
 
 
 def pressing_s(settings: PressedSettings) -> float:
-    """Expected of zeroing the force, and from touch to the end of the rest."""
+    """Return the expected time in s of zeroing the force, and from touch to the end of the rest."""
     return 2 * TARE_S + RISE_S + 2 * TAP_S + settings.rest_s
 
 
@@ -238,7 +238,7 @@ def pressed_overhead_s(
     x_mm: float,
     slid_mm: float = 0.0,
 ) -> float:
-    """Expected of all ways to the object and back, and of making ready.
+    """Return the expected time in s of all travel to the object and back, and of making ready.
 
     The place of the contact is searched for once. x begins at `x_mm`, and is `slid_mm` from there
     after each press. Stages that are `homed` wait where they are parked, x where the last run has

@@ -217,7 +217,7 @@ class PressedTrial:
             raise InstrumentError(
                 "stage_x",
                 "move",
-                f"it has not come to {to_mm:g} mm at {speed_mm_s:g} mm/s within {longest_s:.3g} s",
+                f"it did not reach {to_mm:g} mm at {speed_mm_s:g} mm/s within {longest_s:.3g} s",
                 "check what blocks the stage; then start again",
             )
 

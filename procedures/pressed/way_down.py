@@ -32,8 +32,8 @@ WINDOW_S = 0.005
 BASELINE_S = 0.1
 """Stretch at rest that the force is compared with."""
 ARRIVED_S = 0.08
-"""Expected of a way beyond its length: to come up to speed and to be asked whether it is over
-(measured)."""
+"""Expected time of a move in addition to its length divided by its speed: to come up to speed and
+to be asked whether it is over (measured)."""
 USUAL_LINK_S = 0.001
 """Time of an order on a link of its own (CMMT), which estimates assume."""
 

@@ -211,8 +211,8 @@ class RollTrial(TrialProcedure):
         return RollSeries(rates, scales)
 
     def take(self, run: Run, point: Point) -> Reading:
-        """One trial: down, hold, rest, roll there and back, up; then its results. Before the first
-        the axis is measured."""
+        """Take one trial: down, hold, rest, roll there and back, up; then its results. Before the
+        first one the axis is measured."""
         # As in new_series().
         from procedures.roll_trial.trial import AlignmentTrial, RollTrialRun
 

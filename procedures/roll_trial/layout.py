@@ -26,7 +26,7 @@ LAYOUT = Layout(
     version="2",
     columns=(
         *ASKED,
-        Column("start_on_skin", "mm", "Begin of the roll on the skin"),
+        Column("start_on_skin", "mm", "Start of the roll on the skin"),
         Column("angle", "deg", "Largest angle from upright"),
         Column("angle_error", "deg", "Error of the angle at rest"),
         Column("angle_lag", "deg", "Largest error of the angle underway"),
@@ -46,8 +46,8 @@ LAYOUT = Layout(
         ),
         *TOUCHED,
         *CALIBRATED,
-        Column("roll_from", "s", "Begin of the roll, since the record's"),
-        Column("roll_to", "s", "End of the roll, since the record's"),
+        Column("roll_from", "s", "Start of the roll, since the start of the record"),
+        Column("roll_to", "s", "End of the roll, since the start of the record"),
         *RECORDED,
     ),
     plots=(

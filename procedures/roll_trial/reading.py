@@ -100,7 +100,7 @@ def _strips(settings: RollTrialSettings, record: RollTrialRecord) -> Reading:
 
 
 def _zero_from_s(record: RollTrialRecord) -> float:
-    """Return when the rest begins whose mean is the strips' zero, since the record's begin."""
+    """Return when the rest begins whose mean is the strips' zero, since the start of the record."""
     settled_s = record.tapped_s + TAKEN_OVER_S
     latest_s = record.motion_from_s - LEAST_ZERO_S
     return max(record.motion_from_s - ZERO_S, min(settled_s, latest_s))

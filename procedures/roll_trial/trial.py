@@ -169,7 +169,7 @@ class AlignmentTrial(HeadTrial):
             raise LimitError(
                 f"rotary: {found}, {error}; {why}, and {left_mm:.2f} mm are more than the "
                 f"{self.settings.largest_offset_mm:g} mm that may remain (--largest-offset)",
-                "mount the object anew, the top of its head on the axis of the rotary stage, or "
+                "mount the object again, the top of its head on the axis of the rotary stage, or "
                 "have x compensate for it with --alignment compensate",
             )
         return offset

@@ -98,7 +98,7 @@ class SlipTrial(TrialProcedure):
         return SlipSeries(rates, scales)
 
     def take(self, run: Run, point: Point) -> Reading:
-        """One trial: down, hold, rest, slide, up; then its results."""
+        """Take one trial: down, hold, rest, slide, up; then its results."""
         # As in new_series().
         from procedures.slip_trial.trial import SlipTrialRun
 

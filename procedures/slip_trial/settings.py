@@ -46,7 +46,7 @@ class SlipTrialSettings(GripSettings):
     hold_for_s: float = Field(default=1.0, gt=0, le=60, json_schema_extra=WEIGHTS_ONLY)
     """Time for which --hold-at is held, from the moment at which the ramp arrives there."""
     lost_mm: float = Field(default=0.5, gt=0, json_schema_extra=WEIGHTS_ONLY)
-    """Way of the skin, from the first alarm or else from the end of the ramp, beyond which the
+    """Travel of the skin, from the first alarm or else from the end of the ramp, beyond which the
     weight of --hold-at is lost."""
     direction: Literal["+x", "-x"] = "+x"
     """Direction of the slide."""

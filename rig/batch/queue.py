@@ -521,7 +521,8 @@ class Queue:
 
     @contextlib.contextmanager
     def _transaction(self) -> Iterator[None]:
-        """All of it or nothing; QueueWriteError where the disk does not take it."""
+        """Commit the block as a whole or not at all. Raises QueueWriteError where the disk does not
+        take it."""
         try:
             self._sql.execute("BEGIN IMMEDIATE")
             try:

@@ -69,8 +69,8 @@ def reset(
 ) -> None:
     """Reset contacts of a person that have opened and are closed again.
 
-    At the bench only, from a terminal of its computer: first look at the bench, since nobody else
-    does. The time and the user are recorded. Nothing starts by itself afterwards.
+    At the bench only, from a terminal of its computer: look at the bench first, nothing else checks
+    it. The time and the user are recorded. Nothing starts by itself afterwards.
     """
     with reported(debug):
         _require_terminal()

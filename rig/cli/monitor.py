@@ -22,7 +22,7 @@ def monitor(
         Path | None, typer.Option(help="Bench file, whose instruments are read if no run uses it.")
     ] = None,
     seconds: Annotated[
-        float | None, typer.Option(help="End after so long [until Ctrl-C].", metavar="s", min=0)
+        float | None, typer.Option(help="End after this time [until Ctrl-C].", metavar="s", min=0)
     ] = None,
     debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
 ) -> None:

@@ -133,17 +133,17 @@ def settings_from(model: type[Settings], given: Mapping[str, str | None]) -> Set
             if is_now not in effective:
                 so = "" if effective == ["True"] else f", and {option_name(other)} is {is_now}"
                 raise ConfigurationError(
-                    f"{option} has an effect with {_as_given(other, effective)} only{so}",
+                    f"{option} has an effect only with {_as_given(other, effective)}{so}",
                     f"leave it out, or add {_as_given(other, effective)}",
                 )
         if (other := _beside(info)) and not getattr(settings, other):
             raise ConfigurationError(
-                f"{option} has an effect beside {option_name(other)} only",
+                f"{option} has an effect only with {option_name(other)}",
                 f"leave it out, or add {option_name(other)}",
             )
         if (other := _excluded_by(info)) in values:
             raise ConfigurationError(
-                f"{option} has no effect beside {option_name(other)}", "leave one of them out"
+                f"{option} cannot be combined with {option_name(other)}", "leave one of them out"
             )
     return settings
 
@@ -207,11 +207,11 @@ def _help(field: str, info: FieldInfo, said: str) -> str:
     """Return what an option is for, with what it needs, its default and its range."""
     words = " ".join(said.split())
     for other, effective in _needs(info):
-        words = f"{words} With {_as_given(other, effective)} only."
+        words = f"{words} Only with {_as_given(other, effective)}."
     if other := _beside(info):
-        words = f"{words} Beside {option_name(other)} only."
+        words = f"{words} Only with {option_name(other)}."
     if other := _excluded_by(info):
-        words = f"{words} Not beside {option_name(other)}."
+        words = f"{words} Not with {option_name(other)}."
     default = info.get_default(call_default_factory=True)
     facts = []
     if default is not None and default is not False and default not in ("", ()):

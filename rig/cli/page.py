@@ -26,7 +26,7 @@ def page(
         float, typer.Option(help="Most drawings a second.", metavar="Hz", min=1, max=20)
     ] = 5.0,
     read_only: Annotated[
-        bool, typer.Option("--read-only", help="Nobody may stop anything from the page.")
+        bool, typer.Option("--read-only", help="View only: nothing can be stopped from the page.")
     ] = False,
     debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
 ) -> None:

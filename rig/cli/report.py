@@ -196,6 +196,8 @@ def closing_lines(
     """Return lines on how the run ended, where its data are, the state of the bench, and how to
     continue."""
     ended = _ending(outcome)
+    if not _has_begun(outcome):
+        return [f"{ended[0].upper()}{ended[1:]}: the run did not begin, nothing was recorded."]
     lines = [f"{ended[0].upper()}{ended[1:]}: {_done(procedure, outcome)}"]
     if outcome.duration_s:
         lines[0] += f" in {duration(outcome.duration_s)}"
@@ -212,6 +214,11 @@ def closing_lines(
     elif outcome.journal is not None and outcome.points_done < outcome.points_planned:
         lines.append(f"Resume with: rig resume {outcome.journal}")
     return lines
+
+
+def _has_begun(outcome: RunOutcome) -> bool:
+    """Return whether a run has a journal or a file, or has armed anything."""
+    return bool(outcome.journal or outcome.file or outcome.made_safe)
 
 
 def _ending(outcome: RunOutcome) -> str:

@@ -80,7 +80,7 @@ LABELS = {
     "quiet_per_hour_of": "hours of quiet",
     "tick_phase_p": "p that early and false alarms are uniform in the servo's tick",
     "armed": "slips armed before: motion under load begun",
-    "armings_in_vain": "armed in vain: motions under load begun without slip",
+    "armings_in_vain": "armed without a slip: motions under load that no slip followed",
     "roll_armed": "rolls that arm",
     "lift_off_armed": "lift-offs that arm",
     "hold_armed": "holds without any slip that arm",

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from rig.core.settings import Settings
-    from rig.files.model_file import Quantity
+    from rig.files.model_file import ModelQuantity
     from rig.physics.design_map import DesignMap
     from rig.physics.loading_history import History
     from rig.physics.trials import SkinTrial
@@ -27,69 +27,79 @@ class Model:
     stem: str
     title: str
     settings: dict[str, Settings]
-    results: dict[str, Quantity]
+    results: dict[str, ModelQuantity]
 
 
-def quantities_of_trial(trial: SkinTrial) -> dict[str, Quantity]:
+def quantities_of_trial(trial: SkinTrial) -> dict[str, ModelQuantity]:
     """Return what is kept of a slide or roll: signals, forces, statuses and times of slip."""
-    from rig.files.model_file import Quantity
+    from rig.files.model_file import ModelQuantity
 
     block, truth = trial.block, trial.truth
     step, sample, ridge = ("time",), ("sample_time",), ("ridge",)
     return {
-        "time": Quantity(trial.time_s, "s", "end of each step", step),
-        "sample_time": Quantity(trial.sample_time_s, "s", "time of each sample", sample),
-        "v_1": Quantity(trial.sampled[:, 0], "V", "signal of strip 1 as sampled", sample),
-        "v_2": Quantity(trial.sampled[:, 1], "V", "signal of strip 2 as sampled", sample),
-        "v_d": Quantity(trial.v_d, "V", "v_1 - v_2 as sampled", sample),
-        "F_n": Quantity(block.normal_force_N, "N", "normal force", step),
-        "F_t": Quantity(block.tangential_force_N, "N", "tangential force on the skin", step),
-        "x": Quantity(block.position_mm, "mm", "position of the object", step),
-        "status": Quantity(
+        "time": ModelQuantity(trial.time_s, "s", "end of each step", step),
+        "sample_time": ModelQuantity(trial.sample_time_s, "s", "time of each sample", sample),
+        "v_1": ModelQuantity(trial.sampled[:, 0], "V", "signal of strip 1 as sampled", sample),
+        "v_2": ModelQuantity(trial.sampled[:, 1], "V", "signal of strip 2 as sampled", sample),
+        "v_d": ModelQuantity(trial.v_d, "V", "v_1 - v_2 as sampled", sample),
+        "F_n": ModelQuantity(block.normal_force_N, "N", "normal force", step),
+        "F_t": ModelQuantity(block.tangential_force_N, "N", "tangential force on the skin", step),
+        "x": ModelQuantity(block.position_mm, "mm", "position of the object", step),
+        "status": ModelQuantity(
             block.status, "", "status of each node: 0 apart, 1 stick, others slip", (*step, "node")
         ),
-        "ridge_first_slip": Quantity(truth.first_slip_s, "s", "slip of the first node", ridge),
-        "ridge_whole_slip": Quantity(truth.whole_slip_s, "s", "slip of the whole ridge", ridge),
-        "gross_slip": Quantity(truth.gross_slip_s, "s", "slip of the whole skin"),
-        "motion": Quantity(trial.motion_s, "s", "start of the motion"),
+        "ridge_first_slip": ModelQuantity(truth.first_slip_s, "s", "slip of the first node", ridge),
+        "ridge_whole_slip": ModelQuantity(
+            truth.whole_slip_s, "s", "slip of the whole ridge", ridge
+        ),
+        "gross_slip": ModelQuantity(truth.gross_slip_s, "s", "slip of the whole skin"),
+        "motion": ModelQuantity(trial.motion_s, "s", "start of the motion"),
     }
 
 
-def quantities_of_history(found: History) -> dict[str, Quantity]:
+def quantities_of_history(found: History) -> dict[str, ModelQuantity]:
     """Return what is kept of the paper's 4.2."""
-    from rig.files.model_file import Quantity
+    from rig.files.model_file import ModelQuantity
 
     step, ridge = ("step",), ("ridge",)
     return {
-        "step": Quantity(found.step, "", "number of the step, from 1", step),
-        "F_n": Quantity(found.normal_force_N, "N", "given normal force", step),
-        "F_t": Quantity(found.tangential_force_N, "N", "given tangential force", step),
-        "F_t_transmitted": Quantity(found.friction_force_N, "N", "F_t that friction bears", step),
-        "stress": Quantity(
+        "step": ModelQuantity(found.step, "", "number of the step, from 1", step),
+        "F_n": ModelQuantity(found.normal_force_N, "N", "given normal force", step),
+        "F_t": ModelQuantity(found.tangential_force_N, "N", "given tangential force", step),
+        "F_t_transmitted": ModelQuantity(
+            found.friction_force_N, "N", "F_t that friction bears", step
+        ),
+        "stress": ModelQuantity(
             found.stress_MPa, "MPa", "mean stress of the strips S1 and S2", (*step, "strip")
         ),
-        "status": Quantity(
+        "status": ModelQuantity(
             found.status, "", "status of each node: 0 apart, 1 stick, others slip", (*step, "node")
         ),
-        "ridge_of_node": Quantity(found.ridge_of_node, "", "ridge, 0 is the leftmost", ("node",)),
-        "ridge_first_slip": Quantity(found.truth.first_slip_s, "s", "first node slips", ridge),
-        "ridge_whole_slip": Quantity(found.truth.whole_slip_s, "s", "whole ridge slips", ridge),
-        "gross_slip": Quantity(found.truth.gross_slip_s, "s", "slip of the whole skin"),
-        "stable_step": Quantity(found.stable_step_us, "us", "largest stable explicit step"),
+        "ridge_of_node": ModelQuantity(
+            found.ridge_of_node, "", "ridge, 0 is the leftmost", ("node",)
+        ),
+        "ridge_first_slip": ModelQuantity(found.truth.first_slip_s, "s", "first node slips", ridge),
+        "ridge_whole_slip": ModelQuantity(
+            found.truth.whole_slip_s, "s", "whole ridge slips", ridge
+        ),
+        "gross_slip": ModelQuantity(found.truth.gross_slip_s, "s", "slip of the whole skin"),
+        "stable_step": ModelQuantity(found.stable_step_us, "us", "largest stable explicit step"),
     }
 
 
-def quantities_of_map(found: DesignMap) -> dict[str, Quantity]:
+def quantities_of_map(found: DesignMap) -> dict[str, ModelQuantity]:
     """Return what is kept of a map."""
-    from rig.files.model_file import Quantity
+    from rig.files.model_file import ModelQuantity
 
     places = ("ridge", "bottom", "offset", "component")
     settings = found.settings
     return {
-        "bottom": Quantity(settings.bottoms_mm, "mm", "lower edge above the foot", ("bottom",)),
-        "offset": Quantity(settings.offsets_mm, "mm", "distance from the axis", ("offset",)),
-        "hump": Quantity(found.hump_V, "V", "v_d before the ridge slips; xx, yy, xy", places),
-        "hf_peak": Quantity(
+        "bottom": ModelQuantity(
+            settings.bottoms_mm, "mm", "lower edge above the foot", ("bottom",)
+        ),
+        "offset": ModelQuantity(settings.offsets_mm, "mm", "distance from the axis", ("offset",)),
+        "hump": ModelQuantity(found.hump_V, "V", "v_d before the ridge slips; xx, yy, xy", places),
+        "hf_peak": ModelQuantity(
             found.peak_V, "V", "largest |v_d| above 100 Hz as it slips; xx, yy, xy", places
         ),
     }

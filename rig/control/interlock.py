@@ -28,7 +28,7 @@ UNREAD_S = 0.5
 """Time without a reading after which a contact counts as open."""
 
 
-class ContactState(Enum):
+class InterlockState(Enum):
     """The state of a contact."""
 
     CLOSED = "closed"
@@ -51,24 +51,24 @@ class ContactEvent(Enum):
     """A person at the bench resets it."""
 
 
-Transitions = Mapping[tuple[ContactState, ContactEvent], ContactState]
+Transitions = Mapping[tuple[InterlockState, ContactEvent], InterlockState]
 
 TRANSITIONS: Mapping[ContactClass, Transitions] = {
     "process": {
-        (ContactState.CLOSED, ContactEvent.OPENS): ContactState.OPEN,
-        (ContactState.OPEN, ContactEvent.CLOSES): ContactState.CLOSED,
+        (InterlockState.CLOSED, ContactEvent.OPENS): InterlockState.OPEN,
+        (InterlockState.OPEN, ContactEvent.CLOSES): InterlockState.CLOSED,
     },
     "person": {
-        (ContactState.CLOSED, ContactEvent.OPENS): ContactState.OPENED,
-        (ContactState.OPENED, ContactEvent.CLOSES): ContactState.RELEASED,
-        (ContactState.RELEASED, ContactEvent.OPENS): ContactState.OPENED,
-        (ContactState.RELEASED, ContactEvent.RESET): ContactState.CLOSED,
+        (InterlockState.CLOSED, ContactEvent.OPENS): InterlockState.OPENED,
+        (InterlockState.OPENED, ContactEvent.CLOSES): InterlockState.RELEASED,
+        (InterlockState.RELEASED, ContactEvent.OPENS): InterlockState.OPENED,
+        (InterlockState.RELEASED, ContactEvent.RESET): InterlockState.CLOSED,
     },
 }
 """The state that follows, by class, state and event. An event that is not listed changes nothing;
 `Contact.reset` raises for one that is not listed, so that an open contact is never reset."""
 
-LATCHED = frozenset({ContactState.OPENED, ContactState.RELEASED})
+LATCHED = frozenset({InterlockState.OPENED, InterlockState.RELEASED})
 
 
 class Contact:
@@ -78,7 +78,7 @@ class Contact:
         """Begin with a closed contact that was read just now, or with one that an earlier opening
         has `latched` and that has not been read yet."""
         self.name, self.kind = name, kind
-        self.state = ContactState.OPENED if latched else ContactState.CLOSED
+        self.state = InterlockState.OPENED if latched else InterlockState.CLOSED
         self.readable = True
         """False if it counts as open because it has not been read for `UNREAD_S`."""
         self._read_s = now_s
@@ -87,7 +87,7 @@ class Contact:
     @property
     def hinders(self) -> bool:
         """True if nothing may move because of this contact."""
-        return self.state is not ContactState.CLOSED
+        return self.state is not InterlockState.CLOSED
 
     @property
     def latched(self) -> bool:

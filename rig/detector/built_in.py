@@ -62,7 +62,7 @@ class PaperLiteral(_Published):
 
 
 class Impulse(_Published):
-    """As paper-hp, with a threshold that follows the first touch and the commands of x."""
+    """The detector paper-hp with a threshold that follows the first touch and the commands of x."""
 
     Settings = ImpulseSettings
     version = "1"

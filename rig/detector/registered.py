@@ -42,11 +42,11 @@ class ChosenDetector:
     name: str
     """Name of its entry point."""
     settings: Settings
-    """All of its parameters."""
+    """Parameters of the detector."""
 
     @cached_property
     def kind(self) -> type[Detector]:
-        """Its class. ConfigurationError where it is not installed or cannot be used."""
+        """Class of the detector. ConfigurationError where it is not installed or cannot be used."""
         return detector_class(self.name)
 
     @property

@@ -90,7 +90,7 @@ class Lesson:
     volts: Floats
     """Signals v_1 and v_2 in V, (n, 2)."""
     rate_Hz: float
-    """Their sampling rate."""
+    """Sampling rate of the rows, in samples/s."""
     truth: Truth
     """What happened."""
     slips_s: Floats

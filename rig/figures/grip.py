@@ -146,7 +146,7 @@ def _draw_column(panels: Sequence[Axes], run: RunFile, number: int, point: str) 
     ticks = series["ticks"].values("elapsed") - begin_s
     x_mm = series["position"].values("x")
     at_rest = float(np.interp(0.0, ticks, x_mm))
-    way.plot(ticks, np.abs(x_mm - at_rest), color=GREEN, label="way of x")
+    way.plot(ticks, np.abs(x_mm - at_rest), color=GREEN, label="travel of x")
     if outcome := str(reading.get("outcome") or ""):
         way.plot([], [], " ", label=f"outcome: {outcome}")
     way.set_ylabel("Way (mm)")

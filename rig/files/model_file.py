@@ -35,7 +35,7 @@ DEFINITION = "NXrig_model"
 
 
 @dataclass(frozen=True)
-class Quantity:
+class ModelQuantity:
     """A result with what a stranger needs to use it."""
 
     values: ArrayLike
@@ -51,7 +51,7 @@ def write_model(
     title: str,
     command: str,
     settings: Mapping[str, Settings],
-    results: Mapping[str, Quantity],
+    results: Mapping[str, ModelQuantity],
 ) -> None:
     """Write results of the skin model; the file appears when it is whole, with its checksum.
 
@@ -96,7 +96,7 @@ def _as_plain(value: Any) -> Any:
     return value.model_dump(mode="json") if isinstance(value, Settings) else str(value)
 
 
-def _write_result(data: h5py.Group, name: str, result: Quantity) -> None:
+def _write_result(data: h5py.Group, name: str, result: ModelQuantity) -> None:
     values = np.asarray(result.values)
     if values.ndim:
         field = array_field(data, name, values, result.unit, result.meaning)
@@ -155,11 +155,11 @@ class ModelFile(OpenFile):
                     found[name] = value.decode() if isinstance(value, bytes) else value.item()
         return found
 
-    def results(self) -> dict[str, Quantity]:
+    def results(self) -> dict[str, ModelQuantity]:
         """Return what was computed, by name."""
         with self._naming():
             return {
-                name: Quantity(
+                name: ModelQuantity(
                     whole(field),
                     str(field.attrs.get("units", "")),
                     str(field.attrs["long_name"]),

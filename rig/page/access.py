@@ -32,7 +32,7 @@ HEADERS = {
 """Headers of every answer: no foreign content, no framing, nothing kept by a proxy."""
 
 
-class RefusedError(Exception):
+class AccessRefusedError(Exception):
     """Raised for a request that is refused: the status and a reason."""
 
     def __init__(self, status: int, reason: str):
@@ -64,25 +64,25 @@ class Access:
     def check(self, method: str, path: str, headers: Mapping[str, str]) -> Right | None:
         """Return the right of a request; None for the page itself, which holds no data.
 
-        `headers` has lower-case names. Raises RefusedError.
+        `headers` has lower-case names. Raises AccessRefusedError.
         """
         host = headers.get("host", "")
         if host_name(host) not in HOSTS:
-            raise RefusedError(403, "this server is addressed as 127.0.0.1 or localhost only")
+            raise AccessRefusedError(403, "this server is addressed as 127.0.0.1 or localhost only")
         origin = headers.get("origin")
         if origin is not None and origin != f"http://{host}":
-            raise RefusedError(403, "the request comes from another site")
+            raise AccessRefusedError(403, "the request comes from another site")
         # The page itself may be opened from a link elsewhere: it shows nothing without the token.
         foreign = headers.get("sec-fetch-site", "none") not in ("none", "same-origin")
         if foreign and path.startswith("/api/"):
-            raise RefusedError(403, "the request comes from another site")
+            raise AccessRefusedError(403, "the request comes from another site")
         if not path.startswith("/api/"):
             if method not in ("GET", "HEAD"):
-                raise RefusedError(405, "the page is only read")
+                raise AccessRefusedError(405, "the page is only read")
             return None
         right = self.right(headers.get("authorization", ""))
         if right is None:
-            raise RefusedError(401, "the token is missing or wrong; use the printed address")
+            raise AccessRefusedError(401, "the token is missing or wrong; use the printed address")
         return right
 
 

@@ -84,7 +84,7 @@ def as_event(frame: dict[str, Any]) -> bytes:
 
 
 def plain(value: Any) -> Any:
-    """Return a value without NaN and infinities, which JSON has not."""
+    """Return a value without NaN and infinities, which JSON cannot express."""
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     if isinstance(value, dict):

@@ -42,7 +42,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from rig.batch.folder import BatchFolder
 from rig.core.errors import RigError
 from rig.core.threads import start_thread
-from rig.page.access import HEADERS, Access, RefusedError
+from rig.page.access import HEADERS, Access, AccessRefusedError
 from rig.page.frames import Cursor, as_event, next_frame, plain
 from rig.page.history import RunIndex
 from rig.page.night import ask_batch, batch_of, is_running, night, running_batch
@@ -166,7 +166,7 @@ class _Checked:
         }
         try:
             right = self._access.check(scope["method"], scope["path"], headers)
-        except RefusedError as refused:
+        except AccessRefusedError as refused:
             answer = PlainTextResponse(refused.reason, refused.status)
             await answer(scope, receive, send_with_headers)
             return

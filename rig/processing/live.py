@@ -81,7 +81,7 @@ class LiveEvent:
 
 
 @dataclass(frozen=True)
-class Identity:
+class DetectorIdentity:
     """What a record states of the detector that judged it."""
 
     name: str
@@ -89,7 +89,7 @@ class Identity:
     package: str
     package_version: str
     settings: str
-    """All of its parameters, as JSON."""
+    """Parameters of the detector, as JSON."""
 
 
 class LiveDetector(ABC):
@@ -98,7 +98,7 @@ class LiveDetector(ABC):
     `begin`, `add`, `finish` and `close` are called from one thread, `take` and `dropped` from any.
     """
 
-    identity: Identity
+    identity: DetectorIdentity
     """What a record states of it."""
 
     def __init__(self, name: str, woken: Callable[[], None]):
@@ -183,9 +183,9 @@ def start(
     return _InChild(name, rate_Hz, settings, patient, longest_lag_s, woken)
 
 
-def identity_of(chosen: ChosenDetector) -> Identity:
+def identity_of(chosen: ChosenDetector) -> DetectorIdentity:
     """Returns what a record states of a detector."""
-    return Identity(
+    return DetectorIdentity(
         chosen.name,
         chosen.version,
         chosen.package,
@@ -343,7 +343,7 @@ class _InChild(LiveDetector):
         if self._patient:
             self.settle(PATIENCE_S)
 
-    def _first_answer(self) -> Identity:
+    def _first_answer(self) -> DetectorIdentity:
         """Returns the identity of the detector that is ready. Raises RigError where it is not."""
         name = self._name
         self._socket.settimeout(START_S)
@@ -358,7 +358,7 @@ class _InChild(LiveDetector):
         said = json.loads(answer[HEAD.size :])
         if kind != READY:
             raise RigError(said["message"], said["hint"], ExitCode(said["code"]))
-        return Identity(**said)
+        return DetectorIdentity(**said)
 
     def _read(self) -> None:
         """Reads answers until the detector is dropped or closed (the body of a thread)."""

@@ -194,7 +194,7 @@ class _Alive:
             return None
         return RigError(
             f"not processed: {what}",
-            "start scheduler and workers again and repeat the command; what is saved is kept",
+            "start scheduler and workers again and repeat the command; saved results are reused",
         )
 
 

@@ -172,8 +172,8 @@ def write_marks(names: Sequence[str], mark: BenchMark) -> None:
             except OSError as error:
                 raise RigError(
                     f"the mark that the bench {mark.bench} is in use cannot be written to "
-                    f"{folder.path / (name + SUFFIX)}: {error.strerror}; without it nobody would "
-                    "find out if this run and its guard were killed",
+                    f"{folder.path / (name + SUFFIX)}: {error.strerror}; without it a later "
+                    "run would not know that this one and its guard were killed",
                     "free the disk, or have the folder's owner correct it; then start again",
                     ExitCode.INSTRUMENT,
                 ) from error

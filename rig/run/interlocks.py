@@ -21,7 +21,7 @@ from rig.bench.connect import connect
 from rig.bench.connected import Bench
 from rig.bench.interlocks import InterlockSettings, by_role
 from rig.bench.plan import BenchPlan
-from rig.control.interlock import STEADY_S, Contact, ContactEvent, ContactState
+from rig.control.interlock import STEADY_S, Contact, ContactEvent, InterlockState
 from rig.core.clock import WallClock
 from rig.core.errors import ExitCode, InstrumentError, RigError
 from rig.core.threads import start_thread
@@ -45,7 +45,7 @@ LOOK_EVERY_S = 0.05
 RESET = "rig interlocks reset"
 
 
-_AT_REST = (ContactState.CLOSED, ContactState.RELEASED)
+_AT_REST = (InterlockState.CLOSED, InterlockState.RELEASED)
 
 
 class InterlockError(RigError):
@@ -198,7 +198,7 @@ class InterlockWatch:
         Raises InterlockError if the contact is open or has not been closed for `STEADY_S`, RigError
         if the record cannot be written.
         """
-        if not self._await(name, lambda contact: contact.state is ContactState.RELEASED, CLOSE_S):
+        if not self._await(name, lambda contact: contact.state is InterlockState.RELEASED, CLOSE_S):
             raise InterlockError(f"interlock {name} is {self.level(name)}", "close it first")
         self._store.reset(name)
         with self._lock:

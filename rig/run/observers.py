@@ -58,8 +58,8 @@ class RunObserver:
         ``making safe``."""
 
     def hold_begun(self, reason: str, holds: int, presses: int) -> None:
-        """Take note of a hold that is no pause by the operator, once the bench is safe: its reason,
-        and how many holds and presses the run has had so far."""
+        """Take note of a hold that is not a pause by the operator, once the bench is safe: its
+        reason, and how many holds and presses the run has had so far."""
 
     def saving(self) -> None:
         """Take note that the bench is safe and the run file is about to be written. Not called for

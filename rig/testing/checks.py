@@ -107,6 +107,7 @@ class Remembering:
 
 
 def check_the_module_has_what_an_entry_point_names(case: Case) -> None:
+    """The module names roles that exist, and its functions have the arguments of its group."""
     module = case.module()
     unknown = set(module.ROLES) - set(ROLES)
     assert not unknown, f"ROLES has {', '.join(unknown)}; known are {', '.join(ROLES)}"
@@ -116,6 +117,7 @@ def check_the_module_has_what_an_entry_point_names(case: Case) -> None:
 
 
 def check_settings_refuse_an_unknown_key_and_name_it(case: Case) -> None:
+    """A misspelt key of the bench file is refused by its name."""
     with undisturbed(case) as service:
         settings = case.module().Settings
         settings.model_validate(service.settings)
@@ -128,6 +130,7 @@ def check_settings_refuse_an_unknown_key_and_name_it(case: Case) -> None:
 
 
 def check_the_instrument_has_every_member_of_its_role(case: Case) -> None:
+    """The connected instrument has every member of its role."""
     with undisturbed(case) as service:
         instrument = connect(case, service)
         for name, member in members(role_of(case).protocol).items():
@@ -141,6 +144,7 @@ def check_the_instrument_has_every_member_of_its_role(case: Case) -> None:
 
 
 def check_a_whole_experiment_works_and_calls_every_method(case: Case) -> None:
+    """The script of the role runs from its beginning to its end and calls each of its methods."""
     role = role_of(case)
     with undisturbed(case) as service:
         instrument = Remembering(connect(case, service))
@@ -168,6 +172,7 @@ def check_a_whole_experiment_works_and_calls_every_method(case: Case) -> None:
 
 
 def check_connecting_leaves_the_instrument_at_rest(case: Case) -> None:
+    """Connecting brings to rest what an earlier connection has left switched on or moving."""
     with undisturbed(case) as service:
         first = connect(case, service)
         role_of(case).excite(first, service)
@@ -185,6 +190,7 @@ def check_connecting_leaves_the_instrument_at_rest(case: Case) -> None:
 
 
 def check_what_can_only_be_tried_without_faults_works(case: Case) -> None:
+    """The steps of the script that no fault may disturb work."""
     for step in role_of(case).apart:
         with undisturbed(case) as service:
             instrument = connect(case, service)
@@ -334,7 +340,9 @@ def experiment_with_retries(
         close(service, instrument)  # also where a step has failed twice: its port may be shared
 
 
-def check_silence_is_told_with_device_command_time_and_remedy_and_charged(case: Case) -> None:
+def check_silence_is_reported_with_device_command_time_and_remedy(case: Case) -> None:
+    """A silent instrument is reported with its role, the command, the time-out and a remedy, and
+    the time that was waited is charged to the clock once."""
     with case.serve({"kind": "silence", "count": 0}) as service:
         before = service.now_s()
         with raising(InstrumentTimeoutError, "connecting to a silent instrument") as caught:
@@ -351,7 +359,8 @@ def check_silence_is_told_with_device_command_time_and_remedy_and_charged(case: 
         )
 
 
-def check_an_instrument_that_is_not_there_is_told(case: Case) -> None:
+def check_an_instrument_that_is_not_there_is_reported(case: Case) -> None:
+    """An instrument that is not there is reported with its role and its address."""
     with undisturbed(case) as service:
         pass  # its port is closed again
     with raising(InstrumentError, "connecting to an instrument that is not there") as caught:
@@ -361,6 +370,7 @@ def check_an_instrument_that_is_not_there_is_told(case: Case) -> None:
 
 
 def check_an_instrument_that_goes_away_and_comes_back_works_again(case: Case) -> None:
+    """After a connection that was closed by the instrument a new one works."""
     step = role_of(case).script[-1]
     with case.serve({"kind": "close", "at": 1, "command": ""}) as service:
         service.settings["timeout_s"] = UNDISTURBED_S
@@ -371,7 +381,8 @@ def check_an_instrument_that_goes_away_and_comes_back_works_again(case: Case) ->
         close(service, instrument)
 
 
-def check_another_instrument_is_refused_with_both_names_and_let_go(case: Case) -> None:
+def check_another_instrument_is_refused_with_both_names_and_released(case: Case) -> None:
+    """Another instrument at the address is refused with both names, and its link is closed."""
     with case.serve(identity=STRANGER) as service:
         service.settings["timeout_s"] = UNDISTURBED_S
         stranger = (
@@ -434,6 +445,7 @@ def check_a_reader_shows_what_the_stage_does_and_changes_nothing(case: Case) -> 
 
 
 def check_a_reader_refuses_what_is_silent_or_another_instrument(case: Case) -> None:
+    """The module's reader refuses an instrument that is silent or another one."""
     if not _offers_reader(case):
         return
     module = case.module()
@@ -465,7 +477,8 @@ def _lies_between(what: str, value: float, one: float, other: float) -> None:
 # --- making safe and letting go --------------------------------------------------------------
 
 
-def check_make_safe_of_the_module_gets_in_beside_a_live_connection(case: Case) -> None:
+def check_make_safe_of_the_module_works_during_a_live_connection(case: Case) -> None:
+    """`make_safe` of the module works while another connection to the instrument is open."""
     module = case.module()
     dies = bool(case.exclusive_link and not case.drives_nothing)
     """Close the live connection first where the instrument accepts only one."""
@@ -492,7 +505,8 @@ def check_make_safe_of_the_module_gets_in_beside_a_live_connection(case: Case) -
         close(service, instrument)
 
 
-def check_make_safe_of_a_silent_instrument_is_an_error_not_a_hope(case: Case) -> None:
+def check_make_safe_of_a_silent_instrument_is_an_error(case: Case) -> None:
+    """`make_safe` raises an InstrumentError where the instrument does not answer."""
     module = case.module()
     with case.serve({"kind": "silence", "count": 0}) as service:
         settings = module.Settings.model_validate(service.settings)
@@ -504,7 +518,8 @@ def check_make_safe_of_a_silent_instrument_is_an_error_not_a_hope(case: Case) ->
             module.make_safe(settings)
 
 
-def check_close_lets_go_however_often(case: Case) -> None:
+def check_close_can_be_called_repeatedly(case: Case) -> None:
+    """`close` may be called again, and the address is free after it."""
     with undisturbed(case) as service:
         instrument = connect(case, service)
         assert service.connections() > 0, "no connection is open after connect()"

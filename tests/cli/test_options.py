@@ -172,46 +172,46 @@ def test_every_field_becomes_one_option_with_unit_and_default_in_its_help() -> N
     assert found["cycles"].metavar == "VALUE"
     assert found["rate_S_s"].help == "Rate, if not the usual one."
     assert found["cycles"].help == "Cycles. [4; at least 1]"
-    assert found["speed_mm_s"].help == "Speed. Not beside --speeds. [1 mm/s]"
-    assert found["ramp_N_s"].help == "Rate. With --loading ramp only. [2 N/s]"
+    assert found["speed_mm_s"].help == "Speed. Not with --speeds. [1 mm/s]"
+    assert found["ramp_N_s"].help == "Rate. Only with --loading ramp. [2 N/s]"
 
 
 def test_an_option_without_effect_is_refused_with_what_it_needs() -> None:
     with pytest.raises(ConfigurationError) as caught:
         settings_from(Example, {"ramp_N_s": "5"})
     assert caught.value.one_line() == (
-        "--ramp 5 has an effect with --loading ramp only, and --loading is slide; leave it out, or "
+        "--ramp 5 has an effect only with --loading ramp, and --loading is slide; leave it out, or "
         "add --loading ramp"
     )
     assert settings_from(Example, {"ramp_N_s": "5", "loading": "ramp"}).loading == "ramp"
-    with pytest.raises(ConfigurationError, match="--speed 3 has no effect beside --speeds"):
+    with pytest.raises(ConfigurationError, match="--speed 3 cannot be combined with --speeds"):
         settings_from(Example, {"speed_mm_s": "3", "speeds_mm_s": "1,2"})
 
 
 @pytest.mark.parametrize(
     ("procedure", "given", "told"),
     [
-        ("sweep", "--gain-bound 0.2", "--gain-bound 0.2 has an effect beside --loads only"),
+        ("sweep", "--gain-bound 0.2", "--gain-bound 0.2 has an effect only with --loads"),
         (
             "slip-trial",
             "--loading ramp --hold-for 2",
-            "--hold-for 2 has an effect beside --hold-at",
+            "--hold-for 2 has an effect only with --hold-at",
         ),
-        ("slip-trial", "--loading ramp --lost 0.1", "--lost 0.1 has an effect beside --hold-at"),
+        ("slip-trial", "--loading ramp --lost 0.1", "--lost 0.1 has an effect only with --hold-at"),
         (
             "roll-trial",
             "--profile-times 0,1,2 --profile-angles 0,1,0 --angle 3",
-            "--angle 3 has no effect beside --profile-times",
+            "--angle 3 cannot be combined with --profile-times",
         ),
         (
             "roll-trial",
             "--profile-times 0,1,2 --profile-angles 0,1,0 --stay 1s",
-            "--stay 1s has no effect beside --profile-times",
+            "--stay 1s cannot be combined with --profile-times",
         ),
         (
             "roll-trial",
             "--alignment none --largest-offset 2",
-            "--largest-offset 2 has an effect with --alignment compensate or measure only, and "
+            "--largest-offset 2 has an effect only with --alignment compensate or measure, and "
             "--alignment is none",
         ),
     ],

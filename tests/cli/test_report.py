@@ -56,6 +56,13 @@ def test_a_run_that_was_stopped_says_by_what_and_how_to_resume_it() -> None:
     ]
 
 
+def test_a_run_that_was_refused_says_that_it_did_not_begin() -> None:
+    outcome = RunOutcome("failed", ExitCode.LIMIT, 1, 0, simulated=True)
+    assert closing_lines(SlipTrial, outcome, []) == [
+        "Failed: the run did not begin, nothing was recorded."
+    ]
+
+
 def test_a_bench_that_is_not_safe_is_not_called_safe() -> None:
     outcome = RunOutcome("failed", ExitCode.UNSAFE, 20, 3, journal=JOURNAL)
     outcome.off_failures = [ShutdownFailure("normal force", "no answer")]

@@ -147,7 +147,7 @@ def test_trials_are_scored_the_same_by_one_process_and_by_two(tmp_path, populati
     said = run(*given, "--out", tmp_path / "one")
     assert "All trials: simulated trials, reporting seeds 1000000:1000003, 12 trials" in said
     assert "delay after first node slip, 5th percentile (ms)" in said
-    assert "armed in vain: motions under load begun without slip" in said
+    assert "armed without a slip: motions under load that no slip followed" in said
     assert said.rstrip().endswith("score.json, score.csv, trials.csv, 3 figures (PNG and SVG)")
     run(*given, "--out", tmp_path / "two", "--jobs", "2")
     for name in ("score.json", "score.csv", "trials.csv"):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from rig.control.interlock import STEADY_S, UNREAD_S, Contact, ContactEvent, ContactState
+from rig.control.interlock import STEADY_S, UNREAD_S, Contact, ContactEvent, InterlockState
 
 
 def seen(contact: Contact, levels: str, every_s: float = 0.02, begin_s: float = 0.0) -> list[str]:
@@ -31,7 +31,7 @@ def test_a_contact_of_a_person_latches_until_it_is_reset_while_it_is_closed() ->
     with pytest.raises(ValueError, match="opened cannot be reset"):
         contact.reset()
     assert seen(contact, "c" * 60, begin_s=1.0) == ["closes"]
-    assert contact.state is ContactState.RELEASED
+    assert contact.state is InterlockState.RELEASED
     assert contact.latched
     assert contact.hinders
     assert seen(contact, "o", begin_s=5.0) == ["opens"]
@@ -60,4 +60,4 @@ def test_a_latch_of_an_earlier_run_is_there_before_anything_is_read() -> None:
     contact = Contact("door", "person", 0.0, latched=True)
     assert contact.hinders
     assert seen(contact, "c" * 60) == ["closes"]
-    assert contact.state is ContactState.RELEASED
+    assert contact.state is InterlockState.RELEASED

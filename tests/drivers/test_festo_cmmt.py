@@ -82,7 +82,7 @@ def test_a_motion_that_another_client_stopped_is_not_started_again(next_act: str
         it.clock.sleep(0.5)
         stands = it.truth_mm
         act = axis.moving if next_act == "look" else lambda: axis.start_move(61.0, 10.0)
-        with pytest.raises(InstrumentError, match="stopped, not on our command"):
+        with pytest.raises(InstrumentError, match="stopped, not by this run"):
             act()
         it.clock.sleep(1)
         assert it.truth_mm == stands

@@ -238,9 +238,9 @@ def test_a_stop_by_another_client_is_not_overridden() -> None:
         axis = bench.homed()
         axis.start_move(60.0, 10.0)
         bench.z.write(0x7C, [0, 0x20], "somebody")
-        with pytest.raises(InstrumentError, match="not on our command"):
+        with pytest.raises(InstrumentError, match="not by this run"):
             axis.start_move(60.1, 10.0)
-        with pytest.raises(InstrumentError, match="a stop stands in the drive, not on our command"):
+        with pytest.raises(InstrumentError, match="a stop is set in the drive, not by this run"):
             axis.start_move(60.1, 10.0)
         bench.run_dry(0.2)
         assert bench.speed(bench.z) == 0
@@ -251,7 +251,7 @@ def test_a_keep_alive_reports_a_stop_by_another_client() -> None:
         axis = bench.homed()
         axis.start_move(60.0, 10.0)
         bench.z.write(0x7C, [0, 0x20], "somebody")
-        with pytest.raises(InstrumentError, match="stopped, not on our command"):
+        with pytest.raises(InstrumentError, match="stopped, not by this run"):
             bench.clock.sleep(0.3)
 
 

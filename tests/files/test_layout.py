@@ -20,9 +20,9 @@ from rig.files.runfile.reader import RunFile
 
 
 def test_the_short_form_derives_key_and_long_name() -> None:
-    column = Column("creep", "um", "Way of z during the hold")
+    column = Column("creep", "um", "Travel of z during the hold")
     assert column.key == "creep_um"
-    assert column.long_name == "Way of z during the hold (um)"
+    assert column.long_name == "Travel of z during the hold (um)"
     assert Column("trial", "", "Number of the trial").key == "trial"
     assert Column("coherence", "1", "Squared coherence").long_name == "Squared coherence"
     assert Column("overshoot", "%", "Overshoot").key == "overshoot_percent"
@@ -95,7 +95,7 @@ def test_the_meaning_is_in_the_run_file(tmp_path: Path) -> None:
         "1.0",
         columns=(
             Column("frequency", "Hz", "Frequency"),
-            Column("creep", "um", "Way of z during the hold"),
+            Column("creep", "um", "Travel of z during the hold"),
             Column("remark", "", "What the operator saw", "text"),
         ),
         plots=(Plot("data", "creep", ("frequency",)),),
@@ -111,7 +111,7 @@ def test_the_meaning_is_in_the_run_file(tmp_path: Path) -> None:
         assert opened.header.layout == layout
     with h5py.File(file) as opened:
         creep = opened["entry/points/creep"].attrs
-        assert creep["description"] == "Way of z during the hold"
-        assert creep["long_name"] == "Way of z during the hold (um)"
+        assert creep["description"] == "Travel of z during the hold"
+        assert creep["long_name"] == "Travel of z during the hold (um)"
         assert creep["units"] == "um"
         assert opened["entry/points/remark"].attrs["description"] == "What the operator saw"

@@ -129,7 +129,7 @@ def stages_shown(text: str) -> dict[str, tuple[float, str, str, str]]:
     """Position, reference, motion and fault of each stage in the latest drawing."""
     line = re.compile(
         r"^(stage_z|stage_x|rotary) +(-?[\d.]+) (?:mm|deg) +(not homed|homed) +"
-        r"(?:on|off|ready|not ready|STOP stands) +(at rest|moves) +(\S+)",
+        r"(?:on|off|ready|not ready|STOP is set) +(at rest|moves) +(\S+)",
         re.MULTILINE,
     )
     return {m[1]: (float(m[2]), m[3], m[4], m[5]) for m in line.finditer(text)}

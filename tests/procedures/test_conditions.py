@@ -30,7 +30,7 @@ class Relaxation(PressedProcedure):
     columns = (
         Column("pressed_with", "N", "Force that the record says"),
         Column("number", "", "Trial that the record says"),
-        Column("moved", "um", "Way of z during the hold"),
+        Column("moved", "um", "Travel of z during the hold"),
     )
 
     class Settings(PressedSettings):

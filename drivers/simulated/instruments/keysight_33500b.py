@@ -111,8 +111,8 @@ class ChannelState:
 
 
 @dataclass(frozen=True)
-class Bounds:
-    """Bounds of a numeric setting, in displayed units."""
+class SettingBounds:
+    """SettingBounds of a numeric setting, in displayed units."""
 
     low: float
     high: float
@@ -124,7 +124,7 @@ class StoredNumber:
     """A number that is kept and read back, and shapes nothing in the simulation."""
 
     pattern: str
-    bounds: Bounds
+    bounds: SettingBounds
     units: tuple[str, ...] = ()
     keywords: tuple[str, ...] = ("MIN", "MAX", "DEF")
 
@@ -140,20 +140,24 @@ class StoredWord:
 
 _SECONDS = ("S",)
 STORED_NUMBERS = (
-    StoredNumber("[SOURce#:]FUNCtion:SQUare:DCYCle", Bounds(0.01, 99.99, 50), ("PCT",)),
-    StoredNumber("[SOURce#:]FUNCtion:RAMP:SYMMetry", Bounds(0, 100, 100), ("PCT",)),
-    StoredNumber("[SOURce#:]FUNCtion:PULSe:WIDTh", Bounds(16e-9, 1e6, 1e-4), _SECONDS),
-    StoredNumber("[SOURce#:]FUNCtion:PULSe:DCYCle", Bounds(0.01, 99.99, 10), ("PCT",)),
+    StoredNumber("[SOURce#:]FUNCtion:SQUare:DCYCle", SettingBounds(0.01, 99.99, 50), ("PCT",)),
+    StoredNumber("[SOURce#:]FUNCtion:RAMP:SYMMetry", SettingBounds(0, 100, 100), ("PCT",)),
+    StoredNumber("[SOURce#:]FUNCtion:PULSe:WIDTh", SettingBounds(16e-9, 1e6, 1e-4), _SECONDS),
+    StoredNumber("[SOURce#:]FUNCtion:PULSe:DCYCle", SettingBounds(0.01, 99.99, 10), ("PCT",)),
     StoredNumber(
-        "[SOURce#:]FUNCtion:PULSe:TRANsition[:BOTH|:LEADing]", Bounds(8.4e-9, 1e-6, 1e-8), _SECONDS
+        "[SOURce#:]FUNCtion:PULSe:TRANsition[:BOTH|:LEADing]",
+        SettingBounds(8.4e-9, 1e-6, 1e-8),
+        _SECONDS,
     ),
-    StoredNumber("[SOURce#:]FUNCtion:ARBitrary:SRATe", Bounds(1e-6, 250e6, 40e3)),
-    StoredNumber("[SOURce#:]BURSt:NCYCles", Bounds(1, 1e8, 1), (), ("MIN", "MAX", "DEF", "INF")),
-    StoredNumber("[SOURce#:]BURSt:INTernal:PERiod", Bounds(1e-6, 8000, 0.01), _SECONDS),
-    StoredNumber("[SOURce#:]BURSt:PHASe", Bounds(-360, 360, 0), ("DEG",)),
-    StoredNumber("TRIGger#:COUNt", Bounds(1, 1e6, 1)),
-    StoredNumber("TRIGger#:DELay", Bounds(0, 1000, 0), _SECONDS),
-    StoredNumber("TRIGger#:TIMer", Bounds(1e-6, 8000, 1), _SECONDS),
+    StoredNumber("[SOURce#:]FUNCtion:ARBitrary:SRATe", SettingBounds(1e-6, 250e6, 40e3)),
+    StoredNumber(
+        "[SOURce#:]BURSt:NCYCles", SettingBounds(1, 1e8, 1), (), ("MIN", "MAX", "DEF", "INF")
+    ),
+    StoredNumber("[SOURce#:]BURSt:INTernal:PERiod", SettingBounds(1e-6, 8000, 0.01), _SECONDS),
+    StoredNumber("[SOURce#:]BURSt:PHASe", SettingBounds(-360, 360, 0), ("DEG",)),
+    StoredNumber("TRIGger#:COUNt", SettingBounds(1, 1e6, 1)),
+    StoredNumber("TRIGger#:DELay", SettingBounds(0, 1000, 0), _SECONDS),
+    StoredNumber("TRIGger#:TIMer", SettingBounds(1e-6, 8000, 1), _SECONDS),
 )
 STORED_WORDS = (
     StoredWord("[SOURce#:]FREQuency:MODE", Choice("CW", "LIST", "SWEep", "FIXed"), "CW"),
@@ -271,14 +275,14 @@ class Keysight33500B(ScpiInstrument):
             *self._number(
                 "[SOURce#:]FUNCtion:PULSe:PERiod",
                 _SECONDS,
-                lambda _: Bounds(1 / HIGHEST_FREQUENCY_Hz["PULS"], 1e6, 1e-3),
+                lambda _: SettingBounds(1 / HIGHEST_FREQUENCY_Hz["PULS"], 1e6, 1e-3),
                 lambda state: 1 / state.frequency_Hz,
                 lambda state, value: replace(state, frequency_Hz=1 / value),
             ),
             *self._number(
                 "[SOURce#:]PHASe[:ADJust]",
                 ("DEG",),
-                lambda _: Bounds(-360, 360, 0),
+                lambda _: SettingBounds(-360, 360, 0),
                 lambda state: state.phase_deg,
                 lambda state, value: replace(state, phase_deg=value),
             ),
@@ -351,7 +355,7 @@ class Keysight33500B(ScpiInstrument):
         self,
         pattern: str,
         units: tuple[str, ...],
-        bounds: Callable[[ChannelState], Bounds],
+        bounds: Callable[[ChannelState], SettingBounds],
         get: Callable[[ChannelState], float],
         put: Callable[[ChannelState, float], ChannelState],
         shown: Callable[[ChannelState], float] = lambda _: 1.0,
@@ -378,7 +382,7 @@ class Keysight33500B(ScpiInstrument):
     def _volts(
         self,
         node: str,
-        bounds: Callable[[ChannelState], Bounds],
+        bounds: Callable[[ChannelState], SettingBounds],
         get: Callable[[ChannelState], float],
         put: Callable[[ChannelState, float], ChannelState],
     ) -> list[ScpiCommand]:
@@ -432,8 +436,8 @@ class Keysight33500B(ScpiInstrument):
     def _state_of(self, call: Call) -> ChannelState:
         return self._states[_channel(call)]
 
-    def _frequency_bounds(self, state: ChannelState) -> Bounds:
-        return Bounds(LOWEST_FREQUENCY_Hz, HIGHEST_FREQUENCY_Hz[state.function], 1e3)
+    def _frequency_bounds(self, state: ChannelState) -> SettingBounds:
+        return SettingBounds(LOWEST_FREQUENCY_Hz, HIGHEST_FREQUENCY_Hz[state.function], 1e3)
 
     def _set_function(self, call: Call) -> None:
         function = call.arguments[0]
@@ -478,7 +482,7 @@ class Keysight33500B(ScpiInstrument):
 
     def _set_load(self, call: Call) -> None:
         channel, asked = _channel(call), call.arguments[0]
-        value = min(_asked(asked, Bounds(1.0, 10e3, 50.0), 1.0), INFINITE)
+        value = min(_asked(asked, SettingBounds(1.0, 10e3, 50.0), 1.0), INFINITE)
         if value < INFINITE:
             value = self._clip(value, 1.0, 10e3)
         elif self._units[channel] == "DBM":
@@ -535,7 +539,7 @@ def _channel(call: Call) -> int:
     return channel
 
 
-def _asked(quantity: ScpiQuantity, bounds: Bounds, shown: float) -> float:
+def _asked(quantity: ScpiQuantity, bounds: SettingBounds, shown: float) -> float:
     """Return the value that a parameter requests. Numbers are displayed values; bounds and result
     are stored ones."""
     if not quantity.keyword:
@@ -565,36 +569,36 @@ def _in_unit(peak_to_peak: float, unit: str, state: ChannelState) -> float:
     return rms if unit == "VRMS" else 10 * math.log10(rms**2 / state.load_ohm / 1e-3)
 
 
-def _amplitude_bounds(state: ChannelState) -> Bounds:
+def _amplitude_bounds(state: ChannelState) -> SettingBounds:
     low, high = state.rails
     if state.function == "DC":
         low, high = -LARGEST_PEAK_V + state.offset_V, LARGEST_PEAK_V + state.offset_V
     room = 2 * min(high - state.offset_V, state.offset_V - low)
-    return Bounds(SMALLEST_AMPLITUDE_Vpp, max(room, SMALLEST_AMPLITUDE_Vpp), 0.2)
+    return SettingBounds(SMALLEST_AMPLITUDE_Vpp, max(room, SMALLEST_AMPLITUDE_Vpp), 0.2)
 
 
-def _offset_bounds(state: ChannelState) -> Bounds:
+def _offset_bounds(state: ChannelState) -> SettingBounds:
     low, high = state.rails
-    return Bounds(low + state.swing, high - state.swing, 0.0)
+    return SettingBounds(low + state.swing, high - state.swing, 0.0)
 
 
-def _high_bounds(state: ChannelState) -> Bounds:
-    return Bounds(_get_low(state) + SMALLEST_AMPLITUDE_Vpp, state.rails[1], 0.1)
+def _high_bounds(state: ChannelState) -> SettingBounds:
+    return SettingBounds(_get_low(state) + SMALLEST_AMPLITUDE_Vpp, state.rails[1], 0.1)
 
 
-def _low_bounds(state: ChannelState) -> Bounds:
-    return Bounds(state.rails[0], _get_high(state) - SMALLEST_AMPLITUDE_Vpp, -0.1)
+def _low_bounds(state: ChannelState) -> SettingBounds:
+    return SettingBounds(state.rails[0], _get_high(state) - SMALLEST_AMPLITUDE_Vpp, -0.1)
 
 
-def _limit_high_bounds(state: ChannelState) -> Bounds:
+def _limit_high_bounds(state: ChannelState) -> SettingBounds:
     """A limit that is on cannot be moved into the present wave (UNCONFIRMED)."""
     wave = state.offset_V + state.swing if state.limited else state.limit_low_V
-    return Bounds(wave, LARGEST_PEAK_V, LARGEST_PEAK_V)
+    return SettingBounds(wave, LARGEST_PEAK_V, LARGEST_PEAK_V)
 
 
-def _limit_low_bounds(state: ChannelState) -> Bounds:
+def _limit_low_bounds(state: ChannelState) -> SettingBounds:
     wave = state.offset_V - state.swing if state.limited else state.limit_high_V
-    return Bounds(-LARGEST_PEAK_V, wave, -LARGEST_PEAK_V)
+    return SettingBounds(-LARGEST_PEAK_V, wave, -LARGEST_PEAK_V)
 
 
 def _get_offset(state: ChannelState) -> float:

@@ -20,7 +20,7 @@ BOUNCE_us = 7_000
 """A bouncing contact changes this often: not a multiple of any program's interval (assumed)."""
 
 
-class ContactSettings(Settings):
+class SimulatedContactSettings(Settings):
     """A contact of a simulated bench, with what its bench file says of it."""
 
     name: str = Field(min_length=1)
@@ -40,7 +40,7 @@ class ContactSettings(Settings):
 class ContactsSettings(Settings):
     """The contacts of a simulated bench."""
 
-    interlock: tuple[ContactSettings, ...] = ()
+    interlock: tuple[SimulatedContactSettings, ...] = ()
 
     @model_validator(mode="after")
     def _each_once(self) -> Self:
@@ -52,7 +52,7 @@ class ContactsSettings(Settings):
 
 @dataclass
 class _Contact:
-    settings: ContactSettings
+    settings: SimulatedContactSettings
     closed: bool
     held: bool | None = None
     """State in which a fault holds it; None if none does."""
@@ -69,7 +69,9 @@ class _Contact:
 class Contacts:
     """The contacts of one bench; `tell` writes to the World's log."""
 
-    def __init__(self, settings: Sequence[ContactSettings], tell: Callable[[object], None]):
+    def __init__(
+        self, settings: Sequence[SimulatedContactSettings], tell: Callable[[object], None]
+    ):
         self._contacts = {one.name: _Contact(one, one.closed) for one in settings}
         self._tell = tell
 

@@ -210,7 +210,7 @@ class _Gains:
     gains: Reals
     """Gains in dB, (n,)."""
     variances: Reals
-    """Their variances, (n,)."""
+    """Variances of the values, (n,)."""
 
     def about_means(self, values: Reals) -> Reals:
         """Returns values (..., n) without the weighted mean of each frequency."""

@@ -35,7 +35,7 @@ class Named(Protocol):
 
     @property
     def settings(self) -> Settings:
-        """All of its parameters."""
+        """Parameters of the detector."""
         ...
 
     @property
@@ -71,7 +71,7 @@ class DetectorContender:
 
     @property
     def settings(self) -> Settings:
-        """All of its parameters."""
+        """Parameters of the detector."""
         return self.detector.settings
 
     @property

@@ -60,7 +60,8 @@ class TrivialAnswer:
 
     @property
     def tuned_on(self) -> SeedRange | None:
-        """None: it has seen no trials, or those that it is scored on, which its name then says."""
+        """Returns None: it was tuned on no trials, or on those that are scored, as its name then
+        says."""
         return None
 
     def report(self, trial: ScoredTrial) -> DetectorReport:

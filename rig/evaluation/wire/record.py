@@ -31,7 +31,7 @@ class WireRecord:
     volts: Floats
     """Signals v_1 and v_2 in V, (n, 2)."""
     rate_Hz: float
-    """Their sampling rate."""
+    """Sampling rate of the rows, in samples/s."""
     truth: Truth
     """What happened, from the World's own account."""
     way_mm: float | None

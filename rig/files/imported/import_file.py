@@ -233,7 +233,7 @@ def _streams(recording: Recording) -> list[tuple[str, str, list[str], str, str]]
 
 LABEL_COLUMNS = (
     Column("label", "", "What happened, as stated at the import", kind="text"),
-    Column("motion", "s", "Begin of the motion, as stated at the import"),
+    Column("motion", "s", "Start of the motion, as stated at the import"),
     Column("node_slip", "s", "Slip of the first part of the ridge, as stated at the import"),
     Column("ridge_slip", "s", "Slip of the whole ridge, as stated at the import"),
     Column("gross_slip", "s", "Slip of the whole contact, as stated at the import"),

@@ -44,12 +44,12 @@ class Column:
 
     Declared once, in the short form::
 
-        Column("creep", "um", "Way of z during the hold")
+        Column("creep", "um", "Travel of z during the hold")
 
     Then ``creep_um`` is its key in the reading (`key`), ``creep`` its name in the run file and
-    "Way of z during the hold (um)" what viewers show (`long_name`). Give `key` or `long_name` only
-    where they differ from that. `meaning` is one sentence without the unit; it is written to the
-    run file as the dataset's ``description``. `units` is "" or "1" for a pure number.
+    "Travel of z during the hold (um)" what viewers show (`long_name`). Give `key` or `long_name`
+    only where they differ from that. `meaning` is one sentence without the unit; it is written to
+    the run file as the dataset's ``description``. `units` is "" or "1" for a pure number.
 
     A number column becomes float64, with NaN where a reading lacks the key; a text column
     (``kind="text"``) becomes UTF-8, with "" there.

@@ -89,7 +89,7 @@ class StatedDetector:
     """Package that it came from; empty in a file of before packages could bring detectors."""
     package_version: str
     settings: Settings
-    """All of its parameters."""
+    """Parameters of the detector."""
 
 
 def processed_path(run_file: Path, detector: StatedDetector, folder: Path | None = None) -> Path:

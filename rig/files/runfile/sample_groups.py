@@ -83,8 +83,8 @@ def segment_attributes(contents: JournalContents, number: int) -> dict[str, Any]
 def segments_of_times(contents: JournalContents) -> dict[int, int]:
     """Return, for each segment whose rows have no rate, the segment whose rows are their times.
 
-    Left out are segments whose stream names no such stream, and those of which it has not the same
-    rows.
+    Left out are segments whose stream names no such stream, and those whose number of rows
+    differs.
     """
     streams = contents.header.streams
 
