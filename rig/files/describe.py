@@ -16,7 +16,7 @@ from rig.files.runfile.reader import RecordedOutcome
 
 if TYPE_CHECKING:
     from rig.detector.events import SlipEvent
-    from rig.files.model_file import ModelFile, Quantity
+    from rig.files.model_file import ModelFile, ModelQuantity
     from rig.files.processed.reader import ProcessedFile
 
 MOST_VALUES = 16
@@ -121,7 +121,7 @@ def describe_model(file: ModelFile, all_settings: bool) -> dict[str, Any]:
     }
 
 
-def _quantity(one: Quantity) -> dict[str, Any]:
+def _quantity(one: ModelQuantity) -> dict[str, Any]:
     import numpy as np
 
     values = np.asarray(one.values)
