@@ -13,7 +13,7 @@ from typing import Literal, Self
 from pydantic import Field, model_validator
 
 from drivers.festo_cmmt.frames import FULL_SCALE
-from rig.core.settings import Settings, Wiring
+from rig.core.settings import Address, Settings, Wiring
 
 LARGEST_COUNT = 2**31 - 1
 """Positions travel as signed 32-bit integers; speeds are held to the same."""
@@ -69,11 +69,11 @@ class FestoCmmtSettings(Settings):
     driver: Literal["festo-cmmt"] = "festo-cmmt"
     axis: Wiring[Literal["z", "x"]]
     """Axis of the bench that the drive moves."""
-    host: Wiring[str] = Field(min_length=1)
+    host: Address[str] = Field(min_length=1)
     """Address or name of the drive."""
-    port: Wiring[int] = Field(default=502, ge=1, le=65535)
+    port: Address[int] = Field(default=502, ge=1, le=65535)
     """Modbus TCP port."""
-    unit_id: Wiring[int] = Field(default=1, ge=0, le=255)
+    unit_id: Address[int] = Field(default=1, ge=0, le=255)
     """Modbus unit identifier."""
     timeout_s: Wiring[float] = Field(default=0.4, gt=0, le=10)
     """Longest wait for an answer; two have to fit into `communication_timeout_ms`, so that one lost

@@ -17,8 +17,8 @@ from pydantic import Field
 from drivers.shared.visa_link import VisaLink
 from rig.core.clock import Clock, WallClock
 from rig.core.errors import InstrumentError
+from rig.core.settings import Address, Wiring
 from rig.core.settings import Settings as BaseSettings
-from rig.core.settings import Wiring
 from rig.instruments.roles import Identity, Reach
 
 ROLES = ("generator",)
@@ -36,7 +36,7 @@ class Keysight33500BSettings(BaseSettings):
     """Address and output limits of the generator."""
 
     driver: Literal["keysight-33500b"] = "keysight-33500b"
-    resource: Wiring[str]
+    resource: Address[str]
     """VISA resource, for example TCPIP::192.168.0.12::5025::SOCKET."""
     timeout_s: Wiring[float] = Field(default=2.0, gt=0, le=60)
     """Longest wait for an answer."""

@@ -19,8 +19,8 @@ from pydantic import Field, field_validator
 from drivers.shared.visa_link import VisaLink
 from rig.core.clock import Clock, WallClock
 from rig.core.errors import InstrumentError, LimitError
+from rig.core.settings import Address, Wiring
 from rig.core.settings import Settings as BaseSettings
-from rig.core.settings import Wiring
 from rig.instruments.roles import Acquisition, Identity, InputChannel, Reach, Record, Scaling
 
 if TYPE_CHECKING:
@@ -75,7 +75,7 @@ class KeysightU2300ASettings(BaseSettings):
     """Address and wiring of the DAQ."""
 
     driver: Literal["keysight-u2300a"] = "keysight-u2300a"
-    resource: Wiring[str]
+    resource: Address[str]
     """VISA resource, for example USB0::0x0957::0x1518::TW12345678::INSTR."""
     timeout_s: Wiring[float] = Field(default=2.0, gt=0, le=60)
     """Longest wait for an answer."""

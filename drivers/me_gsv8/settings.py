@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 from pydantic import Field, model_validator
 
-from rig.core.settings import Settings, Wiring
+from rig.core.settings import Address, Settings, Wiring
 
 INPUT_RANGE_MV_V = 3.5
 """Input range of the factory setting; with a user scale as large, floats are in mV/V."""
@@ -18,7 +18,7 @@ class MeGsv8Settings(Settings):
     """Settings of the amplifier and its sensor."""
 
     driver: Literal["me-gsv8"] = "me-gsv8"
-    port: Wiring[str] = Field(min_length=1)
+    port: Address[str] = Field(min_length=1)
     """Serial port, for example /dev/ttyACM0 or COM5."""
     baudrate: int = Field(default=230_400, ge=19_200, le=3_500_000)
     """Bits per second; without meaning over USB."""

@@ -12,7 +12,7 @@ from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
-from rig.core.settings import Settings, Wiring
+from rig.core.settings import Address, Settings, Wiring
 
 LARGEST_STEP = 2**31 - 1
 """Positions travel as signed 32-bit integers."""
@@ -83,7 +83,7 @@ class OrientalAzSettings(Settings):
     driver: Literal["oriental-az"] = "oriental-az"
     axis: Wiring[Literal["z", "x"]]
     """Axis of the bench that the drive moves."""
-    port: Wiring[str] = Field(min_length=1)
+    port: Address[str] = Field(min_length=1)
     """Serial port of the RS-485 line, for example /dev/ttyUSB0; both axes may share it."""
     baudrate: Literal[9600, 19_200, 38_400, 57_600, 115_200, 230_400] = 230_400
     """Baud rate set by the drive's BAUD switch; a servo needs the fastest."""

@@ -26,7 +26,7 @@ from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
-from rig.core.settings import Settings, Wiring
+from rig.core.settings import Address, Settings, Wiring
 
 SPEED_DATA = 1.6384
 """Speed in the stage's numbers, by microsteps/s (zaber.com/w, A and X series)."""
@@ -116,7 +116,7 @@ class ZaberRstSettings(Settings):
     """Address, units and limits of the stage."""
 
     driver: Literal["zaber-rst"] = "zaber-rst"
-    port: Wiring[str] = Field(min_length=1)
+    port: Address[str] = Field(min_length=1)
     """Serial port, for example /dev/ttyUSB0, or socket://HOST:55550 for a chain on the network."""
     baudrate: int = Field(default=115_200, ge=9_600, le=921_600)
     """Bits a second; without meaning over USB and TCP."""

@@ -92,6 +92,10 @@ class TrialProcedure(Procedure):
         """Return why a trial is invalid; "" for a valid one."""
         return str(reading.get("invalid") or "")
 
+    def retries_of_invalid(self) -> int:
+        """Return the setting ``retry_invalid``."""
+        return self.settings.retry_invalid
+
     def start_series(self, run: Run) -> None:
         """Make the series at the first arming; it lasts through holds and trips."""
         # Imported by import_ahead(), and not at the top: numpy would slow `rig --help`.

@@ -6,41 +6,64 @@ one instrument share.
 every address, so that two bench files that name one instrument differently have at least one in
 common. The name as it is written is always among them: it is what is left while a name server does
 not answer or a port is unplugged.
+
+A driver marks the settings that form the address (`rig.core.settings.Address`). What kind of
+address it is, its text says.
 """
 
 from __future__ import annotations
 
 import contextlib
 import ipaddress
+import re
 import socket
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
-ADDRESS = ("resource", "host", "port", "unit_id")
-"""Settings of a driver that form the address of an instrument."""
+from rig.core.settings import Settings, address_settings_of
+
+UNMARKED = ("resource", "host", "port", "unit_id")
+"""Settings that form the address where a driver marks none: those of drivers that were written
+before there was a mark."""
+RESOURCE = re.compile(r"ASRL|(\w+-)?(FIREWIRE|GPIB|PXI|TCPIP|USB|VICP|VXI)\d*::", re.IGNORECASE)
+"""Beginning of a VISA resource. ``fe80::1`` is none."""
+SERIAL_PORT = re.compile(r".*/|COM\d+$", re.IGNORECASE)
+"""Beginning of a serial port: a path, a URL such as ``socket://HOST:PORT``, or COM5."""
 BY_ID = Path("/dev/serial/by-id")
 """Links to USB ports, named after what is plugged in; they stay when the ports' numbers change."""
 LOOPBACK = "127.0.0.1"
 
 
-def addresses_of(settings: Mapping[str, Any]) -> tuple[str, ...]:
+def addresses_of(settings: Settings) -> tuple[str, ...]:
     """Return the addresses of an instrument's link, from its driver's settings: first as it is
-    written, then the others, each once.
+    written, then the others, each once; none if the settings name no address.
 
-    A serial line has one user, whichever instrument on it is addressed.
+    The first text among them says by its form what it is: a VISA resource, a serial port, or, with
+    a number or another text beside it, a host. A serial line has one user, whichever instrument on
+    it is addressed.
     """
-    line = settings.get("port")
-    if isinstance(line, str):
-        return _each_once((line, *_of_port(line)))
-    written = " ".join(str(settings[name]) for name in ADDRESS if name in settings)
-    if isinstance(resource := settings.get("resource"), str):
-        return _each_once((written, *_of_resource(resource)))
-    if isinstance(host := settings.get("host"), str):
-        rest = [str(settings[name]) for name in ADDRESS[2:] if name in settings]
-        return _each_once((written, *(" ".join((ip, *rest)) for ip in _ips(host))))
-    return _each_once((written,))
+    values = address_values(settings)
+    written = " ".join(map(str, values.values()))
+    name, text = next(((k, v) for k, v in values.items() if isinstance(v, str)), ("", ""))
+    if RESOURCE.match(text):
+        return _each_once((written, *_of_resource(text)))
+    if SERIAL_PORT.match(text):
+        return _each_once((text, *_of_port(text)))
+    if text and (name == "host" or len(values) > 1):
+        rest = [str(value) for key, value in values.items() if key != name]
+        return _each_once((written, *(" ".join((ip, *rest)) for ip in _ips(text))))
+    return _each_once((written,)) if written else ()
+
+
+def address_values(settings: Settings) -> dict[str, Any]:
+    """Return the settings that form the address of an instrument, by name; those that are left out
+    (None) are not among them."""
+    model = type(settings)
+    names = address_settings_of(model) or [name for name in UNMARKED if name in model.model_fields]
+    values = {name: getattr(settings, name) for name in names}
+    return {name: value for name, value in values.items() if value is not None}
 
 
 def _each_once(addresses: Iterable[str]) -> tuple[str, ...]:

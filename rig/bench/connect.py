@@ -170,7 +170,7 @@ def by_link(parts: Sequence[InstrumentPlan]) -> list[list[InstrumentPlan]]:
     """Return the instruments in groups; those that share an address are in one."""
     groups: list[tuple[set[str], list[InstrumentPlan]]] = []
     for part in parts:
-        addresses, members = set(addresses_of(part.settings.model_dump())), [part]
+        addresses, members = set(addresses_of(part.settings)), [part]
         for group in [group for group in groups if group[0] & addresses]:
             addresses, members = addresses | group[0], group[1] + members
             groups.remove(group)

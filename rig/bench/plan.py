@@ -15,9 +15,10 @@ from typing import Any
 
 from pydantic import ValidationError
 
+from rig.bench.addresses import address_values
 from rig.bench.interlocks import unreadable
 from rig.bench.settings import ROLES, STRIPS, BenchSettings, Fixture
-from rig.core.entry_points import DRIVERS, load
+from rig.core.entry_points import DRIVERS, find, load, package
 from rig.core.errors import (
     ConfigurationError,
     RigError,
@@ -123,6 +124,7 @@ def parse_bench(text: str, source: str) -> BenchPlan:
     if settings is not None:
         findings += map(ConfigurationError, _heartbeat_findings(settings, plans, source))
     findings += _communication_findings(plans, source)
+    findings += _address_findings(plans, source)
     if findings or settings is None:
         hints = dict.fromkeys(finding.hint or "correct the bench file" for finding in findings)
         raise ConfigurationError("; ".join(f.message for f in findings), "; ".join(hints))
@@ -308,4 +310,20 @@ def _communication_findings(
             "would stop by itself, with what it presses still pressed",
             f"set timeout_s to {drive_ms * 0.4e-3:g} s or less for [{plan.role}], or "
             f"communication_timeout_ms to {math.ceil(2.5e3 * link_s):g} ms or more",
+        )
+
+
+def _address_findings(plans: list[InstrumentPlan], source: str) -> Iterator[ConfigurationError]:
+    """Yield a fault for each instrument whose settings name no address: its locks and latches could
+    not be told from those of other benches. `rig make-safe` works without an address."""
+    for plan in plans:
+        if address_values(plan.settings):
+            continue
+        entry = find(DRIVERS, plan.driver_name)
+        owner = "" if entry is None else f" of the package {package(entry)}"
+        yield ConfigurationError(
+            f"{source}: [{plan.role}]: no setting of the driver {plan.driver_name!r}{owner} says "
+            "where the instrument is, so the bench cannot be locked against other programs",
+            "mark that setting in the driver's Settings, as in port: Address[str] "
+            "(docs/add-a-driver.md); if it is marked, give it in the bench file",
         )

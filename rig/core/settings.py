@@ -72,12 +72,16 @@ _SUFFIXES_LONGEST_FIRST = sorted(UNIT_BY_SUFFIX, key=len, reverse=True)
 
 
 T = TypeVar("T")
-WIRING = "wiring"
+WIRING, ADDRESS = "wiring", "address"
 
 Wiring = Annotated[T, Field(json_schema_extra={WIRING: True})]
 """Type of a driver's setting that says where its instrument is, what is wired to it or how it
 counts: ``port: Wiring[str]``. A dry run takes these from the simulated instrument and all others
 from the bench file."""
+Address = Annotated[T, Field(json_schema_extra={WIRING: True, ADDRESS: True})]
+"""Type of a driver's setting that says where its instrument is: ``port: Address[str]``. It is
+`Wiring` as well. The settings of this type together tell this instrument's link from all others, as
+``host`` and ``tcp_port`` do (`rig.bench.addresses`)."""
 
 
 class Settings(BaseModel):
@@ -132,12 +136,19 @@ def _attribute_docstrings(cls: type[Settings]) -> dict[str, str]:
 
 
 def wiring_of(model: type[Settings]) -> frozenset[str]:
-    """Return the names of the settings whose type is marked as `Wiring`."""
-    return frozenset(
-        name
-        for name, field in model.model_fields.items()
-        if isinstance(field.json_schema_extra, dict) and field.json_schema_extra.get(WIRING)
-    )
+    """Return the names of the settings whose type is marked as `Wiring` or `Address`."""
+    return frozenset(_marked(model, WIRING))
+
+
+def address_settings_of(model: type[Settings]) -> tuple[str, ...]:
+    """Return the names of the settings whose type is marked as `Address`, in their order."""
+    return tuple(_marked(model, ADDRESS))
+
+
+def _marked(model: type[Settings], mark: str) -> Iterator[str]:
+    for name, field in model.model_fields.items():
+        if isinstance(field.json_schema_extra, dict) and field.json_schema_extra.get(mark):
+            yield name
 
 
 def unit_of(field_name: str) -> str | None:

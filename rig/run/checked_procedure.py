@@ -103,6 +103,11 @@ class CheckedProcedure:
         with self._blamed():
             return str(self._procedure.why_invalid(reading) or "")
 
+    def retries_of_invalid(self) -> int:
+        """Return how many times a point with an invalid reading is retaken."""
+        with self._blamed():
+            return int(self._procedure.retries_of_invalid())
+
     def arm(self, run: Run) -> None:
         """Switch on what the points need."""
         with self._blamed():

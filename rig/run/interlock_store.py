@@ -52,10 +52,7 @@ class InterlockStore:
         """Whether the records outlive this program."""
         settings = {part.role: part.settings for part in plan.instruments}
         self._names = {
-            one.name: [
-                _file_name(address, one)
-                for address in addresses_of(settings[one.role].model_dump())
-            ]
+            one.name: [_file_name(address, one) for address in addresses_of(settings[one.role])]
             for one in plan.settings.interlock
         }
         """Files of each contact, one for each address of its instrument."""

@@ -165,9 +165,7 @@ def is_only_read(name: str) -> bool:
 def address_names(plan: BenchPlan | Restable) -> tuple[str, ...]:
     """Return the names under which the shared folder has each instrument's addresses, each once,
     in one order for all programs."""
-    addresses = {
-        address for part in plan.instruments for address in addresses_of(part.settings.model_dump())
-    }
+    addresses = {address for part in plan.instruments for address in addresses_of(part.settings)}
     return tuple(sorted(hashlib.sha256(one.encode()).hexdigest()[:16] for one in addresses))
 
 

@@ -6,8 +6,8 @@ a hold (pause, silent sensor)   the bench is made safe, the run waits until the 
                                 the bench file allows
 a trip (a limit was exceeded)   the bench is made safe, the run arms again and retakes the point
                                 once; a second trip of the same point ends the run
-an invalid reading              the point is retaken without arming, as often as the setting
-                                ``retry_invalid`` allows; then it is recorded as invalid
+an invalid reading              the point is retaken without arming, as often as the procedure's
+                                `retries_of_invalid` allows; then it is recorded as invalid
 anything else                   the point is discarded and the run ends
 """
 
@@ -141,7 +141,7 @@ class PointLoop:
 
     def _record(self, point: Point) -> Reading:
         """Measure a point until it is recorded; see the module's table."""
-        retries = int(getattr(self._job.settings, "retry_invalid", 0))
+        retries = self._procedure.retries_of_invalid()
         while True:
             try:
                 with self._phases.measuring():

@@ -204,9 +204,10 @@ def _addresses(plan: BenchPlan) -> list[tuple[str, str]]:
     # Only of what presses and what measures it: with another DAQ or a further stage it is the same
     # bench.
     return [
-        (part.role, addresses_of(part.settings.model_dump())[0])
+        (part.role, address)
         for part in plan.instruments
         if part.role in PRESSING
+        for address in addresses_of(part.settings)[:1]
     ]
 
 

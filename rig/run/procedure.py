@@ -16,6 +16,7 @@ Hooks are called in this order:
     overhead_s(fixture, homed)        for the estimate of the time that is left
     arm(run)                          before the first point, and again after every hold and trip
     take(run, point)                  each point in turn
+    retries_of_invalid()              before each point
     why_invalid(reading)              after each point
     refine(readings)                  after the last point of the first plan: further points
     summarise(readings)               when the bench is safe and the data are on the disk
@@ -162,10 +163,17 @@ class Procedure(ABC):
         """Return why a reading is invalid, in words; "" for a valid one.
 
         Called after each point. An invalid reading is recorded all the same, reported at the end
-        of the run, and makes its exit code 5. Where the settings have a number ``retry_invalid``,
-        the point is discarded and retaken up to that many times before.
+        of the run, and makes its exit code 5. Before that, its point is discarded and retaken as
+        often as `retries_of_invalid` says.
         """
         return ""
+
+    def retries_of_invalid(self) -> int:
+        """Return how many times a point with an invalid reading is retaken before it is recorded.
+
+        Called before each point.
+        """
+        return 0
 
     # --- acting: instruments may be used --------------------------------------------------------
 

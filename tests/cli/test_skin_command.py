@@ -13,6 +13,7 @@ from typer.testing import CliRunner
 import rig
 from rig.cli.app import build
 from rig.cli.skin import app
+from rig.files.definitions import definition_path
 
 SHORT = {
     "press": {"normal_force_N": 1.0, "loading_s": 0.05, "rest_s": 0.02},
@@ -154,6 +155,15 @@ def test_rig_verify_knows_such_a_file(kept_slide: Path, tmp_path: Path):
     result = invoked("show", damaged)
     assert result.exit_code == 8
     assert "not a readable file of rig skin" in result.stderr
+
+
+def test_nexusformat_finds_nothing_in_such_a_file(kept_slide: Path):
+    from nexusformat.nexus.validate import lint_nxdl, validate_application, validate_file
+
+    definition = definition_path("NXrig_model")
+    assert lint_nxdl(definition) == []
+    assert validate_file(str(kept_slide)) == (0, 0)
+    assert validate_application(str(kept_slide), application=str(definition)) == (0, 0)
 
 
 def test_another_programs_file_is_still_refused_clearly(tmp_path: Path):

@@ -9,6 +9,7 @@ from pydantic import ValidationError
 
 from procedures.path_trial.path import Course, moves_along
 from procedures.path_trial.settings import PathTrialSettings
+from rig.files.definitions import definition_path
 from rig.files.runfile.reader import RunFile
 
 
@@ -43,6 +44,8 @@ def test_a_course_is_straight_between_its_corners_and_constant_after_them() -> N
 
 @pytest.mark.thorough
 def test_x_follows_the_path_and_the_force_its_course_and_the_skin_is_lifted(rig: Any) -> None:
+    from nexusformat.nexus.validate import lint_nxdl, validate_application, validate_file
+
     done = rig.run(
         "path-trial", "--json", "--world", rig.world(DECLARED_CONTACT),
         "--world-log", str(rig.world_log), "--normal-force", "3N",
@@ -53,7 +56,11 @@ def test_x_follows_the_path_and_the_force_its_course_and_the_skin_is_lifted(rig:
     assert done.code == 0, done.stderr
     z = [e for e in rig.log() if e["device"] == "stage_z" and e["what"] in ("move", "at-rest")]
     assert (z[-1]["what"], z[-1]["value"]) == ("at-rest", pytest.approx(5.0, abs=0.01))
-    with RunFile.open(rig.only("*.h5")) as run:
+    file, definition = rig.only("*.h5"), definition_path("NXrig_path_trial")
+    assert lint_nxdl(definition) == []
+    assert validate_file(str(file)) == (0, 0)
+    assert validate_application(str(file), application=str(definition)) == (0, 0)
+    with RunFile.open(file) as run:
         (reading,) = run.readings()
         (force,) = run.waveforms("trial-001", stream="force")
         (ticks,) = run.waveforms("trial-001", stream="ticks")

@@ -14,6 +14,7 @@ import pytest
 from rig.bench.addresses import addresses_of
 from rig.bench.plan import BenchPlan, parse_bench
 from rig.core.errors import ConfigurationError, ExitCode
+from rig.core.settings import Address, Settings
 from rig.run import lock
 from rig.run.bench_mark import BenchMarks, clear_marks, read_marks
 from rig.run.lock import BenchLock, GuardWait, address_names, in_use
@@ -125,6 +126,15 @@ def test_a_serial_port_under_two_names_is_one_bench(
     assert set(mark.names) > set(later) & set(mark.names)
 
 
+class Visa(Settings):
+    resource: Address[str]
+
+
+class Modbus(Settings):
+    host: Address[str]
+    port: Address[int]
+
+
 @pytest.mark.parametrize(
     ("one", "other"),
     [
@@ -134,14 +144,14 @@ def test_a_serial_port_under_two_names_is_one_bench(
     ],
 )
 def test_a_resource_with_and_without_what_may_be_left_out_is_one(one: str, other: str) -> None:
-    assert set(addresses_of({"resource": one})) & set(addresses_of({"resource": other}))
+    both = [addresses_of(Visa(resource=resource)) for resource in (one, other)]
+    assert set(both[0]) & set(both[1])
 
 
 def test_other_ports_of_one_host_and_unknown_hosts_are_several_instruments() -> None:
-    hosts = ({"host": "127.0.0.1", "port": port, "unit_id": 1} for port in (502, 503))
-    one, other = map(set, map(addresses_of, hosts))
+    one, other = (set(addresses_of(Modbus(host="127.0.0.1", port=port))) for port in (502, 503))
     assert not one & other
-    assert addresses_of({"host": "no.such.host.invalid", "port": 502}) == (
+    assert addresses_of(Modbus(host="no.such.host.invalid", port=502)) == (
         "NO.SUCH.HOST.INVALID 502",
     )
 

@@ -9,8 +9,8 @@ from pydantic import Field
 from drivers.shared.line_link import LineLink
 from rig.core.clock import WallClock
 from rig.core.errors import LimitError
+from rig.core.settings import Address, Wiring
 from rig.core.settings import Settings as BaseSettings
-from rig.core.settings import Wiring
 from rig.instruments.roles import Identity, Reach, Record, Scaling
 
 ROLES = ("daq",)
@@ -22,7 +22,7 @@ LONGEST = 1000
 
 class Settings(BaseSettings):
     driver: Literal["acme-daq"] = "acme-daq"
-    port: Wiring[str]
+    port: Address[str]
     timeout_s: Wiring[float] = Field(default=0.5, gt=0, le=10)
     channels: Wiring[dict[str, Literal["AI0", "AI1"]]]
 

@@ -8,8 +8,8 @@ from pydantic import Field
 from drivers.shared.visa_link import VisaLink
 from rig.core.clock import WallClock
 from rig.core.errors import InstrumentError
+from rig.core.settings import Address, Wiring
 from rig.core.settings import Settings as BaseSettings
-from rig.core.settings import Wiring
 from rig.instruments.roles import Reach
 
 ROLES = ("generator",)
@@ -17,7 +17,7 @@ ROLES = ("generator",)
 
 class Settings(BaseSettings):
     driver: Literal["acme-generator"] = "acme-generator"
-    resource: Wiring[str]
+    resource: Address[str]
     timeout_s: Wiring[float] = Field(default=0.5, gt=0, le=10)
     max_amplitude_V: float = Field(gt=0, le=10)
 

@@ -9,8 +9,8 @@ from drivers.shared.line_link import LineLink
 from drivers.shared.stage import StageInterlock, prepared
 from rig.core.clock import WallClock
 from rig.core.errors import InstrumentError
+from rig.core.settings import Address, Wiring
 from rig.core.settings import Settings as BaseSettings
-from rig.core.settings import Wiring
 from rig.instruments.roles import Identity, Reach
 
 ROLES = ("rotary",)
@@ -25,7 +25,7 @@ ARRIVED_deg = 0.005
 
 class Settings(BaseSettings):
     driver: Literal["acme-rotary"] = "acme-rotary"
-    port: Wiring[str]
+    port: Address[str]
     """Serial port."""
     timeout_s: Wiring[float] = Field(default=0.5, gt=0, le=10)
     low_limit_deg: float = 0.0

@@ -10,8 +10,8 @@ from drivers.shared.line_link import LineLink
 from drivers.shared.stage import StageInterlock, opened, prepared
 from rig.core.clock import WallClock
 from rig.core.errors import InstrumentError
+from rig.core.settings import Address, Wiring
 from rig.core.settings import Settings as BaseSettings
-from rig.core.settings import Wiring
 from rig.instruments.roles import Identity, Reach, StageStatus
 
 ROLES = ("stage_z",)
@@ -26,7 +26,7 @@ ARRIVED_mm = 0.005
 
 class Settings(BaseSettings):
     driver: Literal["acme-stage"] = "acme-stage"
-    port: Wiring[str]
+    port: Address[str]
     """socket://HOST:PORT"""
     timeout_s: Wiring[float] = Field(default=0.5, gt=0, le=10)
     low_limit_mm: float = 0.0

@@ -11,8 +11,8 @@ import numpy as np
 from pydantic import Field
 
 from rig.core.errors import InstrumentError, InstrumentTimeoutError
+from rig.core.settings import Address, Wiring
 from rig.core.settings import Settings as BaseSettings
-from rig.core.settings import Wiring
 from rig.instruments.roles import ForceFrames, Identity, Reach
 
 ROLES = ("force_sensor",)
@@ -27,9 +27,9 @@ class Settings(BaseSettings):
     """Where the sensor is, and which force it may see."""
 
     driver: Literal["gf-one"] = "gf-one"
-    host: Wiring[str] = Field(min_length=1)
+    host: Address[str] = Field(min_length=1)
     """Host name or IP address."""
-    tcp_port: Wiring[int] = Field(default=4001, ge=1, le=65535)
+    tcp_port: Address[int] = Field(default=4001, ge=1, le=65535)
     """TCP port."""
     timeout_s: Wiring[float] = Field(default=0.5, gt=0, le=10)
     """Longest wait for an answer."""
