@@ -9,7 +9,13 @@ from typing import ClassVar, cast
 
 from rig.core import settings as core_settings
 from rig.detector.detector import IncipientSlipDetector, NETWORK_RATE_Hz
-from rig.detector.settings import DetectorSettings, ImpulseSettings, Logic, named_detectors
+from rig.detector.settings import (
+    DetectorSettings,
+    ImpulseSettings,
+    Logic,
+    RigSettings,
+    named_detectors,
+)
 
 
 class _OwnDetector(IncipientSlipDetector):
@@ -30,6 +36,7 @@ class _OwnDetector(IncipientSlipDetector):
 class Rig(_OwnDetector):
     """A small network judges v_1 - v_2 and v_1 + v_2; it tells rolls from slips."""
 
+    Settings = RigSettings
     name = "rig"
     slowest_Hz = (1 - 1e-3) * NETWORK_RATE_Hz
     fastest_Hz = (1 + 1e-3) * NETWORK_RATE_Hz
@@ -39,9 +46,14 @@ class Rig(_OwnDetector):
         cls, settings: core_settings.Settings, factor: float
     ) -> core_settings.Settings:
         """Returns the parameters with the odds of a slip multiplied by the square of `factor`."""
-        probability = cast(DetectorSettings, settings).fire_probability
-        odds = factor**2 * probability / (1 - probability)
-        return settings.model_copy(update={"fire_probability": odds / (1 + odds)})
+        own = cast(RigSettings, settings)
+        changed = {}
+        for name in ("fire_probability", "fire_probability_with_x"):
+            probability = getattr(own, name)
+            if probability is not None:
+                odds = factor**2 * probability / (1 - probability)
+                changed[name] = odds / (1 + odds)
+        return settings.model_copy(update=changed)
 
 
 class _Published(_OwnDetector):

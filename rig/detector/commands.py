@@ -8,7 +8,7 @@ given, so that `rig detect` gives them again at the same rows.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import astuple, dataclass
 
 
@@ -22,6 +22,11 @@ class XMove:
     """Commanded speed, positive towards larger positions; 0 for a stop."""
     until: int
     """Row at which x comes to its target and stops, unless a further move comes before."""
+
+    def at_rows(self, row_of: Callable[[int], int]) -> XMove:
+        """Return the same move at the rows of a resampled record; `row_of` gives the row there of a
+        row of this one."""
+        return XMove(row_of(self.sample), self.speed_mm_s, row_of(self.until))
 
 
 def to_text(moves: Iterable[XMove]) -> str:

@@ -4,6 +4,7 @@ same code."""
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -16,10 +17,11 @@ from rig.core.cache import place_numba_cache
 
 place_numba_cache(Path(__file__).parent)
 from rig.detector import kernel  # noqa: E402 - after numba's cache has its place
+from rig.detector.commands import XMove  # noqa: E402
 from rig.detector.contract import Detector, FASTEST_Hz, SLOWEST_Hz  # noqa: E402
 from rig.detector.events import EVENT_KINDS, UNJUDGED, SlipEvent  # noqa: E402
 from rig.detector.low_pass import LowPass, design_low_pass  # noqa: E402
-from rig.detector.settings import DetectorSettings, ImpulseSettings  # noqa: E402
+from rig.detector.settings import DetectorSettings, ImpulseSettings, RigSettings  # noqa: E402
 
 Reals = NDArray[np.float64]
 
@@ -81,7 +83,7 @@ class IncipientSlipDetector(Detector):
                 f"rate {rate_Hz:g} Hz must be {NETWORK_RATE_Hz:g} Hz for the detector 'rig', whose "
                 "network was trained at it: resample, or take paper-hp or paper-literal"
             )
-        known = (kernel.INPUTS, kernel.FIXED_INPUTS)
+        known = (kernel.INPUTS, kernel.ADAPTED_INPUTS, kernel.FIXED_INPUTS)
         if settings.network is not None and settings.network.inputs not in known:
             raise ValueError(
                 f"network {settings.network.name!r} needs other inputs than this program's "
@@ -105,8 +107,10 @@ class IncipientSlipDetector(Detector):
         self._piece = np.zeros((4, int(self._constants["quiet_rows"][0])))
         self._room = np.zeros(self._piece.shape[1])
         self._events = np.zeros((_MOST_A_ROW * _SLICE, kernel.EVENT_COLUMNS))
-        self._seen = np.zeros((1, inputs))
-        self._unseen = np.zeros(0, np.bool_)
+        # Inputs of the network at the rows of a block, and where it was evaluated; no rows but for
+        # `network_inputs`.
+        self._seen, self._looked = np.zeros((1, inputs)), np.zeros(0, np.bool_)
+        self._shown: list[NetworkInputs] = []
         self.reset()
 
     @property
@@ -123,14 +127,23 @@ class IncipientSlipDetector(Detector):
         """Returns the events decided in further rows (n, 2) of v_1 and v_2 in V."""
         events: list[SlipEvent] = []
         for begin in range(0, len(volts), _SLICE):
-            count = self._advance(volts[begin : begin + _SLICE], self._seen, self._unseen)
+            first, rows = int(self._state["row"][0]), volts[begin : begin + _SLICE]
+            self._looked[:] = False
+            count = self._advance(rows)
             events += [self._event(row) for row in self._events[:count]]
+            if self._looked.size:
+                at = np.flatnonzero(self._looked)
+                self._shown.append(NetworkInputs(first + at, self._seen[at]))
         return events
 
     def commanded(self, before_mm_s: float, after_mm_s: float) -> None:
-        """Notes that x brakes, for the logic ``impulse``."""
+        """Notes what x is commanded to do, for the logics ``impulse`` and ``rig``."""
+        self._state["x_known"], self._state["x_speed"] = 1, after_mm_s
+        if after_mm_s and before_mm_s * after_mm_s <= 0:
+            self._state["x_started"] = 1.0
         if before_mm_s * after_mm_s < BRAKES_BELOW * before_mm_s**2:
             self._state["braking_rows"] = self._braking_rows
+            self._state["x_braked"] = 1.0
 
     def end(self) -> list[SlipEvent]:
         """Returns one event if there never was a quiet piece to measure offset and noise on, and
@@ -141,17 +154,24 @@ class IncipientSlipDetector(Detector):
         unjudged = {UNJUDGED: 1e3 * int(state["row"]) / self.rate_Hz}
         return [self.event("cannot judge", -1, 0.0, kernel.REASONS[kernel.NOT_QUIET], unjudged)]
 
-    def network_inputs(self, volts: ArrayLike) -> NetworkInputs:
-        """Returns the inputs of the network over a whole recording (n, 2) in V, for training."""
-        rows = self.checked(volts)
-        seen = np.zeros((len(rows), self._seen.shape[1]))
-        looked = np.zeros(len(rows), np.bool_)
-        for begin in range(0, len(rows), _SLICE):
-            part = slice(begin, begin + _SLICE)
-            self._advance(rows[part], seen[part], looked[part])
-        return NetworkInputs(np.flatnonzero(looked), seen[looked])
+    def network_inputs(self, volts: ArrayLike, moves: Iterable[XMove] = ()) -> NetworkInputs:
+        """Returns the inputs of the network over a whole recording (n, 2) in V, in which x was
+        commanded to make these moves, for training."""
+        none = NetworkInputs(np.zeros(0, np.int64), np.zeros((0, self._seen.shape[1])))
+        self._seen, self._looked = (
+            np.zeros((_SLICE, self._seen.shape[1])),
+            np.zeros(_SLICE, np.bool_),
+        )
+        self._shown = [none]
+        for move in moves:
+            self.command(move)
+        self.add(volts)
+        return NetworkInputs(
+            np.concatenate([one.rows for one in self._shown]),
+            np.concatenate([one.inputs for one in self._shown]),
+        )
 
-    def _advance(self, rows: Reals, seen: Reals, looked: NDArray[np.bool_]) -> int:
+    def _advance(self, rows: Reals) -> int:
         return int(
             kernel.advance(
                 rows,
@@ -166,8 +186,8 @@ class IncipientSlipDetector(Detector):
                 self._output,
                 self._units,
                 self._events,
-                seen,
-                looked,
+                self._seen,
+                self._looked,
             )
         )
 
@@ -192,7 +212,7 @@ def _constants(settings: DetectorSettings, rate_Hz: float, low_pass: LowPass) ->
     c = np.zeros(1, kernel.CONSTANTS)
     c["logic"] = _LOGICS[settings.logic]
     c["adapts"] = settings.logic == "impulse" or (
-        settings.network is not None and settings.network.inputs == kernel.INPUTS
+        settings.network is not None and settings.network.inputs != kernel.FIXED_INPUTS
     )
     c["ms"] = ms
     c["least_unit"], c["touch_exponent"] = kernel.LEAST_UNIT, 1.0
@@ -210,6 +230,8 @@ def _constants(settings: DetectorSettings, rate_Hz: float, low_pass: LowPass) ->
     idle_ms = kernel.ADAPTIVE_IDLE_ms if c["adapts"][0] else kernel.IDLE_ms
     c["idle_rows"] = max(1, round(idle_ms * ms))
     c["fire_probability"] = settings.fire_probability
+    if isinstance(settings, RigSettings) and settings.fire_probability_with_x is not None:
+        c["fire_probability"][0, 1] = settings.fire_probability_with_x
     c["roll_probability"] = settings.roll_probability
     c["silent_rows"] = round(settings.silence_s * rate_Hz)
     c["saturation"] = 1e3 * settings.saturation_V
@@ -223,6 +245,9 @@ def _constants(settings: DetectorSettings, rate_Hz: float, low_pass: LowPass) ->
     c["sum_keeps"] = 1 - 1 / (np.array(kernel.SUMS_ms) * ms)
     c["slow_keeps"] = 1 - 1 / (kernel.SLOW_PEAK_ms * ms)
     c["background_share"] = 1 / (np.array(kernel.BACKGROUND_ms) * ms)
+    c["charge_keeps"] = 1 - 1 / (kernel.CHARGE_ms * ms)
+    c["long_keeps"] = 1 - 1 / (np.array(kernel.LONG_PEAKS_ms) * ms)
+    c["command_keeps"] = 1 - 1 / (np.array(kernel.COMMAND_ms) * ms)
     c["drift_share"] = 1 / (np.array(kernel.DRIFT_ms) * ms)
     c["warm_up_rows"] = min(round(kernel.WARM_UP_ms * ms), int(c["quiet_rows"][0]) // 4)
     c["rolling_rows"] = round(kernel.ROLLING_ms * ms)

@@ -69,7 +69,7 @@ LOOK_ms, IDLE_ms = 12.0, 8.0
 """The network is evaluated at every row for `LOOK_ms` after an impulse, and otherwise once every
 `IDLE_ms`."""
 ADAPTIVE_IDLE_ms = 4.0
-"""The same for a network of `INPUTS`."""
+"""The same for a network of `ADAPTED_INPUTS` or `INPUTS`."""
 BACKGROUND_ms = (400.0, 64.0, 400.0)
 """Time constants of further powers of the impulse: of v_d, and two of v_s."""
 
@@ -108,6 +108,15 @@ for a drift. That of v_s has no limit: what changes the sum for seconds is a dri
 NOISE_PIECES = 16
 """Number of latest pieces of which the second least noise is taken: motions and bursts raise the
 noise of some pieces, never that of all."""
+CHARGE_ms = 4000.0
+"""Time constant of the sums of v_d and v_s since the touch-down."""
+LONG_PEAKS_ms = (1000.0, 1000.0, 400.0)
+"""Time constants with which the long peaks decay: of the average of v_d over 16 ms, of the size of
+the sum of v_d since the touch-down, and of the impulse of v_d."""
+COMMAND_ms = (30.0, 60.0)
+"""Time constants with which a commanded braking and a commanded start of x are forgotten."""
+LEAST_SHARE = 0.02
+"""Smallest touch-down, as a share of the standard one, with which the sums are compared."""
 ROLLING_ms = 100.0
 """A roll is reported only after v_d has shown a motion under load for this long without a break,
 and after the first touch-down. The longest tap (40 ms) shows in it for 80 ms."""
@@ -167,6 +176,14 @@ STATE = np.dtype(
         ("noises", "f8", (4, NOISE_PIECES)),  # of the latest pieces
         ("noise_pieces", "i8", (4,)),  # number of pieces so far
         ("braking_rows", "i8"),  # rows for which x counts as braking by command
+        ("touch_share", "f8"),  # touch-down as a share of the standard one, without a bound above
+        ("charge", "f8", (2,)),  # sums of v_d and v_s since the touch-down, mV ms
+        ("charge_offset", "f8", (2,)),  # offsets of v_d and v_s in these sums, mV
+        ("long_peak", "f8", (3,)),  # over LONG_PEAKS_ms
+        ("x_known", "i8"),  # 1 from the first command of x on
+        ("x_speed", "f8"),  # commanded speed of x, mm/s
+        ("x_braked", "f8"),  # 1 where x was commanded to brake, decaying
+        ("x_started", "f8"),  # 1 where x was commanded to start or turn, decaying
     ]
 )
 """State of the detector between two rows. All voltages are in mV."""
@@ -174,7 +191,7 @@ STATE = np.dtype(
 CONSTANTS = np.dtype(
     [
         ("logic", "i8"),
-        ("adapts", "i8"),  # 1 for a network of INPUTS and for the logic ``impulse``
+        ("adapts", "i8"),  # 1 unless it is a network of FIXED_INPUTS or a published logic
         ("ms", "f8"),  # rows in a millisecond
         ("quiet_rows", "i8"),
         ("least_noise", "f8"),
@@ -185,7 +202,7 @@ CONSTANTS = np.dtype(
         ("look", "f8", (2,)),
         ("look_rows", "i8"),
         ("idle_rows", "i8"),
-        ("fire_probability", "f8"),
+        ("fire_probability", "f8", (2,)),  # without and with the commands of x
         ("roll_probability", "f8"),
         ("silent_rows", "i8"),
         ("saturation", "f8"),
@@ -206,6 +223,9 @@ CONSTANTS = np.dtype(
         ("least_unit", "f8"),
         ("touch_exponent", "f8"),  # of thresholds by the unit
         ("braking_share", "f8"),
+        ("charge_keeps", "f8"),
+        ("long_keeps", "f8", (3,)),
+        ("command_keeps", "f8", (2,)),
     ]
 )
 """Settings of the detector, converted to rows and mV."""
@@ -244,7 +264,7 @@ pressing was negative: swapped channels and inverted polarity make no difference
 compressed by x / sqrt(1 + |x|). Voltages are in units of 0.5 mV.
 """
 
-INPUTS = (
+ADAPTED_INPUTS = (
     *FIXED_INPUTS,
     "rms of v_d 400 ms to noise",
     "rms of v_s 64 ms to noise",
@@ -253,12 +273,34 @@ INPUTS = (
     "touch to noise",
     "touched",
 )
-"""Names of the inputs of networks that are trained now.
+"""Names of the inputs of networks of decision 0090.
 
 Signs and compression are those of `FIXED_INPUTS`. Voltages are in units of the first touch: 0.5 mV
 times the sum of v_s over the touch-down, as a share of `STANDARD_TOUCH`. So neither the gain of the
 amplifiers nor, in the main, the normal force makes a difference; "touch to noise" tells how the
 noise compares with both. Until the touch-down is over the unit is 0.5 mV and "touched" is 0.
+"""
+
+INPUTS = (
+    *ADAPTED_INPUTS,
+    "sum of v_d since the touch to the touch",
+    "sum of v_s since the touch to the touch",
+    "sum of v_d since the touch to the force",
+    "sum of v_d since the touch to its long peak",
+    "v_d 16 ms to its long peak",
+    "peak of v_d 10 ms to its long peak",
+    "x known",
+    "speed of x",
+    "x braked",
+    "x started",
+    "v_d 8 ms to the speed of x",
+)
+"""Names of the inputs of networks that are trained now (decision 0121).
+
+A film's charge follows the force, so that the sums since the touch-down are the shear and the
+change of the normal force of the ridge, in units of the touch: how much of the friction is used,
+whether the shear still grows, and whether v_d still follows x. The last five are 0 where the
+commands of x are not known.
 """
 
 EVENT_FEATURES = (
@@ -274,7 +316,7 @@ EVENT_COLUMNS = 4 + len(EVENT_FEATURES) + 1
 """Number of columns of an event: kind, row, confidence, reason, features, rows not judged."""
 
 _MEDIAN_TO_SIGMA = 1.4826
-_FIXED = len(FIXED_INPUTS)
+_FIXED, _ADAPTED = len(FIXED_INPUTS), len(ADAPTED_INPUTS)
 
 
 @njit(cache=True, error_model="numpy")
@@ -541,6 +583,9 @@ def _adapt(
             else:
                 s.fast_noise[j - 2] = noise
         s.unit = 1.0
+        s.touch_share = 1.0
+        for j in range(2):
+            s.charge_offset[j] = s.offset[j]
         s.ready = 1
     return reported
 
@@ -666,7 +711,26 @@ def _update_features(
         s.background[1] += (fast_s * fast_s - s.background[1]) * c.background_share[1]
         s.background[2] += (fast_s * fast_s - s.background[2]) * c.background_share[2]
         _follow_drift(d, v, s, c)
+        _follow_charges(first - second, first + second, s, c)
     return reported if s.touched else _touch(s, c, events, reported)
+
+
+@njit(cache=True, error_model="numpy")
+def _follow_charges(difference: float, total: float, s: Any, c: Any) -> None:
+    """Updates the sums of v_d and v_s, of which the new row has `difference` and `total`, the long
+    peaks, and the memory of commands.
+
+    The sums have offsets of their own, from the end of the touch-down: those that follow the signal
+    would take what is left of the press, or a slow shear, for an offset.
+    """
+    d, v = difference - s.charge_offset[0], total - s.charge_offset[1]
+    s.charge[0] = s.charge[0] * c.charge_keeps + d * c.row_ms
+    s.charge[1] = s.charge[1] * c.charge_keeps + v * c.row_ms
+    s.long_peak[0] = max(abs(s.average[0, 4]), s.long_peak[0] * c.long_keeps[0])
+    s.long_peak[1] = max(abs(s.charge[0]), s.long_peak[1] * c.long_keeps[1])
+    s.long_peak[2] = max(abs(s.fast[0]), s.long_peak[2] * c.long_keeps[2])
+    s.x_braked *= c.command_keeps[0]
+    s.x_started *= c.command_keeps[1]
 
 
 @njit(cache=True, error_model="numpy")
@@ -731,6 +795,12 @@ def _follow_touch(s: Any, c: Any) -> None:
         return
     s.light = share < LIGHT_TOUCH
     s.unit = min(max(share, c.least_unit), LARGEST_UNIT)
+    s.touch_share = max(share, LEAST_SHARE)
+    for j in range(2):
+        s.charge[j] = 0.0
+        s.charge_offset[j] = s.offset[j] + s.average[j, 4]
+    for j in range(3):
+        s.long_peak[j] = 0.0
     for j in range(2):
         moved = s.average[j, _A - 1]
         s.offset[j] += moved
@@ -860,7 +930,7 @@ def _gather_fixed_inputs(s: Any, c: Any, x: Any) -> None:
 
 @njit(cache=True, error_model="numpy")
 def _gather_inputs(s: Any, c: Any, x: Any) -> None:
-    """Computes the inputs of a network of `INPUTS`."""
+    """Computes the inputs of a network of `ADAPTED_INPUTS`, or of `INPUTS`, which begin alike."""
     _gather(s.unit, s, c, x)
     at = _FIXED
     noise, common = s.fast_noise[0], s.fast_noise[1]
@@ -871,7 +941,36 @@ def _gather_inputs(s: Any, c: Any, x: Any) -> None:
     # 10 mV is the order of a slip's impulse after a standard touch.
     x[at + 4] = 10.0 * s.unit / noise
     x[at + 5] = 1.0 if _has_touched(s) else 0.0
+    if x.size > _ADAPTED:
+        _gather_charges_and_commands(s, x)
     _compress(x)
+
+
+@njit(cache=True, error_model="numpy")
+def _gather_charges_and_commands(s: Any, x: Any) -> None:
+    """Computes the inputs that `INPUTS` has after `ADAPTED_INPUTS`.
+
+    The factors bring them to the order of 1 to 10, like the others.
+    """
+    at = _ADAPTED
+    sign = 1.0 if s.average[0, 5] >= 0.0 else -1.0
+    pressed = -1.0 if s.touch[1] > 0.0 else 1.0
+    touch = STANDARD_TOUCH * s.touch_share
+    d, v = sign * s.charge[0], pressed * s.charge[1]
+    x[at] = 10.0 * d / touch
+    x[at + 1] = 10.0 * v / touch
+    # Pressing drives v_s negative: touch - v is the force in units of v_s.
+    x[at + 2] = 10.0 * d / max(touch - v, 0.1 * touch)
+    x[at + 3] = 3.0 * d / (s.long_peak[1] + 0.01 * touch)
+    x[at + 4] = 3.0 * sign * s.average[0, 4] / (s.long_peak[0] + 0.3 * s.unit)
+    x[at + 5] = 3.0 * s.peak[1] / (s.long_peak[2] + s.fast_noise[0])
+    x[at + 6] = s.x_known
+    x[at + 7] = abs(s.x_speed)
+    x[at + 8] = s.x_braked
+    x[at + 9] = s.x_started
+    x[at + 10] = 0.0
+    if s.x_known:
+        x[at + 10] = sign * s.average[0, 3] / s.unit / (abs(s.x_speed) + 0.1)
 
 
 @njit(cache=True, error_model="numpy")
@@ -953,7 +1052,7 @@ def _decide(looks: bool, s: Any, c: Any, events: Any, reported: int) -> int:
         if s.suspect_rows == 0:
             s.suspect_rows = round(25.0 * c.ms)
             s.suspect[0], s.suspect[1], s.suspect[2] = level, threshold, s.peak[3]
-    if looks and s.slip > c.fire_probability:
+    if looks and s.slip > c.fire_probability[s.x_known]:
         s.suspect_rows = 0
         if s.silent_rows == 0:
             s.silent_rows = c.silent_rows

@@ -197,10 +197,9 @@ class ResampledDetector(Detector):
 
     def command(self, move: XMove) -> None:
         """Passes a commanded move of x on, at the judged rows that come next."""
-        judged = self._resampler.ratio.outputs_before
         sample = max(move.sample, self.rows)
-        until = judged(max(move.until, sample))
-        self._inner.command(XMove(judged(sample), move.speed_mm_s, until))
+        due = XMove(sample, move.speed_mm_s, max(move.until, sample))
+        self._inner.command(due.at_rows(self._resampler.ratio.outputs_before))
 
     def end(self) -> list[SlipEvent]:
         """Returns the events due at the end of a recording."""

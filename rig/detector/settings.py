@@ -80,6 +80,14 @@ class DetectorSettings(Settings):
         return self
 
 
+class RigSettings(DetectorSettings):
+    """Parameters of the logic ``rig``."""
+
+    fire_probability_with_x: float | None = Field(None, gt=0, lt=1)
+    """The same as `fire_probability` in trials in which the commands of x are known: they explain
+    what a stop or a turn does to v_d (decision 0121). None: no other one."""
+
+
 class ImpulseSettings(DetectorSettings):
     """Parameters of the logic ``impulse``: as ``paper-hp``, but the threshold follows the first
     touch-down, the motion need not arm, and commands of x are used where they are known.
@@ -113,7 +121,7 @@ def named_detectors() -> dict[str, DetectorSettings]:
     `rig.detector.DEFAULT_DETECTOR` is the name of the default.
     """
     return {
-        "rig": DetectorSettings(network=trained_network()),
+        "rig": RigSettings(network=trained_network()),
         # The lowest threshold that alarms in at most 2 % of simulated rolls (decision 0049). It
         # misses slow slides, the default one by 1.3 mV: `rig detect` says so and why.
         "paper-literal": DetectorSettings(logic="paper-literal", fire_mV=30.0),

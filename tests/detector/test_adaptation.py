@@ -6,6 +6,7 @@ slip is an impulse above a share of the touch, and every motion is a roll.
 """
 
 import itertools
+import math
 
 import numpy as np
 import pytest
@@ -13,10 +14,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rig.detector import kernel
+from rig.detector.commands import XMove
 from rig.detector.detector import IncipientSlipDetector
 from rig.detector.events import SlipEvent, unjudged_s
 from rig.detector.network import Network
-from rig.detector.settings import DetectorSettings
+from rig.detector.settings import DetectorSettings, RigSettings
 
 RATE_Hz = 1000.0
 IMPULSE = "peak of v_d 3 ms"
@@ -102,6 +104,75 @@ def test_the_gain_of_the_amplifiers_makes_no_difference(gain: float):
     at = kernel.INPUTS.index(IMPULSE)
     assert rows.size > 100
     np.testing.assert_allclose(changed.inputs[there, at], looks.inputs[here, at], rtol=0.03)
+
+
+@pytest.mark.parametrize("gain", [0.25, 1.0, 3.0])
+def test_the_sums_since_the_touch_are_shear_and_force_in_units_of_the_touch(gain: float):
+    """The press sums to 1719 mV ms. v_d rises within 50 ms to 3 mV, stays for 0.25 s, and the
+    impulse takes 64 mV ms back."""
+    shown = IncipientSlipDetector(by_hand(), RATE_Hz).network_inputs(gain * pressed_and_sheared(5))
+
+    def at(row: int, name: str) -> float:
+        (compressed,) = shown.inputs[shown.rows == row, kernel.INPUTS.index(name)]
+        return compressed * (abs(compressed) + math.sqrt(compressed**2 + 4)) / 2
+
+    before = max(row for row in shown.rows if row < 1490)
+    after = max(row for row in shown.rows if row < 1530)
+    shear = 3.0 * (before - 1225) / 1719
+    touch, force = (
+        "sum of v_d since the touch to the touch",
+        "sum of v_d since the touch to the force",
+    )
+    assert at(before, touch) == pytest.approx(10 * shear, rel=0.06)
+    assert at(before, force) == pytest.approx(at(before, touch), rel=0.06)
+    # Its offset is a mean over 16 ms, in which a little of the press is left: 0.03 mV for 0.7 s are
+    # 1.5 % of the touch.
+    assert abs(at(before, "sum of v_s since the touch to the touch")) < 0.7
+    whole = 3.0 * (1500 - 1225)
+    assert at(after, touch) == pytest.approx(10 * (whole - 64) / 1719, rel=0.08)
+    to_peak = "sum of v_d since the touch to its long peak"
+    assert at(before, to_peak) == pytest.approx(3 * shear / (shear + 0.01), rel=0.02)
+    assert at(after, to_peak) == pytest.approx(3 * (whole - 64) / (whole + 17), rel=0.05)
+    assert at(after, "v_d 16 ms to its long peak") < 0.5 < at(before, "v_d 16 ms to its long peak")
+
+
+def test_the_commands_of_x_are_inputs_from_their_row_on():
+    moves = (XMove(1200, 0.5, 1500),)
+    shown = IncipientSlipDetector(by_hand(), RATE_Hz).network_inputs(pressed_and_sheared(), moves)
+    unknown = IncipientSlipDetector(by_hand(), RATE_Hz).network_inputs(pressed_and_sheared())
+    x = {name: shown.inputs[:, kernel.INPUTS.index(name)] for name in kernel.INPUTS[-5:]}
+    before, after = shown.rows < 1200, shown.rows >= 1500
+    moving = ~before & ~after
+    for name in x:
+        assert not x[name][before].any()
+        assert not unknown.inputs[:, kernel.INPUTS.index(name)].any()
+    assert (x["x known"][~before] == x["x known"][-1]).all()
+    assert (x["speed of x"][moving] > 0).all()
+    assert not x["speed of x"][after].any()
+    assert (np.diff(x["x started"][moving]) < 0).all()
+    assert not x["x braked"][moving].any()
+    assert (np.diff(x["x braked"][after]) < 0).all()
+    # Nothing else changes.
+    own = np.s_[:, : len(kernel.INPUTS) - 5]
+    np.testing.assert_array_equal(shown.inputs[own], unknown.inputs[own])
+
+
+def test_with_the_commands_of_x_another_probability_is_asked_for():
+    network = by_hand().network
+    assert network is not None
+    unsure = network.model_copy(update={"output": ((0.0, math.log(0.85 / 0.15)), (0.0, -50.0))})
+    chosen = RigSettings(network=unsure, fire_probability=0.9, fire_probability_with_x=0.8)
+    without = IncipientSlipDetector(chosen, RATE_Hz)
+    assert samples(without.add(pressed_and_sheared())) == []
+    known = IncipientSlipDetector(chosen, RATE_Hz)
+    known.command(XMove(1200, 0.5, 1500))
+    (first, *_) = samples(known.add(pressed_and_sheared()))
+    assert 1200 <= first < 1210
+    same = IncipientSlipDetector(
+        chosen.model_copy(update={"fire_probability_with_x": None}), RATE_Hz
+    )
+    same.command(XMove(1200, 0.5, 1500))
+    assert samples(same.add(pressed_and_sheared())) == []
 
 
 def test_before_the_first_touch_the_gain_is_not_known_and_that_is_an_input():

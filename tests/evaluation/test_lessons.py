@@ -1,10 +1,13 @@
 """Lessons: what is heard of a trial, what is held out, and how much each counts."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from rig.detector.commands import XMove
+from rig.detector.kernel import INPUTS
 from rig.evaluation.lessons import (
     BENCH_WEIGHT,
     FAULTS,
@@ -36,7 +39,10 @@ def made(kind: WireKind, seed: int) -> MadeTrial:
 def test_a_trial_of_the_bench_is_heard_once_as_it_was_recorded_and_then_otherwise():
     trial = made("slide", 3)
     assert trial.record is not None
+    moves = (XMove(1200, 0.5, 1500),)
+    trial = replace(trial, record=replace(trial.record, x_moves=moves))
     first, *others = bench_lessons(trial, 3)
+    assert [one.x_moves for one in (first, *others)] == [moves, moves, ()]
     assert (first.volts == trial.record.volts).all()
     assert [one.first for one in (first, *others)] == [True, False, False]
     assert all((one.volts != first.volts).any() for one in others)
@@ -71,6 +77,17 @@ def test_each_front_end_has_one_fault_at_most():
         heard = front_end_of(number, LESSON_FRONT_END).model_dump()
         assert {name for name in plain if heard[name] != plain[name]} == set(fault)
         assert len(fault) <= 1
+
+
+def test_the_commands_of_x_are_inputs_from_their_row_on_at_any_rate():
+    known = INPUTS.index("x known")
+    (heard,) = bench_lessons(made("slide", 3), 1)
+    assert not Teacher().rows_of(heard).inputs[:, known].any()
+    for rate_Hz, row in ((1000.0, 1200), (2000.0, 2400)):
+        volts = np.repeat(heard.volts, round(rate_Hz / 1000.0), axis=0)
+        moved = replace(heard, volts=volts, rate_Hz=rate_Hz, x_moves=(XMove(row, 0.5, 2 * row),))
+        taught = Teacher().rows_of(moved).inputs[:, known]
+        assert 0.2 < taught.astype(bool).mean() < 0.7
 
 
 def test_the_rows_of_a_lesson_weigh_as_the_lesson_and_teach_its_slip():
