@@ -115,6 +115,8 @@ LONG_PEAKS_ms = (1000.0, 1000.0, 400.0)
 the sum of v_d since the touch-down, and of the impulse of v_d."""
 COMMAND_ms = (30.0, 60.0)
 """Time constants with which a commanded braking and a commanded start of x are forgotten."""
+LEAST_SPEED_mm_s = 0.02
+"""Lowest commanded speed at which v_d is compared with it."""
 LEAST_SHARE = 0.02
 """Smallest touch-down, as a share of the standard one, with which the sums are compared."""
 ROLLING_ms = 100.0
@@ -182,6 +184,7 @@ STATE = np.dtype(
         ("long_peak", "f8", (3,)),  # over LONG_PEAKS_ms
         ("x_known", "i8"),  # 1 from the first command of x on
         ("x_speed", "f8"),  # commanded speed of x, mm/s
+        ("x_gain", "f8"),  # largest v_d for the speed of x, mV s/mm, decaying
         ("x_braked", "f8"),  # 1 where x was commanded to brake, decaying
         ("x_started", "f8"),  # 1 where x was commanded to start or turn, decaying
     ]
@@ -289,18 +292,23 @@ INPUTS = (
     "sum of v_d since the touch to its long peak",
     "v_d 16 ms to its long peak",
     "peak of v_d 10 ms to its long peak",
+    "v_d along the shear 2 ms to its long peak",
+    "v_d along the shear 4 ms to its long peak",
+    "v_d along the shear 8 ms to its long peak",
+    "impulse of v_d along the shear",
     "x known",
     "speed of x",
     "x braked",
     "x started",
     "v_d 8 ms to the speed of x",
+    "v_d missing while x moves",
 )
 """Names of the inputs of networks that are trained now (decision 0121).
 
 A film's charge follows the force, so that the sums since the touch-down are the shear and the
 change of the normal force of the ridge, in units of the touch: how much of the friction is used,
-whether the shear still grows, and whether v_d still follows x. The last five are 0 where the
-commands of x are not known.
+whether the shear still grows, and whether v_d still follows x. "Along the shear" is positive where
+the shear grows. The last six are 0 where the commands of x are not known.
 """
 
 EVENT_FEATURES = (
@@ -729,6 +737,9 @@ def _follow_charges(difference: float, total: float, s: Any, c: Any) -> None:
     s.long_peak[0] = max(abs(s.average[0, 4]), s.long_peak[0] * c.long_keeps[0])
     s.long_peak[1] = max(abs(s.charge[0]), s.long_peak[1] * c.long_keeps[1])
     s.long_peak[2] = max(abs(s.fast[0]), s.long_peak[2] * c.long_keeps[2])
+    s.x_gain *= c.long_keeps[1]
+    if abs(s.x_speed) > LEAST_SPEED_mm_s:
+        s.x_gain = max(abs(s.average[0, 4]) / abs(s.x_speed), s.x_gain)
     s.x_braked *= c.command_keeps[0]
     s.x_started *= c.command_keeps[1]
 
@@ -801,6 +812,7 @@ def _follow_touch(s: Any, c: Any) -> None:
         s.charge_offset[j] = s.offset[j] + s.average[j, 4]
     for j in range(3):
         s.long_peak[j] = 0.0
+    s.x_gain = 0.0
     for j in range(2):
         moved = s.average[j, _A - 1]
         s.offset[j] += moved
@@ -964,13 +976,21 @@ def _gather_charges_and_commands(s: Any, x: Any) -> None:
     x[at + 3] = 3.0 * d / (s.long_peak[1] + 0.01 * touch)
     x[at + 4] = 3.0 * sign * s.average[0, 4] / (s.long_peak[0] + 0.3 * s.unit)
     x[at + 5] = 3.0 * s.peak[1] / (s.long_peak[2] + s.fast_noise[0])
-    x[at + 6] = s.x_known
-    x[at + 7] = abs(s.x_speed)
-    x[at + 8] = s.x_braked
-    x[at + 9] = s.x_started
-    x[at + 10] = 0.0
+    along = 1.0 if s.charge[0] >= 0.0 else -1.0
+    for j in range(3):
+        x[at + 6 + j] = 3.0 * along * s.average[0, 1 + j] / (s.long_peak[0] + 0.1 * s.unit)
+    x[at + 9] = 2.0 * along * s.fast[0] / s.unit
+    x[at + 10] = s.x_known
+    x[at + 11] = abs(s.x_speed)
+    x[at + 12] = s.x_braked
+    x[at + 13] = s.x_started
+    x[at + 14] = 0.0
+    x[at + 15] = 0.0
     if s.x_known:
-        x[at + 10] = sign * s.average[0, 3] / s.unit / (abs(s.x_speed) + 0.1)
+        x[at + 14] = sign * s.average[0, 3] / s.unit / (abs(s.x_speed) + 0.1)
+    if abs(s.x_speed) > LEAST_SPEED_mm_s:
+        expected = s.x_gain * abs(s.x_speed) + 0.1 * s.unit
+        x[at + 15] = 3.0 * (1.0 - along * s.average[0, 2] / expected)
 
 
 @njit(cache=True, error_model="numpy")
