@@ -63,6 +63,10 @@ class Stop:
         return self.end is not None
 
 
+BEGUN = BenchWord("unknown", "the journal is still being read")
+"""The word of a run of which nothing has been read yet."""
+
+
 class BenchWatch:
     """The latest run of a results folder, and the bench that it is on."""
 
@@ -147,6 +151,8 @@ class BenchWatch:
             self.holder = found if chosen is not None and chosen.path == self.path else None
             self._guarded = False
             if self.holder is not None:
+                if self.word.word == "safe":  # until what it records has been read
+                    self.word = BEGUN
                 self._run_pid = self.holder.pid
                 self._guarded = guard_of(self.holder.pid) is not None
         self._look_at_bench(locked)
@@ -173,6 +179,7 @@ class BenchWatch:
         self._tail = JournalTail(path)
         with self.lock:
             self.path, self.view, self._problem = path, RunView(), ""
+            self.word = BEGUN  # the word before was that of another run
             self.generation += 1
             self._run_pid = -1
             self.behind = True
@@ -210,6 +217,8 @@ class BenchWatch:
                 self._grew_s = now
             else:
                 self.behind = False
+            # With what was read, so that no viewer sees a run with the word from before it.
+            self.word = bench_word(self.facts(now))
 
     def _restart(self, error: JournalError) -> None:
         """Begin again with a journal that was cut or replaced; say so of one that is none."""

@@ -60,6 +60,21 @@ def journal_in(results: Path, name: str = "a", *, ended: bool = True, number: in
     return path
 
 
+class Observed:
+    """A lock that notes what the next viewer would see, whenever it is released."""
+
+    def __init__(self, watch: BenchWatch):
+        self._watch, self.seen = watch, list[tuple[str, bool, bool]]()
+
+    def __enter__(self) -> None:
+        pass
+
+    def __exit__(self, *failure: object) -> None:
+        watch = self._watch
+        begun = watch.view.header is not None and watch.view.end is None
+        self.seen.append((watch.word.word, watch.holder is not None, begun))
+
+
 def words(watch: BenchWatch) -> tuple[str, str]:
     """Have the watch look and read until it has come to the end of what there is."""
     for _ in range(3):
@@ -337,3 +352,19 @@ def test_a_compiled_runs_journal_may_go(results: Path) -> None:
     watch.poll()
     assert not path.exists()
     assert watch.word.word == "safe"
+
+
+def test_no_viewer_sees_a_run_at_work_with_the_word_of_the_one_before(results: Path) -> None:
+    journal_in(results)
+    watch = BenchWatch(results)
+    assert words(watch)[0] == "safe"
+    watch.lock = observed = Observed(watch)  # type: ignore[assignment]
+    path = results / "day" / "b_sweep_r002.rigj"
+    with JournalWriter.create(path, run.header(bench_toml=bench_toml(0))) as journal:
+        run.take_point(journal, 0)
+        journal.point_begin(run.POINTS[1], {"time": 1.0})
+        journal.sync()
+        assert words(watch)[0] == "running"
+    seen = [word for word, held, begun in observed.seen if held or begun]
+    assert "running" in seen
+    assert "safe" not in seen
