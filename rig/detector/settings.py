@@ -121,7 +121,7 @@ def named_detectors() -> dict[str, DetectorSettings]:
     `rig.detector.DEFAULT_DETECTOR` is the name of the default.
     """
     return {
-        "rig": RigSettings(network=trained_network()),
+        "rig": RigSettings(network=trained_network(), fire_probability_with_x=0.8),
         # The lowest threshold that alarms in at most 2 % of simulated rolls (decision 0049). It
         # misses slow slides, the default one by 1.3 mV: `rig detect` says so and why.
         "paper-literal": DetectorSettings(logic="paper-literal", fire_mV=30.0),

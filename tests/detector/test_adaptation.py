@@ -140,7 +140,7 @@ def test_the_commands_of_x_are_inputs_from_their_row_on():
     moves = (XMove(1200, 0.5, 1500),)
     shown = IncipientSlipDetector(by_hand(), RATE_Hz).network_inputs(pressed_and_sheared(), moves)
     unknown = IncipientSlipDetector(by_hand(), RATE_Hz).network_inputs(pressed_and_sheared())
-    x = {name: shown.inputs[:, kernel.INPUTS.index(name)] for name in kernel.INPUTS[-5:]}
+    x = {name: shown.inputs[:, kernel.INPUTS.index(name)] for name in kernel.INPUTS[-6:]}
     before, after = shown.rows < 1200, shown.rows >= 1500
     moving = ~before & ~after
     for name in x:
@@ -153,7 +153,7 @@ def test_the_commands_of_x_are_inputs_from_their_row_on():
     assert not x["x braked"][moving].any()
     assert (np.diff(x["x braked"][after]) < 0).all()
     # Nothing else changes.
-    own = np.s_[:, : len(kernel.INPUTS) - 5]
+    own = np.s_[:, : len(kernel.INPUTS) - 6]
     np.testing.assert_array_equal(shown.inputs[own], unknown.inputs[own])
 
 

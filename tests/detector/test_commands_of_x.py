@@ -118,7 +118,7 @@ def test_moves_survive_as_text_and_older_files_have_none():
         from_text("[1, 2]")
 
 
-@pytest.mark.parametrize("name", ["rig", "paper-hp", "paper-literal"])
+@pytest.mark.parametrize("name", ["paper-hp", "paper-literal"])
 def test_the_other_detectors_find_the_same_with_commands_as_without(name: str):
     volts, found = held(4.5, 30.0), []
     for moves in ((), (XMove(1200, 0.5, STOP),)):
