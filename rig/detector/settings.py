@@ -4,9 +4,9 @@ result."""
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import Literal, Self
+from typing import Any, Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
 from rig.core.settings import Settings
 from rig.detector.low_pass import LowPassSettings
@@ -86,6 +86,15 @@ class RigSettings(DetectorSettings):
     fire_probability_with_x: float | None = Field(None, gt=0, lt=1)
     """The same as `fire_probability` in trials in which the commands of x are known: they explain
     what a stop or a turn does to v_d (decision 0121). None: no other one."""
+
+    @model_serializer(mode="wrap")
+    def _as_before(self, serialize: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Leave out what parameters of before do not state, so that their fingerprint, which is in
+        processed files and their names, stays."""
+        plain: dict[str, Any] = serialize(self)
+        if self.fire_probability_with_x is None:
+            del plain["fire_probability_with_x"]
+        return plain
 
 
 class ImpulseSettings(DetectorSettings):

@@ -9,11 +9,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import signal
 
+from rig.core.settings import fingerprint
 from rig.detector import kernel
 from rig.detector.detector import IncipientSlipDetector
 from rig.detector.events import SlipEvent, unjudged_s
 from rig.detector.network import Network
-from rig.detector.settings import DetectorSettings, named_detectors
+from rig.detector.settings import DetectorSettings, RigSettings, named_detectors
 
 RATE_Hz = 1000.0
 NAMES = ("rig", "paper-literal", "paper-hp", "impulse")
@@ -281,6 +282,15 @@ def test_the_network_of_the_package_fits_the_detector():
     assert network is not None
     assert network.inputs in (kernel.INPUTS, kernel.ADAPTED_INPUTS)
     assert 0 <= network.first_seed <= network.last_seed < 1_000_000
+
+
+def test_parameters_of_earlier_files_keep_their_fingerprint():
+    """Their processed files have it, and their names."""
+    today = named_detectors()["rig"]
+    before = DetectorSettings(network=today.network)
+    read = RigSettings.model_validate_json(before.model_dump_json())
+    assert fingerprint(read) == fingerprint(before) != fingerprint(today)
+    assert RigSettings.model_validate_json(today.model_dump_json()) == today
 
 
 def test_a_network_of_other_inputs_is_refused():
