@@ -217,8 +217,10 @@ def closing_lines(
 
 
 def _has_begun(outcome: RunOutcome) -> bool:
-    """Return whether a run has a journal or a file, or has armed anything."""
-    return bool(outcome.journal or outcome.file or outcome.made_safe)
+    """Return whether a run has a journal, a file or points, also of an earlier attempt, or has
+    armed anything."""
+    recorded = outcome.journal or outcome.file or outcome.points_done
+    return bool(recorded or outcome.made_safe)
 
 
 def _ending(outcome: RunOutcome) -> str:

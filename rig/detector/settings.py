@@ -3,6 +3,7 @@ result."""
 
 from __future__ import annotations
 
+import json
 from functools import lru_cache
 from typing import Any, Literal, Self
 
@@ -121,6 +122,17 @@ class ImpulseSettings(DetectorSettings):
     braking_share: float = Field(0.5, ge=0)
     """... the threshold is higher by this share of the recent level of v_d, which the motion
     takes away."""
+
+
+def settings_from_json(text: str) -> DetectorSettings:
+    """Returns the parameters of a detector of this project from the JSON in a processed file.
+
+    Raises ValueError for a text that is not of such parameters.
+    """
+    stated = json.loads(text)
+    logic = stated.get("logic") if isinstance(stated, dict) else None
+    kind = {"rig": RigSettings, "impulse": ImpulseSettings}.get(str(logic), DetectorSettings)
+    return kind.model_validate_json(text)
 
 
 @lru_cache(maxsize=1)

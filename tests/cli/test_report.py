@@ -61,6 +61,8 @@ def test_a_run_that_was_refused_says_that_it_did_not_begin() -> None:
     assert closing_lines(SlipTrial, outcome, []) == [
         "Failed: the run did not begin, nothing was recorded."
     ]
+    resumed = RunOutcome("failed", ExitCode.INSTRUMENT, 3, 2, simulated=True)
+    assert closing_lines(SlipTrial, resumed, []) == ["Failed: 2 of 3 trials (simulated)."]
 
 
 def test_a_bench_that_is_not_safe_is_not_called_safe() -> None:

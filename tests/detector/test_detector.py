@@ -14,7 +14,12 @@ from rig.detector import kernel
 from rig.detector.detector import IncipientSlipDetector
 from rig.detector.events import SlipEvent, unjudged_s
 from rig.detector.network import Network
-from rig.detector.settings import DetectorSettings, RigSettings, named_detectors
+from rig.detector.settings import (
+    DetectorSettings,
+    RigSettings,
+    named_detectors,
+    settings_from_json,
+)
 
 RATE_Hz = 1000.0
 NAMES = ("rig", "paper-literal", "paper-hp", "impulse")
@@ -290,7 +295,17 @@ def test_parameters_of_earlier_files_keep_their_fingerprint():
     before = DetectorSettings(network=today.network)
     read = RigSettings.model_validate_json(before.model_dump_json())
     assert fingerprint(read) == fingerprint(before) != fingerprint(today)
-    assert RigSettings.model_validate_json(today.model_dump_json()) == today
+    assert settings_from_json(before.model_dump_json()) == read
+
+
+def test_parameters_are_read_as_they_were_written():
+    for settings_ in named_detectors().values():
+        read = settings_from_json(settings_.model_dump_json())
+        assert read == settings_
+        assert type(read) is type(settings_)
+    for text in ("[1]", "{", '{"logic": "rig"}'):
+        with pytest.raises(ValueError):
+            settings_from_json(text)
 
 
 def test_a_network_of_other_inputs_is_refused():

@@ -14,7 +14,7 @@ from typing import get_args
 from rig.core.entry_points import OWN_PACKAGE
 from rig.core.settings import Settings, fingerprint
 from rig.detector.events import EventKind, SlipEvent
-from rig.detector.settings import DetectorSettings
+from rig.detector.settings import settings_from_json
 from rig.files.errors import RunFileError
 from rig.files.hdf5.open_file import OpenFile, definition_of
 from rig.files.hdf5.safe_reading import text_of, texts_of, whole
@@ -70,13 +70,13 @@ class ProcessedFile(OpenFile):
             stated = self.entry["process/program"].attrs
             package = str(stated.get("package", ""))
             own = package in ("", OWN_PACKAGE)
-            kind: type[Settings] = DetectorSettings if own else UnknownSettings
+            read = settings_from_json if own else UnknownSettings.model_validate_json
             return StatedDetector(
                 name=str(stated["detector"]),
                 version=self.version,
                 package=package,
                 package_version=str(stated.get("package_version", "")),
-                settings=kind.model_validate_json(self._text("process/settings/data")),
+                settings=read(self._text("process/settings/data")),
             )
 
     @property
