@@ -131,8 +131,8 @@ def settings_from_json(text: str) -> DetectorSettings:
     """
     stated = json.loads(text)
     logic = stated.get("logic") if isinstance(stated, dict) else None
-    kind = {"rig": RigSettings, "impulse": ImpulseSettings}.get(str(logic), DetectorSettings)
-    return kind.model_validate_json(text)
+    kinds: dict[str, type[DetectorSettings]] = {"rig": RigSettings, "impulse": ImpulseSettings}
+    return kinds.get(str(logic), DetectorSettings).model_validate_json(text)
 
 
 @lru_cache(maxsize=1)

@@ -304,7 +304,7 @@ def test_parameters_are_read_as_they_were_written():
         assert read == settings_
         assert type(read) is type(settings_)
     for text in ("[1]", "{", '{"logic": "rig"}'):
-        with pytest.raises(ValueError):
+        with pytest.raises(ValueError, match=r"validation error|Expecting"):
             settings_from_json(text)
 
 
