@@ -14,6 +14,7 @@ import os
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -40,6 +41,17 @@ def codes(first: int, rows: int) -> npt.NDArray[np.int16]:
     """What the converter gives from one sample on: (rows, 4), each channel counting round."""
     numbers = np.arange(first, first + rows)[:, None] + APART * np.arange(len(CHANNELS))
     return numbers.astype(np.int16)
+
+
+BENCH = """
+name = "stream"
+[fixture]
+mounted = "film-clamp"
+[daq]
+driver = "keysight-u2300a"
+channels = { load_cell = 101, film = 103 }
+resource = "TCPIP0::127.0.0.1::5025::SOCKET"
+"""
 
 
 class Counting:
@@ -81,6 +93,7 @@ def test_a_minute_of_a_million_samples_a_second_loses_none(tmp_path: Path) -> No
     from measured import heading, row
 
     from drivers.keysight_u2300a import driver as keysight_u2300a
+    from rig.bench.plan import parse_bench
     from rig.core.clock import WallClock
     from rig.files.journal.format import Block
     from rig.files.journal.reader import read_journal
@@ -105,7 +118,9 @@ def test_a_minute_of_a_million_samples_a_second_loses_none(tmp_path: Path) -> No
     assert unit.stdin is not None
     assert unit.stdout is not None
     clock = WallClock()
-    bench: Any = SimpleNamespace(clock=clock, plan=SimpleNamespace(instruments=()))
+    # The run needs a bench file; what is measured is the stream of its DAQ alone.
+    plan = replace(parse_bench(BENCH, "bench.toml"), instruments=())
+    bench: Any = SimpleNamespace(clock=clock, plan=plan, settings=plan.settings, instruments={})
     run = Run(None, bench, recorder, {"strips": 0}, 0.0)
     resource = f"TCPIP::127.0.0.1::hislip0,{int(unit.stdout.readline())}::INSTR"
     daq = keysight_u2300a.connect(
