@@ -28,7 +28,7 @@ UNMARKED = ("resource", "host", "port", "unit_id")
 """Settings that form the address where a driver marks none: those of drivers that were written
 before there was a mark."""
 RESOURCE = re.compile(r"ASRL|(\w+-)?(FIREWIRE|GPIB|PXI|TCPIP|USB|VICP|VXI)\d*::", re.IGNORECASE)
-"""Beginning of a VISA resource. ``fe80::1`` is none."""
+"""Beginning of a VISA resource. ``fe80::1`` is not one."""
 SERIAL_PORT = re.compile(r".*/|COM\d+$", re.IGNORECASE)
 """Beginning of a serial port: a path, a URL such as ``socket://HOST:PORT``, or COM5."""
 BY_ID = Path("/dev/serial/by-id")

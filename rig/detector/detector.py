@@ -157,18 +157,16 @@ class IncipientSlipDetector(Detector):
     def network_inputs(self, volts: ArrayLike, moves: Iterable[XMove] = ()) -> NetworkInputs:
         """Returns the inputs of the network over a whole recording (n, 2) in V, in which x was
         commanded to make these moves, for training."""
-        none = NetworkInputs(np.zeros(0, np.int64), np.zeros((0, self._seen.shape[1])))
-        self._seen, self._looked = (
-            np.zeros((_SLICE, self._seen.shape[1])),
-            np.zeros(_SLICE, np.bool_),
-        )
-        self._shown = [none]
+        inputs = self._seen.shape[1]
+        self._seen, self._looked = np.zeros((_SLICE, inputs)), np.zeros(_SLICE, np.bool_)
         for move in moves:
             self.command(move)
         self.add(volts)
+        shown, self._shown = self._shown, []
+        self._seen, self._looked = np.zeros((1, inputs)), np.zeros(0, np.bool_)
         return NetworkInputs(
-            np.concatenate([one.rows for one in self._shown]),
-            np.concatenate([one.inputs for one in self._shown]),
+            np.concatenate([np.zeros(0, np.int64), *(one.rows for one in shown)]),
+            np.concatenate([np.zeros((0, inputs)), *(one.inputs for one in shown)]),
         )
 
     def _advance(self, rows: Reals) -> int:

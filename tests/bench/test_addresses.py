@@ -69,7 +69,7 @@ class Elsewhere(Settings):
     tcp_port: Address[int] = 4001
     bus_number: Address[int | None] = None
     port: str = "A"
-    """The connector of the instrument that is wired, which is no address."""
+    """The connector that is wired; it does not form the address."""
 
 
 def test_an_address_is_what_its_driver_marks() -> None:

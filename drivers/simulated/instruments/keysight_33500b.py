@@ -112,7 +112,7 @@ class ChannelState:
 
 @dataclass(frozen=True)
 class SettingBounds:
-    """SettingBounds of a numeric setting, in displayed units."""
+    """Bounds of a numeric setting, in displayed units."""
 
     low: float
     high: float
