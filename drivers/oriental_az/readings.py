@@ -22,6 +22,7 @@ from drivers.oriental_az.registers import (
     AzPosition,
     AzState,
 )
+from rig.core.clock import Clock
 
 NOT_THERE = (1, 2, 3)
 """Exceptions of a drive that does not have the register. One that cannot answer now sends a 4."""
@@ -30,8 +31,10 @@ NOT_THERE = (1, 2, 3)
 class AzReadings:
     """The readings of one drive."""
 
-    def __init__(self, link: AzLink):
-        self._link = link
+    def __init__(self, link: AzLink, clock: Clock):
+        self._link, self._clock = link, clock
+        self.state_at_s = -1.0
+        """Bench time at which the drive answered with its state for the last time."""
         self._turn = 0
         """Index of the one of two lengths that is next."""
         self._inputs_read = self._torques_read = 0
@@ -49,6 +52,7 @@ class AzReadings:
         words = self._link.read(INPUT_COMMAND, count)
         if count == 4 and words[3] & AzOutput.ALARM:
             words = self._link.read(INPUT_COMMAND, 6)
+        self.state_at_s = self._clock.now()
         return AzState.from_words(words)
 
     def position(self) -> AzPosition:

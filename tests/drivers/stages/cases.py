@@ -69,18 +69,25 @@ class StageCase(ABC):
         """The lock under which the driver's link sends."""
         return self.stage._link._lock
 
+    @property
+    def watches(self) -> tuple[Any, str]:
+        """The object and the name of its method that begins the watch over a motion, which is the
+        last thing that happens before the motion is sent."""
+        return self.stage, "_watch"
+
     @contextmanager
     def before_a_motion_is_sent(self, act: Callable[[], object]) -> Iterator[None]:
         """Do `act` once between the driver's last look at the stage and its command."""
-        usual = self.stage._watch
+        owner, name = self.watches
+        usual = getattr(owner, name)
 
         def watch(*given: Any) -> MotionWatch:
-            made = usual(*given)
-            del self.stage._watch
+            made: MotionWatch = usual(*given)
+            delattr(owner, name)
             act()
             return made
 
-        self.stage._watch = watch
+        setattr(owner, name, watch)
         yield
 
     def after(self, seconds: float, act: Callable[[], object]) -> None:
@@ -135,6 +142,10 @@ class AzCase(StageCase):
     def running(cls, fault: dict[str, Any] | None) -> Iterator[AzCase]:
         with az.service(*([{"device": "stage_z", **fault}] if fault else [])) as it:
             yield cls(it)
+
+    @property
+    def watches(self) -> tuple[Any, str]:
+        return self.stage._axis, "watch"
 
     @property
     def position(self) -> float:
