@@ -27,7 +27,8 @@ a CMMT, and to be tried at the first bench; the code depends on each only where 
 * PNU 11070 is the present torque and PNU 11704 the rated one, in one unit, and the mailbox's first
   five registers can be read in one request (`torque_percent`): the numbers are the vendor's, what
   the values are is taken from their names. A drive that refuses either has no torque to watch;
-* the task's acknowledgement, ZSW1.12, stands as long as the task is in force (`_require_task`);
+* the task's acknowledgement, ZSW1.12, stands as long as the task is in force
+  (`CmmtWatch.require_task`);
 * "homing" falls by itself when the reference is found (`home`);
 * 20 ms of a standing reject bit are enough for the drive to see it (`REJECT_HOLD_S`).
 
@@ -37,19 +38,16 @@ on it; `make_safe` is a controlled stop under power.
 
 from __future__ import annotations
 
-import contextlib
 import math
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 from drivers.festo_cmmt.frames import (
-    IMAGE_REGISTERS,
     Inputs,
     Outputs,
     PosStw1,
     PosZsw1,
-    PosZsw2,
     Stw1,
     Zsw1,
 )
@@ -62,7 +60,7 @@ from drivers.festo_cmmt.images import (
     gives_way,
     task_is_taken,
 )
-from drivers.festo_cmmt.link import INPUT_IMAGE, OUTPUT_IMAGE, CmmtLink
+from drivers.festo_cmmt.link import OUTPUT_IMAGE, CmmtLink
 from drivers.festo_cmmt.preparation import (
     TORQUE,
     ask_serial_number,
@@ -74,19 +72,17 @@ from drivers.festo_cmmt.preparation import (
     set_limits,
 )
 from drivers.festo_cmmt.reader import CmmtReader
-from drivers.festo_cmmt.settings import COMMUNICATION_FAULT, FestoCmmtSettings, fault_in_words
+from drivers.festo_cmmt.settings import COMMUNICATION_FAULT, FestoCmmtSettings
+from drivers.festo_cmmt.watch import LOOK, SETTLING_S, CmmtWatch
 from drivers.shared.stage import (
     MotionRefusedError,
-    MotionWatch,
     StageInterlock,
     Ticket,
-    TravelBound,
     opened,
     prepared,
     stop_and_close,
 )
 from rig.core.clock import Clock, WallClock
-from rig.core.errors import InstrumentError
 from rig.instruments.roles import Identity, LastSeen, Reach
 
 ROLES = ("stage_z", "stage_x")
@@ -96,11 +92,6 @@ Settings = FestoCmmtSettings
 """The settings of a bench file, under the name by which the bench asks any driver for them."""
 
 POLL_S = 0.002
-JUST_SEEN_S = 0.01
-"""Age in s up to which an answer of the drive is used again, one tick at 100 Hz: a caller that
-sends targets at that rate has polled the axis anyway, and a faster one need not poll more often.
-For that long a new target may override a stop by another client; a drive with a fault accepts no
-target."""
 ARRIVAL_POLL_S = 0.02
 KEEP_ALIVES_PER_TIMEOUT = 20
 """Number of keep-alives within one communication time-out."""
@@ -112,11 +103,6 @@ UPDATES_Hz = 1000.0
 """Targets a second: a poll and a new target take less than a millisecond on this link."""
 REJECT_HOLD_S = 0.02
 """Time in s for which a stop is held before it may be lifted: many of the drive's cycles."""
-SETTLING_S = 1.0
-"""Time in s that a motion may take longer than its profile."""
-MAX_OVERTRAVEL_mm = 0.1
-"""Largest distance beyond its target at which an axis may be seen that has started from rest: many
-times the overshoot of a drive, and less than the distance to any obstacle."""
 
 
 class FestoAxis:
@@ -139,23 +125,7 @@ class FestoAxis:
         )
         self._identity: Identity | None = None
         self._interlock = StageInterlock(self._device)
-        self._in_charge = False
-        """True if this connection has taken the drive over: from then on its faults are ours."""
-        self._reported_fault = 0
-        """The fault that has been raised already; `keep_alive` does not raise it again."""
-        self._seen = Inputs()
-        self._seen_at_s = -1.0
-        self._asked_at_s = -1.0
-        self._motion: MotionWatch | None = None
-        """The task under way; None if there is none. Another thread's stop clears it."""
-        self._travel = TravelBound(
-            "mm",
-            settings.max_speed_mm_s,
-            settings.low_limit_mm,
-            settings.high_limit_mm,
-        )
-        self._acknowledged = False
-        """True if the drive has shown that it has taken that task."""
+        self._axis = CmmtWatch(self._link, self._interlock, self._send_stop, settings, clock)
         self._rated_torque: float | None = None
         """Rated torque in the drive's unit; None where it does not report its torque."""
 
@@ -180,25 +150,24 @@ class FestoAxis:
     @property
     def misreadings(self) -> int:
         """See `CountsMisreadings`."""
-        return self._travel.misreadings
+        return self._axis.travel.misreadings
 
     def last_seen(self) -> LastSeen | None:
         """See `RemembersPosition`."""
-        seen_s = self._seen_at_s
-        return None if seen_s < 0 else LastSeen(self._mm(self._seen.position), seen_s, seen_s)
+        return self._axis.last_seen()
 
     def homed(self) -> bool:
         """Return whether the drive knows where it is (ZSW1.11)."""
-        return Zsw1.HOMED in self._poll().zsw1
+        return Zsw1.HOMED in self._axis.sound().zsw1
 
     def home(self) -> None:
         """Find the reference by the method in the drive's parameters, and wait for it."""
         ticket = self._interlock.ticket()
         self._take_charge(ticket)
-        self._travel.forget()
+        self._axis.travel.forget()
         self._halt()  # homing begins with a rising bit: it must have been low
         ticket = ticket.after_own_stop()
-        was_homed = Zsw1.HOMED in self._seen.zsw1
+        was_homed = Zsw1.HOMED in self._axis.seen.zsw1
         self._send(replace(at_rest(self._settings), stw1=HOME), ticket, "home")
         self._await(
             "home",
@@ -219,11 +188,11 @@ class FestoAxis:
             ARRIVAL_POLL_S,
         )
         self._end_motion(ticket, "home")
-        self._travel.forget()
+        self._axis.travel.forget()
 
     def position_mm(self) -> float:
         """Return the measured position."""
-        return self._poll().position * self._settings.position_unit_mm
+        return self._axis.sound().position * self._settings.position_unit_mm
 
     def start_move(self, position_mm: float, speed_mm_s: float) -> None:
         """Begin to move there, or change the target of the motion under way.
@@ -241,15 +210,13 @@ class FestoAxis:
         reach = self.reach()
         reach["position"].require(self._device, "position", position_mm)
         reach["speed"].require(self._device, "speed", speed_mm_s)
-        fresh = self._motion is None or not self._acknowledged
+        fresh = self._axis.motion is None or not self._axis.acknowledged
         if fresh:
             self._prepare_task(ticket)
         else:
             self._interlock.require_armed("move")
-            just_seen = self._clock.now() - self._seen_at_s < JUST_SEEN_S
-            self._require_task(self._seen if just_seen else self._poll())
+            self._axis.require_task()
         target = round(position_mm / own.position_unit_mm)
-        motion = self._watch(target, speed_mm_s, fresh)
         wish = replace(
             at_rest(own),
             stw1=TASK,
@@ -257,55 +224,24 @@ class FestoAxis:
             target=target,
             speed=round(speed_mm_s / own.speed_unit_mm_s),
         )
-        # Set before it is sent: a task whose answer is lost has to be watched all the same.
-        self._motion, self._acknowledged = motion, not fresh
+        # Before it is sent: a task whose answer is lost has to be watched all the same.
+        self._axis.watch(target, speed_mm_s, fresh)
         try:
             self._send(wish, ticket, "move")
         except MotionRefusedError:
-            self._motion = None
+            self._axis.motion = None
             raise
         if fresh:
             self._await(
                 "move", ticket, task_is_taken, ACKNOWLEDGE_TIMEOUT_S, "did not take the task"
             )
-            self._acknowledged = True
+            self._axis.acknowledged = True
         return ticket
-
-    def _watch(self, target: int, speed_mm_s: float, fresh: bool) -> MotionWatch:
-        """Return a watch over a motion to `target` from the last known position."""
-        own = self._settings
-        distance_mm = abs(self._mm(target - self._seen.position))
-        ramps_s = 4 * own.max_speed_mm_s / min(own.acceleration_mm_s2, own.deceleration_mm_s2)
-        # An axis that moves already may have to pass the new target, brake and come back.
-        braking_mm = 0.0 if fresh else own.max_speed_mm_s**2 / (2 * own.deceleration_mm_s2)
-        return MotionWatch.towards(
-            self._mm(target),
-            self._mm(self._seen.position),
-            MAX_OVERTRAVEL_mm + braking_mm,
-            distance_mm / speed_mm_s + ramps_s + SETTLING_S,
-            self._clock.now(),
-        )
 
     def moving(self) -> bool:
         """Return whether a motion is under way; raises InstrumentError for a fault and for a motion
         that was not ended by us."""
-        seen = self._poll()
-        self._interlock.require_armed("move")
-        motion = self._motion  # another thread may stop the axis
-        if motion is None:
-            return Zsw1.STOPPED not in seen.zsw1
-        if self._arrived(seen, motion):
-            return False
-        if self._acknowledged:
-            self._require_task(seen)
-        if self._clock.now() > motion.arrive_by_s:
-            raise self._error(
-                "move",
-                f"stands at {self._mm(seen.position):g} mm and has not arrived at "
-                f"{motion.target:g} mm",
-                "check what blocks the axis; the motion may still be under way",
-            )
-        return True
+        return self._axis.moves()
 
     def move_to(self, position_mm: float, speed_mm_s: float) -> None:
         """Move there, wait, verify by measured position, and end the task.
@@ -326,17 +262,17 @@ class FestoAxis:
 
     def fault(self) -> str | None:
         """See `ReportsFault`."""
-        seen = self._read()
-        return self._fault_in_words(seen)[0] if Zsw1.FAULT in seen.zsw1 else None
+        seen = self._axis.read()
+        return self._axis.fault_in_words(seen)[0] if Zsw1.FAULT in seen.zsw1 else None
 
     def acknowledge_timeout(self) -> bool:
         """See `LinearStage`. The next motion opens a new connection, which sets the time-out again,
         takes charge of the drive anew and acknowledges the fault on the way."""
-        seen = self._read()
+        seen = self._axis.read()
         if Zsw1.FAULT not in seen.zsw1 or seen.fault != COMMUNICATION_FAULT:
             return False
         self._link.close()
-        self._in_charge, self._reported_fault = False, 0
+        self._axis.in_charge, self._axis.reported_fault = False, 0
         return True
 
     def torque_percent(self) -> float | None:
@@ -345,7 +281,7 @@ class FestoAxis:
             return None
         torque = real(self._link.watched_parameter(TORQUE))
         if not math.isfinite(torque):
-            raise self._error(f"read parameter {TORQUE}", f"its torque is {torque}", _LOOK)
+            raise self._axis.error(f"read parameter {TORQUE}", f"its torque is {torque}", LOOK)
         return 100 * torque / self._rated_torque
 
     def keep_alive(self) -> None:
@@ -353,14 +289,8 @@ class FestoAxis:
         done. Raises InstrumentError for what ended a motion, and for a fault once, when it
         appears."""
         every_s = self._settings.communication_timeout_ms * 1e-3 / KEEP_ALIVES_PER_TIMEOUT
-        if self._link.charging or self._clock.now() - self._seen_at_s < every_s:
-            return
-        seen = self._read()
-        if not self._in_charge or Zsw1.FAULT not in seen.zsw1:
-            self._reported_fault = 0
-        elif self._interlock.is_stopping or seen.fault == self._reported_fault:
-            return
-        self._require_sound(seen)
+        if not self._link.charging and self._axis.age_s >= every_s:
+            self._axis.keep_alive()
 
     def make_safe(self) -> None:
         """Command a controlled stop and verify that the drive has taken it.
@@ -375,9 +305,9 @@ class FestoAxis:
     def _command_stop(self) -> None:
         give_up = time.monotonic() + self._settings.timeout_s
         self._send_stop(charge=False)
-        while not gives_way(self._read(charge=False)):
+        while not gives_way(self._axis.read(charge=False)):
             if time.monotonic() > give_up:
-                raise self._error("make safe", "did not take the stop", _LOOK)
+                raise self._axis.error("make safe", "did not take the stop", LOOK)
 
     def close(self) -> None:
         """Close the connection; the drive meets its communication time-out and holds."""
@@ -392,14 +322,14 @@ class FestoAxis:
         self._link.watch(self._settings.communication_timeout_ms)
         check_telegram(self._link)
         check_units(self._link, self._settings)
-        if Zsw1.OPERATION_ENABLED in self._read().zsw1:
+        if Zsw1.OPERATION_ENABLED in self._axis.read().zsw1:
             self._halt()
         set_limits(self._link, self._settings)
         self._rated_torque = read_rated_torque(self._link)
 
     def stop_and_wait(self) -> None:
         """Stop and wait for rest; a drive without power is only watched."""
-        if Zsw1.OPERATION_ENABLED in self._read().zsw1:
+        if Zsw1.OPERATION_ENABLED in self._axis.read().zsw1:
             self._halt()
         else:
             self._await_rest()
@@ -409,15 +339,15 @@ class FestoAxis:
     def _take_charge(self, ticket: Ticket) -> None:
         """Take control, acknowledge old faults once and switch the power on, unless it is on."""
         self._interlock.require_armed("switch on")
-        seen = self._poll()
+        seen = self._axis.sound()
         if Zsw1.OPERATION_ENABLED in seen.zsw1:
-            self._in_charge = True
+            self._axis.in_charge = True
             return
         off = replace(at_rest(self._settings), stw1=POWER_OFF)
         self._send(off, ticket, "switch on")
         if Zsw1.FAULT in seen.zsw1:
             self._acknowledge(off, ticket)
-        self._in_charge = True
+        self._axis.in_charge = True
         self._await(
             "switch on",
             ticket,
@@ -439,9 +369,9 @@ class FestoAxis:
         pulse = replace(off, stw1=off.stw1 | Stw1.ACKNOWLEDGE_FAULT)
         self._send(pulse, ticket, "switch on")
         give_up = self._clock.now() + FAULT_TIMEOUT_S
-        while Zsw1.FAULT in (seen := self._read()).zsw1:
+        while Zsw1.FAULT in (seen := self._axis.read()).zsw1:
             if self._clock.now() > give_up:
-                raise self._fault(seen)
+                raise self._axis.faulty(seen)
             self._clock.sleep(POLL_S)
         self._send(off, ticket, "switch on")
 
@@ -449,9 +379,9 @@ class FestoAxis:
         """Check before the first write of a task that the power is on, the axis is homed, and no
         old task is still acknowledged."""
         self._take_charge(ticket)
-        if Zsw1.HOMED not in self._poll().zsw1:
-            raise self._error("move", "the axis has not been homed", "home it first")
-        if Zsw1.TASK_ACKNOWLEDGED in self._seen.zsw1:  # the task bit has to be low to rise
+        if Zsw1.HOMED not in self._axis.sound().zsw1:
+            raise self._axis.error("move", "the axis has not been homed", "home it first")
+        if Zsw1.TASK_ACKNOWLEDGED in self._axis.seen.zsw1:  # the task bit has to be low to rise
             self._send(at_rest(self._settings), ticket, "move")
             self._await(
                 "move",
@@ -466,7 +396,7 @@ class FestoAxis:
     def _halt(self, rearm: bool = False) -> None:
         """Stop and wait for rest; faults are not reported meanwhile."""
         with self._interlock.stopping(rearm):
-            self._motion = None
+            self._axis.motion = None
             self._send_stop()
             self._clock.sleep(REJECT_HOLD_S)
             self._await_rest()
@@ -481,15 +411,15 @@ class FestoAxis:
     def _await_rest(self) -> None:
         longest = self._settings.max_speed_mm_s / self._settings.deceleration_mm_s2 + SETTLING_S
         give_up = self._clock.now() + longest
-        while Zsw1.STOPPED not in self._read().zsw1:
+        while Zsw1.STOPPED not in self._axis.read().zsw1:
             if self._clock.now() > give_up:
-                raise self._error("stop", f"is still moving after {longest:g} s", _LOOK)
+                raise self._axis.error("stop", f"is still moving after {longest:g} s", LOOK)
             self._clock.sleep(POLL_S)
 
     def _stopping(self) -> Outputs:
         """Return the image that stops the axis. It neither takes power from an axis that has it,
         which may hang by it, nor gives power to one that has none."""
-        powered = Zsw1.OPERATION_ENABLED in self._seen.zsw1
+        powered = Zsw1.OPERATION_ENABLED in self._axis.seen.zsw1
         return replace(at_rest(self._settings), stw1=STOP if powered else POWER_OFF)
 
     # --- one exchange -------------------------------------------------------------------------
@@ -505,30 +435,6 @@ class FestoAxis:
     def _send_stop(self, charge: bool = True) -> None:
         self._link.write(OUTPUT_IMAGE, self._stopping().registers(), charge)
 
-    def _read(self, charge: bool = True) -> Inputs:
-        """Read the drive's state, and once more where the axis cannot be where it says."""
-        if not self._in_charge:
-            return self._look(charge)
-        return self._travel.settled(
-            lambda: self._look(charge),
-            lambda seen: self._mm(seen.position),
-            self._clock.now,
-            self._motion,
-        )
-
-    def _look(self, charge: bool) -> Inputs:
-        self._asked_at_s = self._clock.now()
-        registers = self._link.read(INPUT_IMAGE, IMAGE_REGISTERS, charge)
-        self._seen = Inputs.from_registers(registers)
-        self._seen_at_s = self._clock.now()
-        return self._seen
-
-    def _poll(self) -> Inputs:
-        """Read the drive's state; raises as `_require_sound` does."""
-        seen = self._read()
-        self._require_sound(seen)
-        return seen
-
     def _await(
         self,
         command: str,
@@ -540,97 +446,11 @@ class FestoAxis:
     ) -> None:
         """Poll until the drive's state meets the condition; a stop by another thread raises."""
         give_up = self._clock.now() + timeout_s
-        while not condition(self._poll()):
+        while not condition(self._axis.sound()):
             self._interlock.permit(ticket, command)
             if self._clock.now() > give_up:
-                raise self._error(command, f"{otherwise} within {timeout_s:g} s", _LOOK)
+                raise self._axis.error(command, f"{otherwise} within {timeout_s:g} s", LOOK)
             self._clock.sleep(poll_s)
-
-    # --- judging ------------------------------------------------------------------------------
-
-    def _require_sound(self, seen: Inputs) -> None:
-        """Raise InstrumentError, once this connection is in charge, for a fault or for anything
-        that has ended the task under way."""
-        if not self._in_charge:
-            return
-        if Zsw1.FAULT in seen.zsw1:
-            self._reported_fault = seen.fault
-            raise self._fault(seen)
-        motion = self._motion  # another thread may stop the axis
-        wrong = self._travel.judge(
-            self._mm(seen.position), self._asked_at_s, self._clock.now(), motion
-        )
-        if motion is None:
-            return
-        if Zsw1.OPERATION_ENABLED not in seen.zsw1:
-            self._motion = None
-            raise self._error("move", "the drive has switched its power off", _LOOK)
-        if Zsw1.HOMED not in seen.zsw1:
-            self._motion = None
-            raise self._error("move", "the axis has lost its reference", "home it again")
-        if task_is_taken(seen) and PosZsw2.FIXED_STOP_REACHED in seen.pos_zsw2:
-            self._end_at_fixed_stop(seen, motion)
-        if wrong is not None:
-            self._end_wrong_motion(wrong)
-
-    def _require_task(self, seen: Inputs) -> None:
-        """Require that the task under way is still in force: a new target must not override a stop
-        that another client commanded."""
-        if not task_is_taken(seen):
-            self._motion = None
-            raise self._error("move", _STOPPED_BY_OTHERS, _LOOK)
-
-    def _arrived(self, seen: Inputs, motion: MotionWatch) -> bool:
-        """Return whether the target is reached by position too: the bit may still be the last
-        target's."""
-        missing_mm = abs(self._mm(seen.position) - motion.target)
-        within = missing_mm <= self._settings.position_tolerance_mm
-        return Zsw1.TARGET_REACHED in seen.zsw1 and within
-
-    def _end_at_fixed_stop(self, seen: Inputs, motion: MotionWatch) -> None:
-        """Stop pushing and raise, because the torque limit has held the axis back."""
-        with contextlib.suppress(InstrumentError):  # the torque limit is what has to be reported
-            self._send_stop()
-        self._motion = None
-        raise self._error(
-            "move",
-            f"stopped by its torque limit at {self._mm(seen.position):g} mm on the way to "
-            f"{motion.target:g} mm",
-            "something is in the way; if it belongs there, raise torque_limit_percent",
-        )
-
-    def _end_wrong_motion(self, wrong: str) -> None:
-        """The axis is not where it can be: stop it, then raise."""
-        with contextlib.suppress(InstrumentError):  # `wrong` is what has to be reported
-            self._send_stop()
-        self._motion = None
-        raise self._error(
-            "move", wrong, "look at the encoder and at the drive's settings before it moves again"
-        )
-
-    def _mm(self, counts: int) -> float:
-        return counts * self._settings.position_unit_mm
-
-    def _fault(self, seen: Inputs) -> InstrumentError:
-        self._motion = None
-        return self._error("drive fault", *self._fault_in_words(seen))
-
-    def _fault_in_words(self, seen: Inputs) -> tuple[str, str]:
-        """Return number with meaning, and remedy, of the fault that the drive shows."""
-        meaning, remedy = fault_in_words(seen.fault)
-        if seen.fault == COMMUNICATION_FAULT:
-            timeout_s = self._settings.communication_timeout_ms * 1e-3
-            meaning += f"; {self._link.requests.whose_silence(timeout_s)}"
-        return f"{seen.fault} ({meaning})", remedy
-
-    def _error(self, command: str, cause: str, hint: str) -> InstrumentError:
-        return InstrumentError(self._device, command, cause, hint)
-
-
-_LOOK = "check the drive's display and the axis"
-_STOPPED_BY_OTHERS = (
-    "the motion was stopped, not by this run (make-safe from another terminal, or the drive itself)"
-)
 
 
 def connect(settings: FestoCmmtSettings, clock: Clock) -> FestoAxis:

@@ -25,7 +25,7 @@ AZD-KD in use), pages of HM-60262E. Not confirmed on an AZ, and to be tried at t
 * an unknown register is refused with exception 02 (`identify`);
 * speed is in steps/s, rates in steps/s2 (`motions.operation`);
 * time-out, limits and overtravel take effect at once, without the command "configuration";
-* MOVE shows within `BEGIN_S` after a start (`WatchedAxis.moves`);
+* MOVE shows within `BEGIN_S` after a start (`AzWatch.moves`);
 * outputs are assigned as at the factory;
 * HOME-END falls when homing begins and rises when it is over (`home`);
 * the register of the operating current reads back what the latest motion was sent with (`_start`).
@@ -57,7 +57,7 @@ from drivers.oriental_az.registers import (
 )
 from drivers.oriental_az.settings import COMMUNICATION_ALARM, OrientalAzSettings
 from drivers.oriental_az.stop_input import LOOK, POLL_S, StopInput
-from drivers.oriental_az.watched import OVERDUE, WatchedAxis
+from drivers.oriental_az.watch import OVERDUE, AzWatch
 from drivers.shared.stage import (
     MotionRefusedError,
     StageInterlock,
@@ -101,7 +101,7 @@ class AzAxis:
         self._readings = AzReadings(self._link, clock)
         self._interlock = StageInterlock(self._device)
         self._stop = StopInput(self._link, self._readings, settings, clock)
-        self._axis = WatchedAxis(
+        self._axis = AzWatch(
             self._link, self._readings, self._stop, self._interlock, settings, clock
         )
         self._current_checked = False

@@ -24,7 +24,7 @@ import numpy as np
 import pytest
 from measured import heading, repeats, row, target
 
-from drivers.festo_cmmt.driver import FestoAxis
+from drivers.festo_cmmt.watch import CmmtWatch
 from rig.bench.limits import GuardedGenerator
 from rig.bench.plan import read_bench
 from rig.control.tick_loop import tick_loop
@@ -127,7 +127,7 @@ def test_what_safety_costs_a_tick(rig, monkeypatch):
     serving = rig.start("simulate", "--fixture", "plate", "--write", str(path))
     serving.wait_for("in real time")
     plan, clock, done = read_bench(path), WallClock(), Counter()
-    counted(monkeypatch, done, FestoAxis, "_read", "drives read")
+    counted(monkeypatch, done, CmmtWatch, "read", "drives read")
     counted(monkeypatch, done, GuardLink, "beat", "heartbeats")
     counted(monkeypatch, done, StopFlag, "check", "looks for a stop request")
     procedure = Ticking(done)

@@ -73,7 +73,7 @@ class StageCase(ABC):
     def watches(self) -> tuple[Any, str]:
         """The object and the name of its method that begins the watch over a motion, which is the
         last thing that happens before the motion is sent."""
-        return self.stage, "_watch"
+        return self.stage._axis, "watch"
 
     @contextmanager
     def before_a_motion_is_sent(self, act: Callable[[], object]) -> Iterator[None]:
@@ -144,10 +144,6 @@ class AzCase(StageCase):
             yield cls(it)
 
     @property
-    def watches(self) -> tuple[Any, str]:
-        return self.stage._axis, "watch"
-
-    @property
     def position(self) -> float:
         return self._it.z.position_mm(self._it.bench.now_us)
 
@@ -189,6 +185,10 @@ class ZaberCase(StageCase):
 
     def seen(self) -> float:
         return self.stage.angle_deg()
+
+    @property
+    def watches(self) -> tuple[Any, str]:
+        return self.stage, "_watch"
 
     @property
     def position(self) -> float:

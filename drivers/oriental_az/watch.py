@@ -25,7 +25,7 @@ MAX_OVERTRAVEL_mm = 0.1
 """Largest distance beyond its target at which an axis may be seen that has started from rest."""
 
 
-class WatchedAxis:
+class AzWatch:
     """The axis as its drive shows it. Any thread may read it; another one may stop the axis
     meanwhile, which drops `motion`."""
 
