@@ -81,9 +81,9 @@ class InterlockWatch:
         self._failed: dict[str, str] = {}
         """Reason why an instrument's inputs could not be read the last time, by role."""
         self._reasons: dict[str, str] = {}
+        """Reason why each latched contact is latched, in words."""
         self._unread: set[str] = set()
         """Contacts that count as open because they could not be read."""
-        """Reason why each latched contact is latched, in words."""
         self._proving: str | None = None
         """Contact whose proof test is under way: it is opened on purpose."""
         self._told: set[str] = set()
