@@ -68,7 +68,8 @@ class Detector(ABC):
         """Voltage at which a channel counts as saturated, so that resampling keeps it so."""
         self._rows = 0
         self._begun = False
-        self._x_mm_s = 0.0
+        self._x_mm_s: float | None = None
+        """Commanded speed of x; None before the first command."""
         self._changes: deque[tuple[int, float]] = deque()
 
     @classmethod
@@ -108,7 +109,8 @@ class Detector(ABC):
         self, before_mm_s: float, after_mm_s: float
     ) -> None:
         """Called before the row at which the commanded speed of x changes, in a trial of which the
-        commands are known. Optional: it does nothing."""
+        commands are known; and after `reset` with the speed that x has, twice, once it has had a
+        command. Optional: it does nothing."""
 
     def end(self) -> list[SlipEvent]:
         """Returns the events due at the end of a recording. `row` of `event` must then be -1."""
@@ -156,6 +158,8 @@ class Detector(ABC):
         if not self._begun:
             self.reset()
             self._begun = True
+            if self._x_mm_s is not None:  # rows are missing, not commands
+                self.commanded(self._x_mm_s, self._x_mm_s)
         # Cut where the commanded motion changes: a detector's events do not depend on cuts.
         first, end = self._rows, self._rows + len(rows)
         while self._changes and self._changes[0][0] < end:
@@ -163,7 +167,7 @@ class Detector(ABC):
             sample = max(sample, self._rows)  # behind a gap it may be past
             events += self.judge(rows[self._rows - first : sample - first])
             self._rows = sample
-            self.commanded(self._x_mm_s, speed_mm_s)
+            self.commanded(self._x_mm_s or 0.0, speed_mm_s)
             self._x_mm_s = speed_mm_s
         events += self.judge(rows[self._rows - first :])
         self._rows = end

@@ -11,7 +11,7 @@ import pytest
 from rig.core.settings import Settings
 from rig.detector.commands import XMove, from_text, to_text
 from rig.detector.contract import Detector
-from rig.detector.detector import IncipientSlipDetector
+from rig.detector.detector import IncipientSlipDetector, NETWORK_RATE_Hz
 from rig.detector.events import SlipEvent
 from rig.detector.registered import ChosenDetector
 from rig.detector.resampling import ResampledDetector
@@ -93,6 +93,33 @@ def test_a_move_that_is_told_late_begins_with_the_next_row():
     detector.command(XMove(100, 0.5, 200))
     detector.add(np.zeros((250, 2)))
     assert detector.changes == [(250, 0.0, 0.5), (251, 0.5, 0.0)]
+
+
+def test_after_missing_rows_the_speed_is_still_known_and_what_was_due_meanwhile_is_done():
+    detector = Listener(Settings(), RATE_Hz)
+    detector.command(XMove(100, 0.5, 900))
+    heard = []
+    for first in (0, 300, 1000):  # from 250 to 300 and from 350 to 1000 rows are missing
+        detector.add(np.zeros((50, 2) if first else (250, 2)), first_sample=first)
+        heard.append(detector.changes)
+    assert heard == [[(100, 0.0, 0.5)], [(300, 0.5, 0.5)], [(1000, 0.5, 0.5), (1000, 0.5, 0.0)]]
+
+
+def test_without_a_command_missing_rows_make_none():
+    detector = Listener(Settings(), RATE_Hz)
+    detector.add(np.zeros((250, 2)), first_sample=0)
+    detector.add(np.zeros((50, 2)), first_sample=300)
+    assert detector.changes == []
+
+
+def test_the_network_sees_the_speed_of_x_after_missing_rows():
+    rig = IncipientSlipDetector(named_detectors()["rig"], NETWORK_RATE_Hz)
+    rig.command(XMove(100, 0.5, 90_000))
+    rig.add(np.zeros((2000, 2)), first_sample=0)
+    rig.add(np.zeros((200, 2)), first_sample=2400)
+    state = rig._state[0]
+    assert (state["x_known"], state["x_speed"]) == (1, 0.5)
+    assert (state["x_started"], state["x_braked"]) == (0.0, 0.0), "it goes as it went"
 
 
 def test_a_move_goes_through_a_check_and_to_the_rows_of_another_rate(
