@@ -125,7 +125,7 @@ class FestoAxis:
         )
         self._identity: Identity | None = None
         self._interlock = StageInterlock(self._device)
-        self._axis = CmmtWatch(self._link, self._interlock, self._send_stop, settings, clock)
+        self._watch = CmmtWatch(self._link, self._interlock, self._send_stop, settings, clock)
         self._rated_torque: float | None = None
         """Rated torque in the drive's unit; None where it does not report its torque."""
 
@@ -150,24 +150,24 @@ class FestoAxis:
     @property
     def misreadings(self) -> int:
         """See `CountsMisreadings`."""
-        return self._axis.travel.misreadings
+        return self._watch.travel.misreadings
 
     def last_seen(self) -> LastSeen | None:
         """See `RemembersPosition`."""
-        return self._axis.last_seen()
+        return self._watch.last_seen()
 
     def homed(self) -> bool:
         """Return whether the drive knows where it is (ZSW1.11)."""
-        return Zsw1.HOMED in self._axis.sound().zsw1
+        return Zsw1.HOMED in self._watch.sound().zsw1
 
     def home(self) -> None:
         """Find the reference by the method in the drive's parameters, and wait for it."""
         ticket = self._interlock.ticket()
         self._take_charge(ticket)
-        self._axis.travel.forget()
+        self._watch.travel.forget()
         self._halt()  # homing begins with a rising bit: it must have been low
         ticket = ticket.after_own_stop()
-        was_homed = Zsw1.HOMED in self._axis.seen.zsw1
+        was_homed = Zsw1.HOMED in self._watch.seen.zsw1
         self._send(replace(at_rest(self._settings), stw1=HOME), ticket, "home")
         self._await(
             "home",
@@ -188,19 +188,20 @@ class FestoAxis:
             ARRIVAL_POLL_S,
         )
         self._end_motion(ticket, "home")
-        self._axis.travel.forget()
+        self._watch.travel.forget()
 
     def position_mm(self) -> float:
         """Return the measured position."""
-        return self._axis.sound().position * self._settings.position_unit_mm
+        return self._watch.sound().position * self._settings.position_unit_mm
 
     def start_move(self, position_mm: float, speed_mm_s: float) -> None:
         """Begin to move there, or change the target of the motion under way.
 
         A running task is changed by one read and one write. The read ends a motion that met a
-        fault, the torque limit or another client's stop; what was read within `JUST_SEEN_S` before
-        is not read again. Raises LimitError outside `reach`, and InstrumentError with nothing sent
-        where another thread stops the axis or makes it safe meanwhile.
+        fault, the torque limit or another client's stop; what was read within
+        `CmmtWatch.require_task`'s time before is not read again. Raises LimitError outside `reach`,
+        and InstrumentError with nothing sent where another thread stops the axis or makes it safe
+        meanwhile.
         """
         self._start(position_mm, speed_mm_s)
 
@@ -210,12 +211,12 @@ class FestoAxis:
         reach = self.reach()
         reach["position"].require(self._device, "position", position_mm)
         reach["speed"].require(self._device, "speed", speed_mm_s)
-        fresh = self._axis.motion is None or not self._axis.acknowledged
+        fresh = self._watch.motion is None or not self._watch.acknowledged
         if fresh:
             self._prepare_task(ticket)
         else:
             self._interlock.require_armed("move")
-            self._axis.require_task()
+            self._watch.require_task()
         target = round(position_mm / own.position_unit_mm)
         wish = replace(
             at_rest(own),
@@ -225,23 +226,23 @@ class FestoAxis:
             speed=round(speed_mm_s / own.speed_unit_mm_s),
         )
         # Before it is sent: a task whose answer is lost has to be watched all the same.
-        self._axis.watch(target, speed_mm_s, fresh)
+        self._watch.begin(target, speed_mm_s, fresh)
         try:
             self._send(wish, ticket, "move")
         except MotionRefusedError:
-            self._axis.motion = None
+            self._watch.motion = None
             raise
         if fresh:
             self._await(
                 "move", ticket, task_is_taken, ACKNOWLEDGE_TIMEOUT_S, "did not take the task"
             )
-            self._axis.acknowledged = True
+            self._watch.acknowledged = True
         return ticket
 
     def moving(self) -> bool:
         """Return whether a motion is under way; raises InstrumentError for a fault and for a motion
         that was not ended by us."""
-        return self._axis.moves()
+        return self._watch.moves()
 
     def move_to(self, position_mm: float, speed_mm_s: float) -> None:
         """Move there, wait, verify by measured position, and end the task.
@@ -262,17 +263,17 @@ class FestoAxis:
 
     def fault(self) -> str | None:
         """See `ReportsFault`."""
-        seen = self._axis.read()
-        return self._axis.fault_in_words(seen)[0] if Zsw1.FAULT in seen.zsw1 else None
+        seen = self._watch.read()
+        return self._watch.fault_in_words(seen)[0] if Zsw1.FAULT in seen.zsw1 else None
 
     def acknowledge_timeout(self) -> bool:
         """See `LinearStage`. The next motion opens a new connection, which sets the time-out again,
         takes charge of the drive anew and acknowledges the fault on the way."""
-        seen = self._axis.read()
+        seen = self._watch.read()
         if Zsw1.FAULT not in seen.zsw1 or seen.fault != COMMUNICATION_FAULT:
             return False
         self._link.close()
-        self._axis.in_charge, self._axis.reported_fault = False, 0
+        self._watch.in_charge, self._watch.reported_fault = False, 0
         return True
 
     def torque_percent(self) -> float | None:
@@ -281,7 +282,7 @@ class FestoAxis:
             return None
         torque = real(self._link.watched_parameter(TORQUE))
         if not math.isfinite(torque):
-            raise self._axis.error(f"read parameter {TORQUE}", f"its torque is {torque}", LOOK)
+            raise self._watch.error(f"read parameter {TORQUE}", f"its torque is {torque}", LOOK)
         return 100 * torque / self._rated_torque
 
     def keep_alive(self) -> None:
@@ -289,8 +290,8 @@ class FestoAxis:
         done. Raises InstrumentError for what ended a motion, and for a fault once, when it
         appears."""
         every_s = self._settings.communication_timeout_ms * 1e-3 / KEEP_ALIVES_PER_TIMEOUT
-        if not self._link.charging and self._axis.age_s >= every_s:
-            self._axis.keep_alive()
+        if not self._link.charging and self._watch.age_s >= every_s:
+            self._watch.keep_alive()
 
     def make_safe(self) -> None:
         """Command a controlled stop and verify that the drive has taken it.
@@ -305,9 +306,9 @@ class FestoAxis:
     def _command_stop(self) -> None:
         give_up = time.monotonic() + self._settings.timeout_s
         self._send_stop(charge=False)
-        while not gives_way(self._axis.read(charge=False)):
+        while not gives_way(self._watch.read(charge=False)):
             if time.monotonic() > give_up:
-                raise self._axis.error("make safe", "did not take the stop", LOOK)
+                raise self._watch.error("make safe", "did not take the stop", LOOK)
 
     def close(self) -> None:
         """Close the connection; the drive meets its communication time-out and holds."""
@@ -322,14 +323,14 @@ class FestoAxis:
         self._link.watch(self._settings.communication_timeout_ms)
         check_telegram(self._link)
         check_units(self._link, self._settings)
-        if Zsw1.OPERATION_ENABLED in self._axis.read().zsw1:
+        if Zsw1.OPERATION_ENABLED in self._watch.read().zsw1:
             self._halt()
         set_limits(self._link, self._settings)
         self._rated_torque = read_rated_torque(self._link)
 
     def stop_and_wait(self) -> None:
         """Stop and wait for rest; a drive without power is only watched."""
-        if Zsw1.OPERATION_ENABLED in self._axis.read().zsw1:
+        if Zsw1.OPERATION_ENABLED in self._watch.read().zsw1:
             self._halt()
         else:
             self._await_rest()
@@ -339,15 +340,15 @@ class FestoAxis:
     def _take_charge(self, ticket: Ticket) -> None:
         """Take control, acknowledge old faults once and switch the power on, unless it is on."""
         self._interlock.require_armed("switch on")
-        seen = self._axis.sound()
+        seen = self._watch.sound()
         if Zsw1.OPERATION_ENABLED in seen.zsw1:
-            self._axis.in_charge = True
+            self._watch.in_charge = True
             return
         off = replace(at_rest(self._settings), stw1=POWER_OFF)
         self._send(off, ticket, "switch on")
         if Zsw1.FAULT in seen.zsw1:
             self._acknowledge(off, ticket)
-        self._axis.in_charge = True
+        self._watch.in_charge = True
         self._await(
             "switch on",
             ticket,
@@ -369,9 +370,9 @@ class FestoAxis:
         pulse = replace(off, stw1=off.stw1 | Stw1.ACKNOWLEDGE_FAULT)
         self._send(pulse, ticket, "switch on")
         give_up = self._clock.now() + FAULT_TIMEOUT_S
-        while Zsw1.FAULT in (seen := self._axis.read()).zsw1:
+        while Zsw1.FAULT in (seen := self._watch.read()).zsw1:
             if self._clock.now() > give_up:
-                raise self._axis.faulty(seen)
+                raise self._watch.end_by_fault(seen)
             self._clock.sleep(POLL_S)
         self._send(off, ticket, "switch on")
 
@@ -379,9 +380,9 @@ class FestoAxis:
         """Check before the first write of a task that the power is on, the axis is homed, and no
         old task is still acknowledged."""
         self._take_charge(ticket)
-        if Zsw1.HOMED not in self._axis.sound().zsw1:
-            raise self._axis.error("move", "the axis has not been homed", "home it first")
-        if Zsw1.TASK_ACKNOWLEDGED in self._axis.seen.zsw1:  # the task bit has to be low to rise
+        if Zsw1.HOMED not in self._watch.sound().zsw1:
+            raise self._watch.error("move", "the axis has not been homed", "home it first")
+        if Zsw1.TASK_ACKNOWLEDGED in self._watch.seen.zsw1:  # the task bit has to be low to rise
             self._send(at_rest(self._settings), ticket, "move")
             self._await(
                 "move",
@@ -396,7 +397,7 @@ class FestoAxis:
     def _halt(self, rearm: bool = False) -> None:
         """Stop and wait for rest; faults are not reported meanwhile."""
         with self._interlock.stopping(rearm):
-            self._axis.motion = None
+            self._watch.motion = None
             self._send_stop()
             self._clock.sleep(REJECT_HOLD_S)
             self._await_rest()
@@ -411,15 +412,15 @@ class FestoAxis:
     def _await_rest(self) -> None:
         longest = self._settings.max_speed_mm_s / self._settings.deceleration_mm_s2 + SETTLING_S
         give_up = self._clock.now() + longest
-        while Zsw1.STOPPED not in self._axis.read().zsw1:
+        while Zsw1.STOPPED not in self._watch.read().zsw1:
             if self._clock.now() > give_up:
-                raise self._axis.error("stop", f"is still moving after {longest:g} s", LOOK)
+                raise self._watch.error("stop", f"is still moving after {longest:g} s", LOOK)
             self._clock.sleep(POLL_S)
 
     def _stopping(self) -> Outputs:
         """Return the image that stops the axis. It neither takes power from an axis that has it,
         which may hang by it, nor gives power to one that has none."""
-        powered = Zsw1.OPERATION_ENABLED in self._axis.seen.zsw1
+        powered = Zsw1.OPERATION_ENABLED in self._watch.seen.zsw1
         return replace(at_rest(self._settings), stw1=STOP if powered else POWER_OFF)
 
     # --- one exchange -------------------------------------------------------------------------
@@ -446,10 +447,10 @@ class FestoAxis:
     ) -> None:
         """Poll until the drive's state meets the condition; a stop by another thread raises."""
         give_up = self._clock.now() + timeout_s
-        while not condition(self._axis.sound()):
+        while not condition(self._watch.sound()):
             self._interlock.permit(ticket, command)
             if self._clock.now() > give_up:
-                raise self._axis.error(command, f"{otherwise} within {timeout_s:g} s", LOOK)
+                raise self._watch.error(command, f"{otherwise} within {timeout_s:g} s", LOOK)
             self._clock.sleep(poll_s)
 
 

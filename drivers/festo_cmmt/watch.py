@@ -29,10 +29,11 @@ LOOK = "check the drive's display and the axis"
 
 
 class CmmtWatch:
-    """The axis as its drive shows it. Any thread may read it; another one may stop the axis
-    meanwhile, which drops `motion`.
+    """The axis as its drive shows it, and the watch over its task.
 
-    `send_stop` sends the image that stops the axis, where what the drive shows demands it.
+    Any thread may read. A reading that shows that something is wrong ends the task: it drops
+    `motion` and may stop the axis, by `send_stop`, which sends the image that does. So does a stop
+    in another thread.
     """
 
     def __init__(
@@ -111,8 +112,8 @@ class CmmtWatch:
 
     # --- the task under way -------------------------------------------------------------------
 
-    def watch(self, target: int, speed_mm_s: float, fresh: bool) -> None:
-        """Watch over a motion to `target`, in the drive's units, from the last known position.
+    def begin(self, target: int, speed_mm_s: float, fresh: bool) -> None:
+        """Begin to watch over a motion to `target`, in the drive's units, from the last known position.
         `fresh`: it is a new task, which the drive has still to take."""
         own = self._settings
         distance_mm = abs(self._mm(target - self.seen.position))
@@ -175,7 +176,7 @@ class CmmtWatch:
             return
         if Zsw1.FAULT in seen.zsw1:
             self.reported_fault = seen.fault
-            raise self.faulty(seen)
+            raise self.end_by_fault(seen)
         motion = self.motion  # another thread may stop the axis
         wrong = self.travel.judge(
             self._mm(seen.position), self._asked_at_s, self._clock.now(), motion
@@ -200,14 +201,14 @@ class CmmtWatch:
             )
 
     def _abort(self, cause: str, hint: str) -> None:
-        """Stop pushing, then raise."""
+        """Stop the axis, then raise InstrumentError."""
         with contextlib.suppress(InstrumentError):  # the cause is what has to be reported
             self._send_stop()
         self.motion = None
         raise self.error("move", cause, hint)
 
-    def faulty(self, seen: Inputs) -> InstrumentError:
-        """Return the error for a fault, which has ended the task under way."""
+    def end_by_fault(self, seen: Inputs) -> InstrumentError:
+        """Drop the task, which a fault has ended; return the error to raise."""
         self.motion = None
         return self.error("drive fault", *self.fault_in_words(seen))
 

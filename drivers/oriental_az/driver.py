@@ -21,11 +21,11 @@ while the other is talked to. So each axis checks that every drive of its line a
 Sources: HP-5142E (sister product, same registers), om_modbus_master (vendor), M2FS-Control (an
 AZD-KD in use), pages of HM-60262E. Not confirmed on an AZ, and to be tried at the first bench:
 
-* starting is refused with exception 04 while STOP is set (`StopInput.switch_on_and_verify`);
+* starting is refused with exception 04 while STOP is set (`_why_refused`);
 * an unknown register is refused with exception 02 (`identify`);
 * speed is in steps/s, rates in steps/s2 (`motions.operation`);
 * time-out, limits and overtravel take effect at once, without the command "configuration";
-* MOVE shows within `BEGIN_S` after a start (`AzWatch.moves`);
+* MOVE shows within `watch.BEGIN_S` after a start (`AzWatch.moves`);
 * outputs are assigned as at the factory;
 * HOME-END falls when homing begins and rises when it is over (`home`);
 * the register of the operating current reads back what the latest motion was sent with (`_start`).
@@ -101,7 +101,7 @@ class AzAxis:
         self._readings = AzReadings(self._link, clock)
         self._interlock = StageInterlock(self._device)
         self._stop = StopInput(self._link, self._readings, settings, clock)
-        self._axis = AzWatch(
+        self._watch = AzWatch(
             self._link, self._readings, self._stop, self._interlock, settings, clock
         )
         self._current_checked = False
@@ -129,16 +129,16 @@ class AzAxis:
     @property
     def misreadings(self) -> int:
         """See `CountsMisreadings`."""
-        return self._axis.travel.misreadings
+        return self._watch.travel.misreadings
 
     def last_seen(self) -> LastSeen | None:
         """See `RemembersPosition`."""
-        return self._axis.last_seen()
+        return self._watch.last_seen()
 
     def homed(self) -> bool:
         """Return whether the drive knows where it is (ABSPEN)."""
-        self._axis.sound_state()
-        return self._axis.knows_its_place()
+        self._watch.sound_state()
+        return self._watch.knows_its_place()
 
     def home(self) -> None:
         """Find the reference by the method in the drive's parameters, and wait for it."""
@@ -146,30 +146,30 @@ class AzAxis:
         self._take_charge()
         self._halt()
         ticket = ticket.after_own_stop()
-        self._axis.forget_its_place()
-        was_homed = self._axis.knows_its_place()
+        self._watch.forget_its_place()
+        was_homed = self._watch.knows_its_place()
         self._send(INPUT_COMMAND, halves(AzInput.HOME), ticket, "home")
         self._await(
             "home",
             ticket,
-            lambda: self._moves() or (not was_homed and self._axis.knows_its_place()),
+            lambda: self._in_motion() or (not was_homed and self._watch.knows_its_place()),
             ACKNOWLEDGE_TIMEOUT_S,
             "did not begin to home",
         )
         self._await(
             "home",
             ticket,
-            lambda: not self._moves() and self._readings.internal_outputs() & _HOMED == _HOMED,
+            lambda: not self._in_motion() and self._readings.internal_outputs() & _HOMED == _HOMED,
             self._settings.homing_timeout_s,
             "did not find its reference",
             ARRIVAL_POLL_S,
         )
         self._end_motion(ticket, "home")
-        self._axis.travel.forget()
+        self._watch.travel.forget()
 
     def position_mm(self) -> float:
         """Return the measured position."""
-        return self._axis.position_mm()
+        return self._watch.position_mm()
 
     def start_move(self, position_mm: float, speed_mm_s: float) -> None:
         """Begin to move there, or change the target of the motion under way.
@@ -187,25 +187,25 @@ class AzAxis:
         reach = self.reach()
         reach["position"].require(self._device, "position", position_mm)
         reach["speed"].require(self._device, "speed", speed_mm_s)
-        fresh = self._axis.motion is None
+        fresh = self._watch.motion is None
         if fresh:
             ticket = self._prepare_motion(ticket)
         else:
             self._interlock.require_armed("move")
-            if self._axis.state_age >= OVERDUE:
-                self._axis.own_state()
+            if self._watch.state_age >= OVERDUE:
+                self._watch.own_state()
         target = round(position_mm * self._settings.steps_per_mm)
         # Before it is sent: a motion whose answer is lost has to be watched all the same.
-        motion = self._axis.watch(target, speed_mm_s, fresh)
+        motion = self._watch.begin(target, speed_mm_s, fresh)
         # Two lengths in turn: a doubled answer does not fit the next write.
         numbered = self._readings.next_turn() == 0
         try:
             self._send(*operation(self._settings, target, speed_mm_s, numbered), ticket, "move")
         except MotionRefusedError:
-            self._axis.motion = None
+            self._watch.motion = None
             raise
         except AzRefusalError as refused:
-            self._axis.motion = None
+            self._watch.motion = None
             raise self._why_refused(refused) from refused
         motion.begun_at_s = self._clock.now()  # it may have waited for the line
         if not self._current_checked:
@@ -217,7 +217,7 @@ class AzAxis:
         taken limits no torque, so it is stopped and raised."""
         wanted, kept = round(10 * self._settings.current_percent), self._link.read_value(CURRENT)
         if kept != wanted:
-            self._axis.abort(
+            self._watch.abort(
                 f"its operating current is {kept / 10:g} % where torque_limit_percent asks for "
                 f"{wanted / 10:g} %",
                 "something else configures the drive, or torque_limit_percent is outside its range",
@@ -228,7 +228,7 @@ class AzAxis:
         """Return whether a motion is under way; raises InstrumentError for an alarm and for a
         motion that was not ended by us."""
         self._interlock.require_armed("move")
-        return self._axis.moves()
+        return self._watch.moves()
 
     def move_to(self, position_mm: float, speed_mm_s: float) -> None:
         """Move there, wait, verify by measured position, and end the motion.
@@ -251,14 +251,14 @@ class AzAxis:
     def fault(self) -> str | None:
         """See `ReportsFault`."""
         alarm = self._readings.state().alarm
-        return self._axis.alarm_in_words(alarm)[0] if alarm else None
+        return self._watch.alarm_in_words(alarm)[0] if alarm else None
 
     def acknowledge_timeout(self) -> bool:
         """See `LinearStage`. The line stays open, since the other axis may use it; the next motion
         takes charge of the drive anew and resets the alarm on the way."""
         if self._readings.state().alarm != COMMUNICATION_ALARM:
             return False
-        self._axis.in_charge, self._axis.reported_alarm = False, 0
+        self._watch.in_charge, self._watch.reported_alarm = False, 0
         return True
 
     def torque_percent(self) -> float | None:
@@ -275,15 +275,15 @@ class AzAxis:
         """
         if self._link.charging or self._line.waiting:
             return
-        age = self._axis.state_age
+        age = self._watch.state_age
         if age >= OVERDUE or (age >= 1 and self._line.free):
-            self._axis.keep_alive()
+            self._watch.keep_alive()
         self._check_peer_drives()
 
     def inputs_high(self, names: Sequence[str]) -> Mapping[str, bool]:
         """Return the levels of direct inputs, such as "DIN0": True for high."""
         if self._link.charging:
-            raise self._axis.error(
+            raise self._watch.error(
                 "read inputs", "the line is waiting out a time-out", "look at its cable"
             )
         return self._readings.inputs_high(names)
@@ -322,10 +322,10 @@ class AzAxis:
     def _take_charge(self) -> None:
         """Reset old alarms, once for each connection."""
         self._interlock.require_armed("switch on")
-        state = self._axis.sound_state()
-        if state.alarm and not self._axis.in_charge:
+        state = self._watch.sound_state()
+        if state.alarm and not self._watch.in_charge:
             self._reset_alarm()
-        self._axis.in_charge = True
+        self._watch.in_charge = True
 
     def _reset_alarm(self) -> None:
         """Pulse the reset, which starts no motion; raise InstrumentError if the alarm remains."""
@@ -339,7 +339,7 @@ class AzAxis:
         give_up = self._clock.now() + ALARM_TIMEOUT_S
         while alarm := self._readings.state().alarm:
             if self._clock.now() > give_up:
-                raise self._axis.alarmed(alarm)
+                raise self._watch.end_by_alarm(alarm)
             self._clock.sleep(POLL_S)
 
     def _prepare_motion(self, ticket: Ticket) -> Ticket:
@@ -348,14 +348,14 @@ class AzAxis:
         and return the ticket of the motion. A state that has just been read is not read again: with
         an alarm the drive does not start."""
         self._interlock.require_armed("move")
-        unseen = self._axis.state_age > OVERDUE
-        if not self._axis.in_charge or self._axis.reported_alarm or unseen:
+        unseen = self._watch.state_age > OVERDUE
+        if not self._watch.in_charge or self._watch.reported_alarm or unseen:
             self._take_charge()
         if self._stop.may_stand:
             self._halt()
             ticket = ticket.after_own_stop()
-        self._axis.require_homed()
-        self._axis.require_position()
+        self._watch.require_homed()
+        self._watch.require_position()
         return ticket
 
     # --- stopping -----------------------------------------------------------------------------
@@ -364,7 +364,7 @@ class AzAxis:
         """Stop, wait for rest, and lift the STOP input unless the axis has been made safe
         meanwhile; alarms are not reported meanwhile."""
         with self._interlock.stopping(rearm) as stop:
-            self._axis.motion = None
+            self._watch.motion = None
             # A make_safe that begins after this check sends its stop after the lifting.
             self._stop.stop_and_lift(lambda: self._interlock.answers_all(stop))
 
@@ -382,8 +382,8 @@ class AzAxis:
         self._line.wait_until_free()
         self._link.write(address, words, permit=lambda: self._interlock.permit(ticket, command))
 
-    def _moves(self) -> bool:
-        return bool(self._axis.sound_state().outputs & AzOutput.MOVE)
+    def _in_motion(self) -> bool:
+        return bool(self._watch.sound_state().outputs & AzOutput.MOVE)
 
     def _await(
         self,
@@ -399,13 +399,13 @@ class AzAxis:
         while not condition():
             self._interlock.permit(ticket, command)
             if self._clock.now() > give_up:
-                raise self._axis.error(command, f"{otherwise} within {timeout_s:g} s", LOOK)
+                raise self._watch.error(command, f"{otherwise} within {timeout_s:g} s", LOOK)
             self._clock.sleep(poll_s)
 
     def _why_refused(self, refused: AzRefusalError) -> InstrumentError:
         """Return the error for a motion that the drive refused to start."""
-        if self._axis.sound_state().inputs & AzInput.STOP:
-            return self._axis.error("move", _HELD_BY_OTHERS, "stop the axis first, which lifts it")
+        if self._watch.sound_state().inputs & AzInput.STOP:
+            return self._watch.error("move", _HELD_BY_OTHERS, "stop the axis first, which lifts it")
         return refused
 
     def _check_peer_drives(self) -> None:

@@ -28,8 +28,9 @@ def operation(
 ) -> tuple[int, tuple[int, ...]]:
     """Return address and words of the write that starts a motion to `target`, in steps.
 
-    With or without the number of the operation data, which is the first value: two writes in a row
-    that differ in it differ in length.
+    The first value is the number of the operation data, which may be left out. A caller that gives
+    and omits it in turn sends writes of two lengths, so that a doubled answer to one does not fit
+    the next.
     """
     values = (
         0,  # operation data number

@@ -1,4 +1,4 @@
-"""What is read of an AZ drive again and again, in two lengths in turn.
+"""What is read of an AZ drive again and again, in two lengths in turn (which its motions share).
 
 RTU has no transaction number: a doubled answer has the wrong length for the next question.
 """

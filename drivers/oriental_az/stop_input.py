@@ -28,11 +28,12 @@ class StopInput:
         self._link, self._readings = link, readings
         self._settings, self._clock = settings, clock
         self.may_stand = False
-        """True if a stop by this program may still be in effect, since an answer was lost."""
+        """True from a stop of this program until it is known to be lifted."""
 
     def switch_on(self, charge: bool = True) -> None:
         """Switch STOP on, ahead of what waits for the line. `charge` off: a time-out does not move
         the bench's clock."""
+        self.may_stand = True
         self._link.write(INPUT_COMMAND, halves(AzInput.STOP), charge, urgent=True)
 
     def switch_on_and_verify(self) -> None:
@@ -47,7 +48,6 @@ class StopInput:
     def stop_and_lift(self, may_be_lifted: Callable[[], bool]) -> None:
         """Stop, wait for rest, and lift STOP where `may_be_lifted` when it is that write's turn."""
         line = self._link.line
-        self.may_stand = True
         line.wait_until_free()
         self.switch_on()
         self.await_rest()

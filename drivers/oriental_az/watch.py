@@ -26,8 +26,11 @@ MAX_OVERTRAVEL_mm = 0.1
 
 
 class AzWatch:
-    """The axis as its drive shows it. Any thread may read it; another one may stop the axis
-    meanwhile, which drops `motion`."""
+    """The axis as its drive shows it, and the watch over its motion.
+
+    Any thread may read. A reading that shows that something is wrong ends the motion: it drops
+    `motion` and may stop the axis. So does a stop in another thread.
+    """
 
     def __init__(
         self,
@@ -104,7 +107,8 @@ class AzWatch:
         self._place_known_at = self._link.failures
 
     def forget_its_place(self) -> None:
-        """Compare nothing with earlier positions: the reference changes."""
+        """Compare nothing with earlier positions, and ask the drive again whether it knows where it
+        is: the reference changes."""
         self._place_known_at = -1
         self.travel.forget()
 
@@ -142,8 +146,8 @@ class AzWatch:
 
     # --- the motion under way -----------------------------------------------------------------
 
-    def watch(self, target: int, speed_mm_s: float, fresh: bool) -> MotionWatch:
-        """Watch over a motion to `target`, in steps, from the last known position, and return the
+    def begin(self, target: int, speed_mm_s: float, fresh: bool) -> MotionWatch:
+        """Begin to watch over a motion to `target`, in steps, from the last known position, and return the
         watch. `fresh`: it begins at rest."""
         own, now_s = self._settings, self._clock.now()
         from_mm, target_mm = self._mm(self._position.feedback), self._mm(target)
@@ -152,8 +156,9 @@ class AzWatch:
         if not fresh:  # it may have to pass the new target, brake and come back
             overtravel_mm += unseen_mm + braking_mm(own)
         most_s = longest_s(own, abs(target_mm - from_mm) + unseen_mm, speed_mm_s)
-        self.motion = MotionWatch.towards(target_mm, from_mm, overtravel_mm, most_s, now_s)
-        return self.motion
+        watch = MotionWatch.towards(target_mm, from_mm, overtravel_mm, most_s, now_s)
+        self.motion = watch  # another thread may drop it at once
+        return watch
 
     def moves(self) -> bool:
         """Return whether a motion is under way; raises InstrumentError for an alarm and for a
@@ -209,7 +214,7 @@ class AzWatch:
         """Raise InstrumentError for an alarm, once this connection is in charge."""
         if self.in_charge and state.alarm:
             self.reported_alarm = state.alarm
-            raise self.alarmed(state.alarm)
+            raise self.end_by_alarm(state.alarm)
 
     def _require_own(self, state: AzState) -> None:
         """Require that the motion under way is still in force: no other client has stopped it."""
@@ -235,8 +240,9 @@ class AzWatch:
                 wrong, "look at the sensor and at the drive's settings before it moves again"
             )
 
-    def alarmed(self, code: int) -> InstrumentError:
-        """Return the error for an alarm, which has ended the motion under way."""
+    def end_by_alarm(self, code: int) -> InstrumentError:
+        """Drop the motion, which an alarm has ended, and what was known of the place; return the
+        error to raise."""
         self.motion, self._place_known_at = None, -1
         return self.error("drive alarm", *self.alarm_in_words(code))
 

@@ -143,6 +143,8 @@ def test_the_torque_limit_goes_with_every_motion_and_ends_one_into_something() -
         assert bench.z.axis.force_limit_N == 30.0
         bench.run_dry(0.2)
         assert bench.speed(bench.z) == 0
+        axis.move_to(20.0, 5.0)  # its own stop is not another client's: it is lifted first
+        assert axis.position_mm() == pytest.approx(20.0, abs=0.02)
 
 
 def test_an_operating_current_that_the_drive_does_not_keep_ends_the_first_motion() -> None:

@@ -71,9 +71,9 @@ class StageCase(ABC):
 
     @property
     def watches(self) -> tuple[Any, str]:
-        """The object and the name of its method that begins the watch over a motion, which is the
-        last thing that happens before the motion is sent."""
-        return self.stage._axis, "watch"
+        """The object and the name of its method that begins the watch over a motion, after the
+        driver's last look at the stage."""
+        return self.stage._watch, "begin"
 
     @contextmanager
     def before_a_motion_is_sent(self, act: Callable[[], object]) -> Iterator[None]:
@@ -81,8 +81,8 @@ class StageCase(ABC):
         owner, name = self.watches
         usual = getattr(owner, name)
 
-        def watch(*given: Any) -> MotionWatch:
-            made: MotionWatch = usual(*given)
+        def watch(*given: Any) -> MotionWatch | None:
+            made: MotionWatch | None = usual(*given)
             delattr(owner, name)
             act()
             return made
