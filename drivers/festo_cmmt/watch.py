@@ -113,8 +113,8 @@ class CmmtWatch:
     # --- the task under way -------------------------------------------------------------------
 
     def begin(self, target: int, speed_mm_s: float, fresh: bool) -> None:
-        """Begin to watch over a motion to `target`, in the drive's units, from the last known position.
-        `fresh`: it is a new task, which the drive has still to take."""
+        """Begin to watch over a motion from the last known position to `target`, in the drive's
+        units. `fresh`: it is a new task, which the drive has still to take."""
         own = self._settings
         distance_mm = abs(self._mm(target - self.seen.position))
         ramps_s = 4 * own.max_speed_mm_s / min(own.acceleration_mm_s2, own.deceleration_mm_s2)

@@ -147,8 +147,8 @@ class AzWatch:
     # --- the motion under way -----------------------------------------------------------------
 
     def begin(self, target: int, speed_mm_s: float, fresh: bool) -> MotionWatch:
-        """Begin to watch over a motion to `target`, in steps, from the last known position, and return the
-        watch. `fresh`: it begins at rest."""
+        """Begin to watch over a motion from the last known position to `target`, in steps; return
+        the watch. `fresh`: it begins at rest."""
         own, now_s = self._settings, self._clock.now()
         from_mm, target_mm = self._mm(self._position.feedback), self._mm(target)
         unseen_mm = own.max_speed_mm_s * (now_s - self._position_at_s)
