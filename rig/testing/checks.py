@@ -28,7 +28,8 @@ UNDISTURBED_S = 10.0
 PATIENT_S = 1.0
 """The time-out with which a place of the walk is tried again where an answer did not come that no
 fault has taken: a computer that is busy with other things lets client or server stand for longer
-than TIMEOUT_S now and then. A driver that goes wrong at a place does so with any time-out."""
+than TIMEOUT_S now and then. A driver that goes wrong at a place does so with any time-out. A drive
+that stops when nobody speaks to it must wait for longer than this: its case's settings say so."""
 
 
 def checks_of(case: Case) -> dict[str, Check]:

@@ -261,6 +261,7 @@ class AxisCase(SimulatedCase):
                 "deceleration_mm_s2": 20_000.0,
                 "full_acceleration_mm_s2": 50_000.0,
                 "torque_limit_percent": 30.0,
+                "communication_timeout_ms": 10_000,  # longer than PATIENT_S
             }
             yield service
 
@@ -435,6 +436,7 @@ class LineAxisCase(SimulatedCase):
                 "acceleration_mm_s2": 20_000.0,
                 "deceleration_mm_s2": 20_000.0,
                 "torque_limit_percent": 30.0,
+                "communication_timeout_ms": 10_000,  # longer than PATIENT_S
             }
             yield service
 
