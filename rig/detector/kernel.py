@@ -119,6 +119,8 @@ LEAST_SPEED_mm_s = 0.02
 """Lowest commanded speed at which v_d is compared with it."""
 LEAST_SHARE = 0.02
 """Smallest touch-down, as a share of the standard one, with which the sums are compared."""
+LEAST_SILENCE_ms = 40.0
+"""Shortest time between two reported slips."""
 ROLLING_ms = 100.0
 """A roll is reported only after v_d has shown a motion under load for this long without a break,
 and after the first touch-down. The longest tap (40 ms) shows in it for 80 ms."""
@@ -208,6 +210,8 @@ CONSTANTS = np.dtype(
         ("fire_probability", "f8", (2,)),  # without and with the commands of x
         ("roll_probability", "f8"),
         ("silent_rows", "i8"),
+        ("least_silent_rows", "i8"),
+        ("over_probability", "f8"),  # 0 where a slip is over after silent_rows only
         ("saturation", "f8"),
         ("dead_rows", "i8"),
         ("dead_span", "f8"),
@@ -1072,6 +1076,9 @@ def _decide(looks: bool, s: Any, c: Any, events: Any, reported: int) -> int:
         if s.suspect_rows == 0:
             s.suspect_rows = round(25.0 * c.ms)
             s.suspect[0], s.suspect[1], s.suspect[2] = level, threshold, s.peak[3]
+    silent_for = c.silent_rows - s.silent_rows
+    if looks and s.slip < c.over_probability and silent_for >= c.least_silent_rows:
+        s.silent_rows = 0
     if looks and s.slip > c.fire_probability[s.x_known]:
         s.suspect_rows = 0
         if s.silent_rows == 0:

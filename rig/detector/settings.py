@@ -87,14 +87,19 @@ class RigSettings(DetectorSettings):
     fire_probability_with_x: float | None = Field(None, gt=0, lt=1)
     """The same as `fire_probability` in trials in which the commands of x are known: they explain
     what a stop or a turn does to v_d (decision 0121). None: no other one."""
+    over_probability: float | None = Field(None, gt=0, lt=1)
+    """A slip is over once its probability has fallen below this. A further one may then be reported
+    before `silence_s` has passed, 40 ms after the last at the earliest: an alarm at a partial slip
+    must not hide the slip of the whole ridge (decision 0122). None: `silence_s` always passes."""
 
     @model_serializer(mode="wrap")
     def _as_before(self, serialize: SerializerFunctionWrapHandler) -> dict[str, Any]:
         """Leave out what parameters of before do not state, so that their fingerprint, which is in
         processed files and their names, stays."""
         plain: dict[str, Any] = serialize(self)
-        if self.fire_probability_with_x is None:
-            del plain["fire_probability_with_x"]
+        for later in ("fire_probability_with_x", "over_probability"):
+            if plain[later] is None:
+                del plain[later]
         return plain
 
 
@@ -142,7 +147,9 @@ def named_detectors() -> dict[str, DetectorSettings]:
     `rig.detector.DEFAULT_DETECTOR` is the name of the default.
     """
     return {
-        "rig": RigSettings(network=trained_network(), fire_probability_with_x=0.8),
+        "rig": RigSettings(
+            network=trained_network(), fire_probability_with_x=0.8, over_probability=0.2
+        ),
         # The lowest threshold that alarms in at most 2 % of simulated rolls (decision 0049). It
         # misses slow slides, the default one by 1.3 mV: `rig detect` says so and why.
         "paper-literal": DetectorSettings(logic="paper-literal", fire_mV=30.0),

@@ -175,6 +175,19 @@ def test_with_the_commands_of_x_another_probability_is_asked_for():
     assert samples(same.add(pressed_and_sheared())) == []
 
 
+def test_a_slip_that_follows_another_is_reported_once_the_first_is_over():
+    """Impulses at 1.5 s, and 60 ms and 80 ms later; each is a slip for some 10 ms."""
+    volts, rows = pressed_and_sheared(), np.arange(2200)
+    for later in (1560, 1580):
+        pulse = 15e-3 * np.exp(-(((rows - later) / 1.2) ** 2))
+        volts += np.column_stack([-pulse, pulse])
+    silent = RigSettings(network=by_hand().network)
+    (only,) = samples(told(volts, silent))
+    assert only == pytest.approx(1500, abs=8)
+    found = samples(told(volts, silent.model_copy(update={"over_probability": 0.2})))
+    assert found == pytest.approx([1500, 1560], abs=8), "40 ms pass at least"
+
+
 def test_before_the_first_touch_the_gain_is_not_known_and_that_is_an_input():
     looks = IncipientSlipDetector(by_hand(), RATE_Hz).network_inputs(pressed_and_sheared())
     touched = looks.inputs[:, kernel.INPUTS.index("touched")] > 0
