@@ -43,7 +43,7 @@ def test_a_reader_neither_sets_nor_acknowledges_the_drives_communication_timeout
     acknowledge."""
     module = case.module()
     with case.serve() as service:
-        service.settings["timeout_s"] = 10.0
+        service.settings |= {"timeout_s": 10.0, "communication_timeout_ms": 1000}
         settings = module.Settings.model_validate(service.settings)
         stage = module.connect(settings, service.clock)
         stage.home()
