@@ -34,9 +34,9 @@ def detect(
             "time and alarms falsely in 1 of 20 trials without a slip, but where the object is let "
             "go; rig finds 8 of 10 and alarms falsely in 1 of 200 where the commands of x are "
             "known, as in this program's trials, else 6 of 10 and 1 of 25; it misses most slips in "
-            "holds, reversals and tremor, and 3 of 10 slides below 0.35 mm/s; impulse finds 7 of 10 "
-            "and alarms falsely in 1 of 10. A grip needs 95 % in time: none is good enough, and the "
-            "default stays until one is.",
+            "holds, reversals and tremor, and 3 of 10 slides below 0.35 mm/s; impulse finds 7 of "
+            "10 and alarms falsely in 1 of 10. A grip needs 95 % in time: none is good enough, and "
+            "the default stays until one is.",
             metavar="NAME",
         ),
     ] = DEFAULT_DETECTOR,

@@ -19,7 +19,7 @@ from measured import heading, repeats
 from rig.core.cache import user_cache
 from rig.detector.network import Network
 from rig.detector.registered import chosen_detector
-from rig.detector.settings import DetectorSettings
+from rig.detector.settings import RigSettings
 from rig.evaluation.breaks import BREAKS
 from rig.evaluation.scored_trials import Population, judge_trials
 from rig.evaluation.scoring.contenders import DetectorContender
@@ -40,7 +40,7 @@ def former() -> DetectorContender:
     stored = ["git", "show", f"{BEFORE}:rig/detector/rig.json"]
     text = subprocess.run(stored, cwd=ROOT, capture_output=True, check=True).stdout
     network = Network.model_validate_json(text)
-    settings = DetectorSettings(network=network, fire_probability=0.8)
+    settings = RigSettings(network=network, fire_probability=0.8)
     return DetectorContender(f"rig at {BEFORE}", replace(chosen_detector("rig"), settings=settings))
 
 
