@@ -198,9 +198,9 @@ class FestoAxis:
         """Begin to move there, or change the target of the motion under way.
 
         A running task is changed by one read and one write. The read ends a motion that met a
-        fault, the torque limit or another client's stop; what was read within
-        `CmmtWatch.require_task`'s time before is not read again. Raises LimitError outside `reach`,
-        and InstrumentError with nothing sent where another thread stops the axis or makes it safe
+        fault, the torque limit or another client's stop; what was read less than 10 ms before is
+        not read again (`CmmtWatch.require_task`). Raises LimitError outside `reach`, and
+        InstrumentError with nothing sent where another thread stops the axis or makes it safe
         meanwhile.
         """
         self._start(position_mm, speed_mm_s)
