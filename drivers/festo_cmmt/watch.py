@@ -9,7 +9,12 @@ from drivers.festo_cmmt.frames import IMAGE_REGISTERS, Inputs, PosZsw2, Zsw1
 from drivers.festo_cmmt.images import task_is_taken
 from drivers.festo_cmmt.link import INPUT_IMAGE, CmmtLink
 from drivers.festo_cmmt.settings import COMMUNICATION_FAULT, FestoCmmtSettings, fault_in_words
-from drivers.shared.stage import MotionWatch, StageInterlock, TravelBound
+from drivers.shared.stage import (
+    STOPPED_BY_OTHERS,
+    MotionWatch,
+    StageInterlock,
+    TravelBound,
+)
 from rig.core.clock import Clock
 from rig.core.errors import InstrumentError
 from rig.instruments.roles import LastSeen
@@ -158,7 +163,7 @@ class CmmtWatch:
     def _require_task(self, seen: Inputs) -> None:
         if not task_is_taken(seen):
             self.motion = None
-            raise self.error("move", _STOPPED_BY_OTHERS, LOOK)
+            raise self.error("move", STOPPED_BY_OTHERS, LOOK)
 
     def _arrived(self, seen: Inputs, motion: MotionWatch) -> bool:
         """Return whether the target is reached by position too: the bit may still be the last
@@ -226,8 +231,3 @@ class CmmtWatch:
 
     def _mm(self, counts: int) -> float:
         return counts * self._settings.position_unit_mm
-
-
-_STOPPED_BY_OTHERS = (
-    "the motion was stopped, not by this run (make-safe from another terminal, or the drive itself)"
-)

@@ -10,7 +10,13 @@ from drivers.oriental_az.readings import AzReadings
 from drivers.oriental_az.registers import AzInput, AzInternalOutput, AzOutput, AzPosition, AzState
 from drivers.oriental_az.settings import COMMUNICATION_ALARM, OrientalAzSettings, alarm_in_words
 from drivers.oriental_az.stop_input import LOOK, StopInput
-from drivers.shared.stage import MotionWatch, StageInterlock, StageState, TravelBound
+from drivers.shared.stage import (
+    STOPPED_BY_OTHERS,
+    MotionWatch,
+    StageInterlock,
+    StageState,
+    TravelBound,
+)
 from rig.core.clock import Clock
 from rig.core.errors import InstrumentError
 from rig.instruments.roles import LastSeen
@@ -221,7 +227,7 @@ class AzWatch:
         ours = self._interlock.state is not StageState.ARMED
         if state.inputs & AzInput.STOP and not ours:
             self.motion = None
-            raise self.error("move", _STOPPED_BY_OTHERS, LOOK)
+            raise self.error("move", STOPPED_BY_OTHERS, LOOK)
 
     def _require_way(self, position: AzPosition, motion: MotionWatch, wrong: str | None) -> None:
         """Require that nothing holds the axis back and that it is where it can be: `wrong` is what
@@ -260,8 +266,3 @@ class AzWatch:
 
     def _mm(self, steps: int) -> float:
         return steps / self._settings.steps_per_mm
-
-
-_STOPPED_BY_OTHERS = (
-    "the motion was stopped, not by this run (make-safe from another terminal, or the drive itself)"
-)

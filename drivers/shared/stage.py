@@ -45,6 +45,12 @@ MAKE_SAFE_PATIENCE_S = 2.0
 link, and less than a shutdown action may take (3 s)."""
 
 
+STOPPED_BY_OTHERS = (
+    "the motion was stopped, not by this run (make-safe from another terminal, or the drive itself)"
+)
+"""Cause of the error for a motion that something else has ended."""
+
+
 class StageState(Enum):
     """The states of a stage that decide whether it may be set in motion."""
 

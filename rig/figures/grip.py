@@ -149,7 +149,7 @@ def _draw_column(panels: Sequence[Axes], run: RunFile, number: int, point: str) 
     way.plot(ticks, np.abs(x_mm - at_rest), color=GREEN, label="travel of x")
     if outcome := str(reading.get("outcome") or ""):
         way.plot([], [], " ", label=f"outcome: {outcome}")
-    way.set_ylabel("Way (mm)")
+    way.set_ylabel("Travel (mm)")
     way.set_xlabel("Time since the motion began (s)")
     for axes in panels:
         for n, one in enumerate(squeezes):
