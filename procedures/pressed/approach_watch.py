@@ -3,7 +3,8 @@
 A sensor that is dead does not always fall silent: its amplifier may send noise about the zero. Then
 nothing but the stage itself shows that it presses. An approach ends
 
-- where z stands although it is commanded to move: its torque limit holds it, or something else,
+- where z stands although it is commanded to move: its torque limit holds it, or something else, or
+  it does not obey, which its torque tells apart,
 - where the torque of its motor rises and no force with it, and
 - where contact has been felt, z has gone on, and the mean force is no force by the sensor's own
   noise, which was measured before contact.
@@ -95,9 +96,21 @@ class ApproachWatch:
             return
         self._run.bench.stage_z.stop()
         what = (
-            f"stage_z is held at {position_mm:.3f} mm, although it was commanded to move a further "
+            f"at {position_mm:.3f} mm, although it was commanded to move a further "
             f"{commanded_mm:.2f} mm within {HELD_S:g} s"
         )
+        torque = self._torque
+        if torque is not None and torque.shows_free_air(HELD_S / 2):
+            # A stage that is held pushes, and its torque rises.
+            raise InstrumentError(
+                "stage_z",
+                "approach",
+                f"stage_z stands {what}, and the torque of its motor is {torque.latest_percent:.3g}"
+                f" %, within {torque.margin_percent:.3g} % of that in free air: it does not obey, "
+                f"rather than being held; force_sensor reads {force_N:.2g} N",
+                "look whether the drive is enabled and obeys: move the stage with rig jog",
+            )
+        what = f"stage_z is held {what}"
         if position_mm < self._first_mm or force_N > self._contact_N:
             raise InstrumentError(
                 "stage_z",

@@ -131,6 +131,14 @@ class TorqueWatch:
             return 0.0
         return abs(self.latest_percent - free)
 
+    def shows_free_air(self, within_s: float) -> bool:
+        """Return whether the latest reading is that of free air; False where either is not known,
+        or the reading is older than `within_s`."""
+        if not self.is_learnt or self.latest_percent is None:
+            return False
+        is_recent = self._run.clock.now() - self._read_at_s <= within_s
+        return is_recent and self.rise_percent() <= self.margin_percent
+
     def hold_begins(self, force_N: float) -> None:
         """Compare with the readings from here on, in which the sensor reads `force_N`."""
         self._held, self._held_N = [], force_N

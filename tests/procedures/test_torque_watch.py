@@ -93,6 +93,34 @@ def test_a_torque_that_rises_without_a_force_names_the_sensor_long_before_its_li
     assert 0 < bench.pressed_N < 0.4 * LIMIT_percent
 
 
+def stand_still(bench: Bench, watch: ApproachWatch, torque: TorqueWatch, read: bool) -> None:
+    """Command z to move on for half a second; it stands."""
+    for _ in range(round(0.5 / TICK_S)):
+        watch.commanded(0.05, SPEED_mm_s)
+        if read:
+            torque.read()
+        watch.step(bench.mm, 0.0, touched=False)
+        bench.now_s += TICK_S
+
+
+@pytest.mark.parametrize(
+    ("read", "device"), [(True, "stage_z"), (False, "force_sensor")], ids=["read", "unknown since"]
+)
+def test_a_stage_that_stands_without_torque_does_not_make_the_sensor_suspect(
+    read: bool, device: str
+) -> None:
+    """It stands in the contact range and no force is read: it may be held by what it presses on,
+    unless its torque shows that it is not."""
+    bench = Bench(0.0)
+    torque, watch = at_rest(bench)
+    bench.press(watch, torque, CONTACT_mm - bench.mm)
+    with pytest.raises(InstrumentError, match=r"although it was commanded") as caught:
+        stand_still(bench, watch, torque, read)
+    assert caught.value.device == device
+    assert bench.stopped
+    assert ("does not obey" in str(caught.value)) == read
+
+
 def test_the_friction_of_a_further_trial_is_no_rise_from_rest() -> None:
     bench = Bench(1.0, friction_percent=8.0)
     torque, watch = at_rest(bench)

@@ -14,7 +14,11 @@ SLIDING = "acquisition = 1\nafter_s = 3.0\n"
 DOWN = 'move = 2\nof = "stage_z"\nafter_s = 1.0\n'
 """On the first way down to the contact range."""
 WRONG = {
-    "idle on the way down": ("idle", DOWN, "does not do what its drive acknowledges"),
+    "idle on the way down": (
+        "idle",
+        DOWN,
+        "does not do what its drive acknowledges|has not arrived",
+    ),
     "idle under force": ("idle", SLIDING, ""),
     "stale on the way down": ("stale-status", DOWN, ""),
     "stale under force": ("stale-status", SLIDING, ""),
