@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
     from procedures.pressed.reading import TrialRecord
     from rig.core.clock import Clock
-    from rig.detector.commands import XMove
+    from rig.detector.commands import Command
     from rig.detector.events import SlipEvent
     from rig.run.context import Run
 
@@ -66,9 +66,9 @@ class LiveDetection:
         self.name = name
         self.woken = threading.Event()
         """Set while `news` or `failure` has something to return."""
-        self.moves: list[XMove] = []
-        """Moves of x in this record, from the rows on from which the detector knew of them."""
-        self._commands: deque[XMove] = deque()
+        self.commands: list[Command] = []
+        """Commands in this record, from the rows on from which the detector knew of them."""
+        self._waiting: deque[Command] = deque()
         """Commanded, and not given to the detector yet."""
         self._rows = 0
         self._live: LiveDetector | None = None
@@ -78,8 +78,8 @@ class LiveDetection:
 
     def begin(self) -> None:
         """Begin a record: the rows count from 0 again."""
-        self._rows, self.moves = 0, []
-        self._commands.clear()
+        self._rows, self.commands = 0, []
+        self._waiting.clear()
         if self._live is not None:
             self._live.begin()
             self._live.take()  # what came too late for the record before
@@ -91,21 +91,21 @@ class LiveDetection:
         if self._live is not None and len(volts):
             self._live.add(volts, first)
 
-    def command(self, move: XMove) -> None:
-        """Say that x was commanded to move, before the rows that show it. Raises nothing and waits
-        for nothing: the detector knows of it with the next block."""
-        self._commands.append(move)
+    def command(self, one: Command) -> None:
+        """Say what was commanded, before the rows that show it. Raises nothing and waits for
+        nothing: the detector knows of it with the next block."""
+        self._waiting.append(one)
 
     def _give_commands(self) -> None:
         """Give the detector the commands since the last block, from its next row on where an
         earlier one was meant. They are stored as they were given, so that a file is judged like the
         trial."""
-        for _ in range(len(self._commands)):
-            move = self._commands.popleft()
-            move = replace(move, sample=max(move.sample, self._rows))
-            self.moves.append(move)
+        for _ in range(len(self._waiting)):
+            one = self._waiting.popleft()
+            one = replace(one, sample=max(one.sample, self._rows))
+            self.commands.append(one)
             if self._live is not None:
-                self._live.command(move)
+                self._live.command(one)
 
     def finish(self) -> None:
         """End the record: what the detector reports at its end follows. Raises nothing."""

@@ -123,9 +123,9 @@ RECORDED = (
     Column("detector", "", "Detector of slip during the trial", "text"),
     Column("detections", "", "What it found during the trial, as JSON", "text"),
     Column(
-        "x_moves",
+        "commands",
         "",
-        "Commands to x as JSON: from sample, mm/s, to sample",
+        "Commands as JSON: x, from sample, mm/s, to sample; force, from sample, N",
         "text",
     ),
 )

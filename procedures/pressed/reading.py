@@ -21,7 +21,7 @@ from rig.analysis.trial.clock_offset import clock_offset
 from rig.analysis.trial.touch_down import TouchDownError, TouchRecord
 from rig.analysis.trial.touch_gain import touch_gain
 from rig.bench.settings import STRIPS
-from rig.detector.commands import to_text as moves_to_text
+from rig.detector.commands import to_text as commands_to_text
 from rig.files.journal.detections import SLIP, Detection, to_text
 from rig.run.press_references import TouchGain
 
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
     from rig.analysis.trial.load_rate import LoadScale
     from rig.control.tick_loop import LoopStatistics
-    from rig.detector.commands import XMove
+    from rig.detector.commands import Command
     from rig.run.context import Run
     from rig.run.points import Reading
 
@@ -114,8 +114,8 @@ class TrialRecord:
     loops: list[LoopStatistics] = field(default_factory=list)
     detections: list[Detection] = field(default_factory=list)
     """What the detector has found."""
-    x_moves: list[XMove] = field(default_factory=list)
-    """What x was commanded to do, as the detector was told."""
+    commands: list[Command] = field(default_factory=list)
+    """What was commanded, as the detector was told."""
     squeezes: list[Squeeze] = field(default_factory=list)
     """Rises of the set point by the grip (`procedures.pressed.grip`)."""
     unanswered: list[float] = field(default_factory=list)
@@ -241,7 +241,7 @@ def reading_of(run: Run, record: TrialRecord) -> Reading:
         "filter_delay_s": record.filter_delay_s,
         "detector": settings.detector,
         "detections": to_text(record.detections),
-        "x_moves": moves_to_text(record.x_moves),
+        "commands": commands_to_text(record.commands),
     }
     if record.held_back > HELD_BACK * ticks:
         run.event(

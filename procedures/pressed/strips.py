@@ -95,7 +95,7 @@ class StripRecorder:
             self._record_blocks()
             self._run.check_stop()
         self._detection.finish()
-        self._record.x_moves = self._detection.moves
+        self._record.commands = self._detection.commands
 
     def stop(self) -> None:
         """End the acquisition."""

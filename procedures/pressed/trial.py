@@ -38,6 +38,7 @@ from procedures.pressed.way_down import TRAVEL_mm_s, held_speed_bound
 from rig.bench.limits import require
 from rig.control.force_servo import ForceServo, settings_from
 from rig.core.errors import InstrumentError
+from rig.detector.commands import HeldForce
 from rig.files.journal.detections import SLIP
 
 if TYPE_CHECKING:
@@ -148,6 +149,7 @@ class PressedTrial:
         at_rest_s = press.tap(stiffness_N_mm)
         record.tapped_s = self.since_s()
         force, ticks = self.recorder.force, self._ticks
+        self._commanded_force(record.tapped_s, record.normal_force_N)
         self.torque.hold_begins(record.normal_force_N)
         self._hold = ForceHold(
             servo, self.z, self.links, force, record, ticks, at_rest_s, self.torque
@@ -300,7 +302,7 @@ class PressedTrial:
         bound = held_speed_bound(self.run.bench, self.settings.largest_force_N, force_N)
         bound.require("stage_z", self.z.stage.reach()["speed"].low)
         self._held().hold_at(force_N, bound.speed_mm_s)
-        self.record.set_points.append((self.since_s(), force_N))
+        self._note_set_point(force_N)
 
     def _answer(self, one: Detection) -> None:
         if self._hold is not None:
@@ -314,8 +316,18 @@ class PressedTrial:
         bound.require("stage_z", self.z.stage.reach()["speed"].low)
         sent = self._held().squeeze(force_N, bound.speed_mm_s)
         self._squeezed_N += rise_N
-        self.record.set_points.append((self.since_s(), force_N))
+        self._note_set_point(force_N)
         return sent
+
+    def _note_set_point(self, force_N: float) -> None:
+        at_s = self.since_s()
+        self.record.set_points.append((at_s, force_N))
+        self._commanded_force(at_s, force_N)
+
+    def _commanded_force(self, at_s: float, force_N: float) -> None:
+        """Let the detector know that z is to hold a force from a time of the record on."""
+        assert self.series.detection is not None
+        self.series.detection.command(HeldForce(math.ceil(at_s * DECIMATED_Hz), force_N))
 
     def since_s(self) -> float:
         """Return the time since the record began."""

@@ -87,9 +87,11 @@ def reset(
                 else f"{name} is not latched"
             )
             return
+        from rig.run.interlock_proof import reset as reset_latch
+
         with _looking(plan, records) as watch:
             for one in latched:
-                watch.reset(one)
+                reset_latch(watch, one)
                 say(f"interlock {one} is reset; nothing starts by itself: start the run again")
 
 
@@ -101,12 +103,13 @@ def proof(
     debug: Debug = False,
 ) -> None:
     """Have a contact opened and closed by hand, and record with date that both were seen."""
+    from rig.run.interlock_proof import prove
     from rig.run.stopping import StopFlag
 
     with reported(debug), StopFlag() as stop:
         plan, records = _declared(bench or context.obj, name)
         with _looking(plan, records, stop.check) as watch:
-            watch.prove(name, say)
+            prove(watch, name, say)
 
 
 def _require_terminal() -> None:

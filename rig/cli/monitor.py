@@ -50,7 +50,7 @@ def monitor(
         watch = BenchWatch(results, chosen)
         watch.poll()
         console = Console()
-        if chosen is None or watch.holder is not None or watch.bench_holder is not None:
+        if chosen is None or watch.holder is not None or watch.signs.holder is not None:
             show_run(watch, console, go_on)
             _say_if(terminated)
             return

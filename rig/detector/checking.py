@@ -22,7 +22,7 @@ from rig.detector.contract import Detector
 from rig.detector.events import EVENT_KINDS, SlipEvent
 
 if TYPE_CHECKING:
-    from rig.detector.commands import XMove
+    from rig.detector.commands import Command
     from rig.detector.low_pass import LowPass
 
 Reals = NDArray[np.float64]
@@ -88,9 +88,9 @@ class CheckedDetector(Detector):
         found = self._ask("judging", self._inner.add, volts.copy(), first)
         return self._checked_events(found, first, first + len(volts))
 
-    def command(self, move: XMove) -> None:
-        """Passes a commanded move of x on to the other detector."""
-        self._ask("a command", self._inner.command, move)
+    def command(self, one: Command) -> None:
+        """Passes a command on to the other detector."""
+        self._ask("a command", self._inner.command, one)
 
     def end(self) -> list[SlipEvent]:
         """Returns the checked events due at the end of a recording."""

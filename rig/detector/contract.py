@@ -16,14 +16,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rig.core import settings as core_settings
+from rig.detector.commands import Command, HeldForce
 from rig.detector.events import UNJUDGED, EventKind, SlipEvent
 from rig.detector.fir import StreamingFir
 from rig.detector.low_pass import LowPass, LowPassSettings, design_low_pass
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
-
-    from rig.detector.commands import XMove
 
 Reals = NDArray[np.float64]
 
@@ -70,7 +69,12 @@ class Detector(ABC):
         self._begun = False
         self._x_mm_s: float | None = None
         """Commanded speed of x; None before the first command."""
-        self._changes: deque[tuple[int, float]] = deque()
+        self._speeds: deque[tuple[int, float]] = deque()
+        """Rows from which on the speed of x is another one, in mm/s."""
+        self._force_N: float | None = None
+        """Commanded normal force; None before the first command."""
+        self._forces: deque[tuple[int, float]] = deque()
+        """Rows from which on the normal force is another one, in N."""
 
     @classmethod
     def accepts(cls, rate_Hz: float) -> bool:
@@ -111,6 +115,13 @@ class Detector(ABC):
         """Called before the row at which the commanded speed of x changes, in a trial of which the
         commands are known; and after `reset` with the speed that x has, twice, once it has had a
         command. Optional: it does nothing."""
+
+    def commanded_force(  # noqa: B027 - a hook
+        self, before_N: float | None, after_N: float
+    ) -> None:
+        """Called before the row from which on another normal force is to be held, in a trial of
+        which the commands are known; `before_N` is None at the first one. After `reset` it is
+        called with the present one, twice, as `commanded` is. Optional: it does nothing."""
 
     def end(self) -> list[SlipEvent]:
         """Returns the events due at the end of a recording. `row` of `event` must then be -1."""
@@ -160,28 +171,44 @@ class Detector(ABC):
             self._begun = True
             if self._x_mm_s is not None:  # rows are missing, not commands
                 self.commanded(self._x_mm_s, self._x_mm_s)
-        # Cut where the commanded motion changes: a detector's events do not depend on cuts.
+            if self._force_N is not None:
+                self.commanded_force(self._force_N, self._force_N)
+        # Cut where what is commanded changes: a detector's events do not depend on cuts.
         first, end = self._rows, self._rows + len(rows)
-        while self._changes and self._changes[0][0] < end:
-            sample, speed_mm_s = self._changes.popleft()
+        while changes := self._next_changes(end):
+            sample, value = changes.popleft()
             sample = max(sample, self._rows)  # behind a gap it may be past
             events += self.judge(rows[self._rows - first : sample - first])
             self._rows = sample
-            self.commanded(self._x_mm_s or 0.0, speed_mm_s)
-            self._x_mm_s = speed_mm_s
+            if changes is self._forces:
+                self.commanded_force(self._force_N, value)
+                self._force_N = value
+            else:
+                self.commanded(self._x_mm_s or 0.0, value)
+                self._x_mm_s = value
         events += self.judge(rows[self._rows - first :])
         self._rows = end
         return events
 
-    def command(self, move: XMove) -> None:
-        """Takes a move of x that was commanded, in the order of the commands. It takes the place of
-        what earlier ones say of later rows, and begins at the next row at the earliest."""
-        sample = max(move.sample, self._rows)
-        while self._changes and self._changes[-1][0] >= sample:
-            self._changes.pop()
-        self._changes.append((sample, move.speed_mm_s))
-        if move.speed_mm_s:
-            self._changes.append((max(move.until, sample + 1), 0.0))
+    def _next_changes(self, end: int) -> deque[tuple[int, float]] | None:
+        """Returns the changes of which the first is the next one before a row; None without one."""
+        known = [one for one in (self._speeds, self._forces) if one and one[0][0] < end]
+        return min(known, key=lambda one: one[0][0], default=None)
+
+    def command(self, one: Command) -> None:
+        """Takes a move of x or a normal force that was commanded, in the order of the commands. It
+        takes the place of what earlier ones of its kind say of later rows, and begins at the next
+        row at the earliest."""
+        sample = max(one.sample, self._rows)
+        changes = self._forces if isinstance(one, HeldForce) else self._speeds
+        while changes and changes[-1][0] >= sample:
+            changes.pop()
+        if isinstance(one, HeldForce):
+            changes.append((sample, one.force_N))
+            return
+        changes.append((sample, one.speed_mm_s))
+        if one.speed_mm_s:
+            changes.append((max(one.until, sample + 1), 0.0))
 
     def finish(self) -> list[SlipEvent]:
         """Returns the events due at the end of a recording."""

@@ -17,7 +17,7 @@ from rig.core.cache import place_numba_cache
 
 place_numba_cache(Path(__file__).parent)
 from rig.detector import kernel  # noqa: E402 - after numba's cache has its place
-from rig.detector.commands import XMove  # noqa: E402
+from rig.detector.commands import Command  # noqa: E402
 from rig.detector.contract import Detector, FASTEST_Hz, SLOWEST_Hz  # noqa: E402
 from rig.detector.events import EVENT_KINDS, UNJUDGED, SlipEvent  # noqa: E402
 from rig.detector.low_pass import LowPass, design_low_pass  # noqa: E402
@@ -154,13 +154,13 @@ class IncipientSlipDetector(Detector):
         unjudged = {UNJUDGED: 1e3 * int(state["row"]) / self.rate_Hz}
         return [self.event("cannot judge", -1, 0.0, kernel.REASONS[kernel.NOT_QUIET], unjudged)]
 
-    def network_inputs(self, volts: ArrayLike, moves: Iterable[XMove] = ()) -> NetworkInputs:
-        """Returns the inputs of the network over a whole recording (n, 2) in V, in which x was
-        commanded to make these moves, for training."""
+    def network_inputs(self, volts: ArrayLike, commands: Iterable[Command] = ()) -> NetworkInputs:
+        """Returns the inputs of the network over a whole recording (n, 2) in V with these commands,
+        for training."""
         inputs = self._seen.shape[1]
         self._seen, self._looked = np.zeros((_SLICE, inputs)), np.zeros(_SLICE, np.bool_)
-        for move in moves:
-            self.command(move)
+        for one in commands:
+            self.command(one)
         self.add(volts)
         shown, self._shown = self._shown, []
         self._seen, self._looked = np.zeros((1, inputs)), np.zeros(0, np.bool_)

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.core.settings import Settings
-from rig.detector.commands import XMove
+from rig.detector.commands import Command, HeldForce, XMove
 from rig.detector.contract import Detector
 from rig.detector.events import SlipEvent
 from rig.detector.fir import kaiser_low_pass
@@ -195,10 +195,14 @@ class ResampledDetector(Detector):
         rows = self._resampler.add(volts)
         return [] if not len(rows) else self._at_rows(self._inner.add(rows, first_sample=first))
 
-    def command(self, move: XMove) -> None:
-        """Passes a commanded move of x on, at the judged rows that come next."""
-        sample = max(move.sample, self.rows)
-        due = XMove(sample, move.speed_mm_s, max(move.until, sample))
+    def command(self, one: Command) -> None:
+        """Passes a command on, at the judged rows that come next."""
+        sample = max(one.sample, self.rows)
+        due: Command
+        if isinstance(one, HeldForce):
+            due = HeldForce(sample, one.force_N)
+        else:
+            due = XMove(sample, one.speed_mm_s, max(one.until, sample))
         self._inner.command(due.at_rows(self._resampler.ratio.outputs_before))
 
     def end(self) -> list[SlipEvent]:

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from rig.core.errors import ConfigurationError
 from rig.core.toml_files import read_text
-from rig.detector.commands import XMove, from_text
+from rig.detector.commands import Command, from_text, text_in
 from rig.evaluation import simulated_truth
 from rig.evaluation.scored_trials import judge_one
 from rig.evaluation.scoring.contenders import Contender
@@ -78,7 +78,7 @@ class ListedTrial:
     """Day of the run; empty if it is not known."""
     simulated: bool
     """True if it comes from a simulated bench."""
-    moves: tuple[XMove, ...] = ()
+    commands: tuple[Command, ...] = ()
     """What x was commanded to do, where the file states it."""
 
 
@@ -97,7 +97,7 @@ class _Recorded:
     sample: str
     day: str
     simulated: bool
-    moves: tuple[XMove, ...]
+    commands: tuple[Command, ...]
 
 
 def judge_files(
@@ -119,7 +119,7 @@ def judge_files(
             judged.append(
                 judge_one(
                     one.name, one.truth, one.volts, one.rate_Hz, one.traits, contenders,
-                    sweep=sweep, moves=one.moves,
+                    sweep=sweep, commands=one.commands,
                 )
             )  # fmt: skip
         except ValueError as error:
@@ -154,7 +154,7 @@ def listed_trials(listing: Path) -> Iterator[tuple[ListedTrial, int]]:
                 sample=recorded.sample,
                 day=recorded.day,
                 simulated=recorded.simulated,
-                moves=recorded.moves,
+                commands=recorded.commands,
             ),
             len(rows),
         )
@@ -213,7 +213,7 @@ def _recorded(path: Path, point: str, where: str) -> _Recorded:
             sample=header.sample.name or "",
             day="" if header.start_time is None else str(header.start_time)[:10],
             simulated=run.outcome.simulated is True,
-            moves=tuple(from_text(reading.get("x_moves") or "")),
+            commands=tuple(from_text(text_in(reading))),
         )
 
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from rig.core.errors import ConfigurationError
 from rig.detector.built_in import Rig
-from rig.detector.commands import XMove
+from rig.detector.commands import Command
 from rig.detector.detector import IncipientSlipDetector, NETWORK_RATE_Hz
 from rig.detector.kernel import INPUTS
 from rig.detector.network import OUTPUTS, Network
@@ -100,8 +100,8 @@ class Lesson:
     """True if the motion is a roll."""
     motion_end_s: float = math.nan
     """End of a roll, NaN if it lasts to the end of the record."""
-    x_moves: tuple[XMove, ...] = ()
-    """What x was commanded to do, where that is known."""
+    commands: tuple[Command, ...] = ()
+    """What was commanded, where that is known."""
     first: bool = True
     """False for a trial that is heard through a further front end."""
     weight: float = 1.0
@@ -169,7 +169,7 @@ def bench_lessons(made: MadeTrial, hearings: int) -> Iterator[Lesson]:
         slips_s=np.array(record.slips_s, dtype=np.float64).reshape(-1, 2),
         rolls=rolls,
         motion_end_s=motion_end_s,
-        x_moves=record.x_moves,
+        commands=record.commands,
         weight=BENCH_WEIGHT,
     )
     yield first
@@ -178,8 +178,8 @@ def bench_lessons(made: MadeTrial, hearings: int) -> Iterator[Lesson]:
         chance = np.random.default_rng([WIRE_KINDS.index(trial.kind), trial.seed, 4, hearing])
         front_end = front_end_of(int(chance.integers(len(FAULTS))), base)
         volts, _ = recorded(record.volts, record.rate_Hz, front_end, chance)
-        moves = () if hearing == hearings - 1 else record.x_moves
-        yield replace(first, volts=volts, x_moves=moves, first=False)
+        commands = () if hearing == hearings - 1 else record.commands
+        yield replace(first, volts=volts, commands=commands, first=False)
 
 
 def file_lesson(listed: ListedTrial, held_out: bool) -> Lesson:
@@ -192,7 +192,7 @@ def file_lesson(listed: ListedTrial, held_out: bool) -> Lesson:
         truth=listed.truth,
         slips_s=np.array(listed.slips_s, dtype=np.float64).reshape(-1, 2),
         rolls=listed.rolls,
-        x_moves=listed.moves,
+        commands=listed.commands,
     )
 
 
@@ -208,12 +208,14 @@ class Teacher:
 
     def rows_of(self, lesson: Lesson) -> TrainingRows:
         """Returns the rows of a lesson. ValueError for a recording that the detector refuses."""
-        volts, ratio, moves = lesson.volts, Ratio(1, 1), lesson.x_moves
+        volts, ratio, commands = lesson.volts, Ratio(1, 1), lesson.commands
         if not Rig.accepts(lesson.rate_Hz):
             resampler = StreamingResampler(lesson.rate_Hz, NETWORK_RATE_Hz, 2)
             volts, ratio = resampler.add(volts), resampler.ratio
-            moves = tuple(one.at_rows(ratio.outputs_before) for one in moves)
-        shown = IncipientSlipDetector(self._settings, NETWORK_RATE_Hz).network_inputs(volts, moves)
+            commands = tuple(one.at_rows(ratio.outputs_before) for one in commands)
+        shown = IncipientSlipDetector(self._settings, NETWORK_RATE_Hz).network_inputs(
+            volts, commands
+        )
         rows = rows_of(
             TrainingTrial(
                 inputs=shown.inputs,
@@ -240,7 +242,7 @@ def judged(
     for one in lessons:
         if not one.first:
             continue  # the same contact: not another case
-        (said,) = contender.reports(one.volts, one.rate_Hz, (1.0,), one.x_moves)
+        (said,) = contender.reports(one.volts, one.rate_Hz, (1.0,), one.commands)
         outcome = judge(one.truth, said, {})
         label = one.truth.label
         if one.truth.slipped:

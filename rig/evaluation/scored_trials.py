@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.core.cache import Cache
-from rig.detector.commands import XMove
+from rig.detector.commands import Command
 from rig.evaluation.front_ends import through_front_end
 from rig.evaluation.labelled_trials import Kind, LabelledTrial, labelled_trial
 from rig.evaluation.scoring.baselines import BaselineSettings, baseline_score
@@ -101,13 +101,13 @@ def judge_one(
     contenders: Sequence[Contender],
     *,
     sweep: bool,
-    moves: tuple[XMove, ...] = (),
+    commands: tuple[Command, ...] = (),
 ) -> ScoredTrial:
-    """Scores one recording, in which x was commanded to make these moves. Raises ValueError if a
+    """Scores one recording, with these commands. Raises ValueError if a
     detector cannot process it."""
     factors = (1.0, *FACTORS) if sweep else (1.0,)
     judged = [
-        [judge(truth, said, traits) for said in one.reports(volts, rate_Hz, factors, moves)]
+        [judge(truth, said, traits) for said in one.reports(volts, rate_Hz, factors, commands)]
         for one in contenders
     ]
     swept = [outcomes[1:] for outcomes in judged]

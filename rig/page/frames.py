@@ -57,15 +57,15 @@ def next_frame(
             "reason": reason,
             "silent_s": round(watch.silent_s(now), 1),
             "run": view.summary(),
-            "last_file": watch.last_file if watch.path is None else None,
+            "last_file": watch.last_file,
             "holder": _who(watch.holder),
-            "bench_holder": _who(watch.bench_holder),
+            "bench_holder": _who(watch.signs.holder),
             "stop": _stop(watch),
             "may_stop": may_stop,
             "can_make_safe": may_stop
-            and watch.bench is not None
+            and watch.signs.bench_file is not None
             and watch.holder is None
-            and watch.bench_holder is None,
+            and watch.signs.holder is None,
             "late": _late(view.ticks, view.late_ticks),
             "series": _series(watch, cursor),
             "events": [event for event in (*view.events, *view.slips) if event["n"] > cursor.event],

@@ -343,9 +343,9 @@ def _answer(stop: Stop) -> dict[str, Any]:
 
 def _make_safe(state: PageState, _: dict[str, Any]) -> tuple[int, dict[str, Any]]:
     watch = state.watch
-    if watch.bench is None:
+    if watch.signs.bench_file is None:
         return 409, {"problem": "no bench file; start the page with --bench FILE"}
-    if watch.holder is not None or watch.bench_holder is not None:
+    if watch.holder is not None or watch.signs.holder is not None:
         return 409, {"problem": "a program holds the bench: stop it first"}
     if not state.making_safe.acquire(blocking=False):
         return 409, {"problem": "the bench is being made safe already"}
@@ -353,7 +353,7 @@ def _make_safe(state: PageState, _: dict[str, Any]) -> tuple[int, dict[str, Any]
         done = subprocess.run(
             [
                 *(sys.executable, "-c", "from rig.cli import main; main()"),
-                *("make-safe", "--bench", str(watch.bench)),
+                *("make-safe", "--bench", str(watch.signs.bench_file)),
             ],
             stdin=subprocess.DEVNULL,
             capture_output=True,

@@ -47,7 +47,7 @@ def run_panel(watch: BenchWatch) -> Group:
     with watch.lock:
         view, word = watch.view, watch.word
         shown = view.summary()
-        latest = watch.last_file if not shown else None
+        latest = watch.last_file
         parts: list[Text | Table] = []
         if mark := (latest or shown).get("mark", ""):
             text = printable(f" {mark}: these are not measurements ")

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rig.core.errors import ConfigurationError, ExitCode, RigError
-from rig.detector.commands import from_text
+from rig.detector.commands import COLUMN, FORMER_COLUMN, from_text, text_in
 from rig.detector.events import EVENT_KINDS, SlipEvent, unjudged_s
 from rig.detector.registered import ChosenDetector
 from rig.files.checksum import checksum_findings, sha256_of
@@ -125,23 +125,25 @@ def detect_trials(run: RunFile, detector: ChosenDetector) -> list[DetectedTrial]
             "record the run again, or name another file",
         )
     trials = []
-    moves = moves_of_x(run)
+    commands = commands_of(run)
     for point in run.point_ids():
         if point in pieces:
             try:
-                trials.append(_detect_trial(point, pieces[point], moves.get(point, ""), detector))
+                trials.append(
+                    _detect_trial(point, pieces[point], commands.get(point, ""), detector)
+                )
             except ValueError as error:
                 raise ConfigurationError(f"{run.path}: trial {point}: {error}") from error
     return trials
 
 
-def moves_of_x(run: RunFile) -> dict[str, str]:
-    """Return what x was commanded to do in each kept trial, as `rig.detector.commands` has it;
-    empty for a file that does not state it."""
-    if "x_moves" not in run.columns():
+def commands_of(run: RunFile) -> dict[str, str]:
+    """Return what was commanded in each kept trial, as `rig.detector.commands` has it; empty for a
+    file that does not state it."""
+    if not {COLUMN, FORMER_COLUMN} & set(run.columns()):
         return {}
     readings = zip(run.point_ids(), run.readings(), strict=True)
-    return {point: reading.get("x_moves") or "" for point, reading in readings}
+    return {point: text_in(reading) for point, reading in readings}
 
 
 def _detect(job: DetectionJob) -> DetectionResult:
@@ -287,9 +289,9 @@ def _stream_of_strips(run: RunFile) -> str:
 
 
 def _detect_trial(
-    point: str, pieces: list[Waveform], moves: str, chosen: ChosenDetector
+    point: str, pieces: list[Waveform], commands: str, chosen: ChosenDetector
 ) -> DetectedTrial:
-    """Return the result for one trial, with the moves of x as text. Raises ValueError if the
+    """Return the result for one trial, with the commands as text. Raises ValueError if the
     detector cannot process it, or if its pieces are of different kinds."""
     import numpy as np
 
@@ -297,8 +299,8 @@ def _detect_trial(
     if rate_Hz is None:
         raise ValueError("the file gives no sampling rate of v_1 and v_2")
     detector = chosen.make(rate_Hz)
-    for move in from_text(moves):
-        detector.command(move)
+    for one in from_text(commands):
+        detector.command(one)
     events: list[SlipEvent] = []
     rows, differences, predictive = [], [], []
     for piece, volts in _rows_of(pieces):

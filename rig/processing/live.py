@@ -35,7 +35,7 @@ from numpy.typing import NDArray
 
 from rig.core.errors import LONGEST_REASON, ConfigurationError, ExitCode, RigError, shortened
 from rig.detector.checking import event_fault
-from rig.detector.commands import XMove, to_text
+from rig.detector.commands import Command, to_text
 from rig.detector.events import SlipEvent
 from rig.detector.registered import ChosenDetector, chosen_detector, is_own
 
@@ -118,9 +118,9 @@ class LiveDetector(ABC):
         nothing and, unless the detector is patient, waits for nothing."""
 
     @abstractmethod
-    def command(self, move: XMove) -> None:
-        """Says that x was commanded to move (`rig.detector.contract.Detector.command`), before the
-        rows from which on it does. Raises nothing and waits like `add`."""
+    def command(self, one: Command) -> None:
+        """Says what was commanded (`rig.detector.contract.Detector.command`), before the rows from
+        which on it counts. Raises nothing and waits like `add`."""
 
     @abstractmethod
     def finish(self) -> None:
@@ -213,9 +213,9 @@ class _Direct(LiveDetector):
     def add(self, volts: Reals, first_sample: int) -> None:
         self._ask(lambda: self._detector.add(volts, first_sample))
 
-    def command(self, move: XMove) -> None:
+    def command(self, one: Command) -> None:
         def told() -> list[SlipEvent]:
-            self._detector.command(move)
+            self._detector.command(one)
             return []
 
         self._ask(told)
@@ -305,8 +305,8 @@ class _InChild(LiveDetector):
             self._rows = first + len(part)
             self._send(ROWS, first, self._rows, part.tobytes())
 
-    def command(self, move: XMove) -> None:
-        self._send(COMMAND, self._rows, self._rows, to_text([move]).encode())
+    def command(self, one: Command) -> None:
+        self._send(COMMAND, self._rows, self._rows, to_text([one]).encode())
 
     def finish(self) -> None:
         self._send(FINISH, 0, self._rows)

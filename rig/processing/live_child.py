@@ -101,8 +101,8 @@ def _serve(connection: socket.socket) -> None:
                 volts = np.frombuffer(message, np.float64, offset=live.HEAD.size).reshape(-1, 2)
                 events = detector.add(volts, first)
             elif asked == live.COMMAND:
-                (move,), events = from_text(message[live.HEAD.size :].decode()), []
-                detector.command(move)
+                (one,), events = from_text(message[live.HEAD.size :].decode()), []
+                detector.command(one)
             else:
                 events = detector.finish()
             if len(events) > live.MOST_EVENTS:

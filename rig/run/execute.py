@@ -35,6 +35,7 @@ from rig.run.checked_procedure import CheckedProcedure, internal
 from rig.run.context import Run
 from rig.run.guard import GuardLink
 from rig.run.holds import PauseSwitch
+from rig.run.interlock_proof import prove
 from rig.run.interlock_store import InterlockStore
 from rig.run.interlocks import InterlockError
 from rig.run.job import Journal, RunJob
@@ -310,7 +311,7 @@ class _Execution:
         watch.check()
         for contact in self.bench.settings.interlock:
             if contact.proof and contact.name not in self.job.proven:
-                watch.prove(contact.name, lambda text: self.observers.event("info", text))
+                prove(watch, contact.name, lambda text: self.observers.event("info", text))
                 self.job.proven.add(contact.name)
 
     def _end_interlocks(self) -> None:

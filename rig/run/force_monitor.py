@@ -8,8 +8,6 @@ in the procedure's thread at its next check.
 from __future__ import annotations
 
 import sys
-import threading
-from collections import deque
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -18,7 +16,9 @@ import numpy.typing as npt
 from rig.core.clock import Clock
 from rig.core.errors import InstrumentError, RigError
 from rig.instruments.roles import ForceFrames, ForceSensor, axes_of
-from rig.run.force_axes import AXES, AxisWatch
+from rig.run.frame_buffer import FrameBuffer
+from rig.run.frame_delay import FrameDelay
+from rig.run.frame_faults import FrameFault, FrameFaults
 from rig.run.holds import Holds
 from rig.run.stream_reader import StreamReader
 from rig.run.trip import TripError
@@ -27,18 +27,8 @@ STALE_S = 0.25
 """Time without a frame that starts a hold: the force is not known."""
 LOST_S = 5.0
 """Time without a frame, or with missing frames, that ends the run."""
-MISSING_FRAMES = 25
-"""Frames overdue by bench time, beyond the usual number, from which they are late or the stream has
-a gap."""
 LATE_S = 0.5
 """Time with missing frames that starts a hold: frames that are merely late arrive within it."""
-STILL_FRAMES = 20
-"""Number of successive frames, equal to the last bit on all axes, that show a stopped converter:
-one of 24 bits always sees noise of many steps (unconfirmed on the amplifier)."""
-DRIFT = 1e-3
-"""Rate at which the usual number of overdue frames follows: well above the drift between two
-clocks."""
-BATCHES_KEPT = 20_000
 
 
 class ForceMonitor:
@@ -48,37 +38,25 @@ class ForceMonitor:
         self, sensor: ForceSensor, clock: Clock, holds: Holds, act: Callable[[], list[str]]
     ):
         self._sensor, self._clock, self._holds, self._act = sensor, clock, holds, act
-        self._limit_N = self.limit_N = float("inf")
-        """Limit that trips now, and limit that `watch` was last called with."""
+        self.limit_N = float("inf")
+        """Limit that `watch` was last called with."""
         self.zero: tuple[float, float, float] | None = None
         """Raw reading without force; None if the sensor has not been zeroed since this stream was
         begun."""
         self.noise_N = np.zeros(3)
         """Standard deviation of a frame's force along x, y, z, in N, at the latest `tare`."""
+        self.axes = axes_of(sensor)
+        """Axes that the sensor measures. The others are 0 in its frames."""
+        self._frames = FrameBuffer()
+        self._faults = FrameFaults(getattr(sensor, "axes", ""))
+        self._delay = FrameDelay()
         self._trip: RigError | None = None
         """Reason why the reader's thread made the bench safe."""
         self._rate = 0.0
-        self._recent: deque[ForceFrames] = deque(maxlen=BATCHES_KEPT)
-        self._lock = threading.Lock()
-        self._frames_before = 0
-        """Number of the first frame after those that were dropped on purpose."""
         self._last_frame_s: float | None = None
         """Time of the latest frame; None until the stream has begun."""
-        self._usual = 0.0
         self._newest_s = 0.0
         """Time at which the newest buffered frame would have come without its delay."""
-        self._missing_since_s: float | None = None
-        self._looked_s = 0.0
-        self.axes = axes_of(sensor)
-        """Axes that the sensor measures. The others are 0 in its frames."""
-        self._axes = AxisWatch(getattr(sensor, "axes", ""))
-        self._at_rest: npt.NDArray[np.float32] | None = None
-        """Raw frames of the latest `tare` that the reader's thread has not learned from."""
-        self._last_raw: list[float] = []
-        self._still = 0
-        """Number of successive frames up to the latest that repeat the one before them."""
-        self.largest_N = 0.0
-        """Largest force along any axis since `watch` was called, in N."""
         self._reader: StreamReader[ForceFrames] = StreamReader(
             "force reader", self, around=clock.in_background
         )
@@ -90,7 +68,7 @@ class ForceMonitor:
         """Begin to stream and to watch, without a limit yet. Returns the actual rate (see the
         property `rate_S_s`), which may differ from the one asked for."""
         self._unfollow = self._clock.follow_stream("force_sensor", self)
-        self._looked_s = self._clock.now()
+        self._delay.begin(self._clock.now())
         # Noted first: frames may come although the answer to the start command is lost.
         self._reader.start()
         self._rate = self._sensor.start(rate_S_s)
@@ -115,8 +93,13 @@ class ForceMonitor:
 
     def watch(self, limit_N: float) -> None:
         """Trip from now on over a force above `limit_N` along any axis."""
-        self._limit_N = self.limit_N = limit_N
-        self.largest_N = 0.0
+        self._faults.limit_N = self.limit_N = limit_N
+        self._faults.largest_N = 0.0
+
+    @property
+    def largest_N(self) -> float:  # noqa: N802 - the unit keeps its capital
+        """Largest force along any axis since `watch` was called, in N."""
+        return self._faults.largest_N
 
     def mean_N(  # noqa: N802 - the unit keeps its capital
         self, seconds: float
@@ -139,31 +122,7 @@ class ForceMonitor:
 
         Raises InstrumentError if some of them have left the buffer: a record must not have a gap.
         """
-        found: list[ForceFrames] = []
-        with self._lock:
-            for frames in reversed(self._recent):
-                if frames.first_index + len(frames) <= index:
-                    break
-                found.append(frames)
-        if not found:
-            return None
-        oldest = found[-1]
-        skip = index - oldest.first_index
-        if skip < 0:
-            raise InstrumentError(
-                "force_sensor",
-                "stream",
-                f"{-skip} frames from number {index} on are no longer in the buffer",
-                "read them more often",
-            )
-        parts = found[::-1]
-        return ForceFrames(
-            index,
-            np.concatenate([batch.raw for batch in parts])[skip:],
-            np.concatenate([batch.force_N for batch in parts])[skip:],
-            np.concatenate([batch.saturated for batch in parts])[skip:],
-            oldest.raw_unit,
-        )
+        return self._frames.since(index)
 
     @property
     def older_s(self) -> float:
@@ -175,9 +134,7 @@ class ForceMonitor:
     @property
     def frames_seen(self) -> int:
         """Number of frames received so far, which is the number of the next one."""
-        with self._lock:
-            latest = self._recent[-1] if self._recent else None
-        return latest.first_index + len(latest) if latest is not None else self._frames_before
+        return self._frames.seen
 
     def tare(self, seconds: float) -> tuple[float, float, float]:
         """Define the mean of the latest `seconds` as zero force. Returns the force along x, y, z in
@@ -185,13 +142,10 @@ class ForceMonitor:
         latest = self._latest(seconds)
         zero = np.concatenate([f.raw[-n:] for f, n in latest]).mean(axis=0)
         self.noise_N = np.concatenate([f.force_N[-n:] for f, n in latest]).std(axis=0)
-        self._at_rest = np.concatenate([f.raw[-n:] for f, n in latest])
+        self._faults.at_rest = np.concatenate([f.raw[-n:] for f, n in latest])
         raw = (float(zero[0]), float(zero[1]), float(zero[2]))
         zero_N = self._sensor.tare(raw)
-        with self._lock:
-            if self._recent:
-                self._frames_before = self._recent[-1].first_index + len(self._recent[-1])
-            self._recent.clear()
+        self._frames.forget()
         self.zero = raw
         return zero_N
 
@@ -213,7 +167,7 @@ class ForceMonitor:
     ) -> float | None:
         """Return the largest mean force along any axis of the latest `seconds`, in N, without
         waiting; None if no frame has come, or none lately."""
-        kept = self._kept(max(1, round(seconds * self._rate)))
+        kept = self._frames.latest(max(1, round(seconds * self._rate)))
         if not kept or self.older_s > STALE_S:
             return None
         latest_N = np.concatenate([frames.force_N[-n:] for frames, n in kept])
@@ -276,75 +230,28 @@ class ForceMonitor:
         self._last_frame_s = now
         if _STALE in self._holds.active:
             # The silence has been a hold already, so it is not reported as a gap as well.
-            self._usual = self._sensor.frames_behind
+            self._delay.take_as_usual(self._sensor.frames_behind)
             self._holds.end(_STALE)
         self._watch_gap(now)
-        late = max(0.0, self._sensor.frames_behind - self._usual)
-        with self._lock:
-            self._recent.append(frames)
-            self._newest_s = now - (late / self._rate if self._rate else 0.0)
-        self._watch_force(frames)
-        self._watch_standstill(frames)
-        self._watch_axes(frames)
+        late = max(0.0, self._delay.beyond_usual(self._sensor.frames_behind))
+        self._frames.add(frames)
+        self._newest_s = now - (late / self._rate if self._rate else 0.0)
+        for fault in self._faults.in_frames(frames):
+            self._make_safe(fault)
         return [frames]
 
-    def _watch_force(self, frames: ForceFrames) -> None:
-        if np.count_nonzero(frames.saturated):
-            failed = self._make_safe()
-            self._trip = InstrumentError(
-                "force_sensor",
-                "stream",
-                f"{int(frames.saturated.sum())} of {len(frames)} frames are saturated: the force "
-                f"is beyond what the amplifier can measure{failed}",
-                "unload the sensor; check its zero, its cable and the input range",
-            )
-            raise self._trip
-        sizes = np.abs(frames.force_N)
-        largest = float(sizes.max())
-        self.largest_N = max(self.largest_N, largest)
-        if largest <= self._limit_N:
-            return
-        axis = AXES[int(sizes.max(axis=0).argmax())]
-        what = f"force along {axis} of {largest:.3g} N is over the limit of {self._limit_N:g} N"
-        # A trip is reported once; the next call of `watch` sets a limit again.
-        self._limit_N = float("inf")
-        self._trip = TripError(what + self._make_safe(), "find out what pressed first")
-
-    def _watch_standstill(self, frames: ForceFrames) -> None:
-        """Make the bench safe if the sensor keeps sending the same frame: it no longer measures."""
-        for raw in frames.raw.tolist():
-            self._still = self._still + 1 if raw == self._last_raw else 0
-            self._last_raw = raw
-            if self._still >= STILL_FRAMES:
-                failed = self._make_safe()
-                self._trip = InstrumentError(
-                    "force_sensor",
-                    "stream",
-                    f"{self._still} frames in a row are the same to the last bit: the force is not "
-                    f"measured any more{failed}",
-                    "switch the amplifier off and on; check that its converter runs",
-                )
-                raise self._trip
-
-    def _watch_axes(self, frames: ForceFrames) -> None:
-        """Make the bench safe if one axis of the sensor does not measure any more."""
-        if (rest := self._at_rest) is not None:
-            self._at_rest = None
-            self._axes.learn(rest)
-        if (fault := self._axes.fault(frames.raw)) is not None:
-            failed = self._make_safe()
-            self._trip = InstrumentError(
-                "force_sensor",
-                "stream",
-                f"{fault}{failed}",
-                "check the cable and the bridge of this axis; switch the amplifier off and on",
-            )
-            raise self._trip
-
-    def _make_safe(self) -> str:
-        """Run the emergency actions; return their failures as an addition to the reason."""
+    def _make_safe(self, fault: FrameFault) -> None:
+        """Run the emergency actions and keep the reason. Raises InstrumentError, which ends the
+        stream, where the sensor is not to be believed any more."""
         failures = self._act()
-        return f"; not stopped at once: {'; '.join(failures)}" if failures else ""
+        cause = fault.cause
+        if failures:
+            cause += f"; not stopped at once: {'; '.join(failures)}"
+        if fault.is_over_limit:
+            self._trip = TripError(cause, fault.hint)
+            return
+        self._trip = InstrumentError("force_sensor", "stream", cause, fault.hint)
+        raise self._trip
 
     def _watch_silence(self) -> None:
         if self._last_frame_s is None:
@@ -361,27 +268,21 @@ class ForceMonitor:
             self._holds.begin(_STALE)
 
     def _watch_gap(self, now: float) -> None:
-        missing = self._sensor.frames_behind - self._usual
-        drift = DRIFT * self._rate * (now - self._looked_s)
-        self._looked_s = now
-        if missing < MISSING_FRAMES:
-            # It falls no faster than it rises, because one batch may be ahead of a slaved clock.
-            self._usual += max(-drift, min(missing, drift))
-            self._missing_since_s = None
+        behind = self._sensor.frames_behind
+        missing_s = self._delay.missing_for_s(now, behind, self._rate)
+        if missing_s is None:
             self._holds.end(_LATE)
             return
-        since = self._missing_since_s = self._missing_since_s or now
-        if now - since > LATE_S:
+        if missing_s > LATE_S:
             self._holds.begin(_LATE)
-        if now - since > LOST_S:
-            failed = self._make_safe()
-            self._trip = InstrumentError(
-                "force_sensor",
-                "stream",
-                f"{missing:.0f} frames are missing: the stream has a gap{failed}",
-                "check the cable and the load of the computer; choose a lower rate",
+        if missing_s > LOST_S:
+            self._make_safe(
+                FrameFault(
+                    f"{self._delay.beyond_usual(behind):.0f} frames are missing: the stream has a "
+                    "gap",
+                    "check the cable and the load of the computer; choose a lower rate",
+                )
             )
-            raise self._trip
 
     def _latest(self, seconds: float) -> list[tuple[ForceFrames, int]]:
         """Return the latest batches, oldest first, and how many frames of each lie within
@@ -390,20 +291,10 @@ class ForceMonitor:
         Right after a start or a tare there are none yet: it then waits for them, until the silence
         ends the run.
         """
-        while not (batches := self._kept(max(1, round(seconds * self._rate)))):
+        while not (batches := self._frames.latest(max(1, round(seconds * self._rate)))):
             self.check_stream()
             self._clock.sleep(1 / self._rate)
         return batches
-
-    def _kept(self, wanted: int) -> list[tuple[ForceFrames, int]]:
-        batches: list[tuple[ForceFrames, int]] = []
-        with self._lock:
-            for frames in reversed(self._recent):
-                batches.append((frames, min(wanted, len(frames))))
-                wanted -= len(frames)
-                if wanted <= 0:
-                    break
-        return batches[::-1]
 
 
 _STALE = "the force sensor is silent"

@@ -1,10 +1,9 @@
 """Watches the interlock contacts of a bench while a command uses it.
 
-In real time each instrument with contacts is read by a thread of its own, so that one that does not
-answer delays no other, and a further thread judges: what is open, and what has not been read for
-too long. When a person's contact opens, that thread runs the emergency actions of everything that
-is armed, records the latch, and keeps the reason, which the procedure's next wait raises. In
-virtual time all of it is done in each slice of a wait.
+Contacts are read by `rig.run.contact_readings`. In real time a thread judges: what is open, and
+what has not been read for too long. When a person's contact opens, that thread runs the emergency
+actions of everything that is armed, records the latch, and keeps the reason, which the
+procedure's next wait raises. In virtual time all of it is done in each slice of a wait.
 
 The states are those of `rig.control.interlock`.
 """
@@ -12,40 +11,27 @@ The states are those of `rig.control.interlock`.
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
-from functools import partial
 
 from rig.bench.connect import connect
 from rig.bench.connected import Bench
-from rig.bench.interlocks import InterlockSettings, by_role
+from rig.bench.interlocks import InterlockSettings
 from rig.bench.plan import BenchPlan
 from rig.control.interlock import STEADY_S, Contact, ContactEvent, InterlockState
 from rig.core.clock import WallClock
-from rig.core.errors import ExitCode, InstrumentError, RigError
+from rig.core.errors import ExitCode, RigError
 from rig.core.threads import start_thread
-from rig.instruments.roles import ReadsInputs
+from rig.run.contact_readings import FRESH_S, ContactReadings
 from rig.run.holds import Holds
 from rig.run.interlock_store import InterlockStore
 
-READ_EVERY_S = 0.02
-"""Interval between two readings of the contacts of one instrument, where its driver's
-``INPUTS_EVERY_S`` is not longer."""
-FRESH_S = 0.6
-"""Longest wait for a reading that is newer than a failure: longer than it takes a contact that is
-not read to count as open."""
-AGAIN_S = 1.0
-"""Time after which an instrument that did not answer is read again in virtual time."""
-PROOF_S = 120.0
-"""Time that a person has to open a contact for a proof test, and again to close it."""
-CLOSE_S = 2 * STEADY_S
-"""Time within which a contact that is to be reset has to be seen closed."""
+JUDGE_EVERY_S = 0.02
 LOOK_EVERY_S = 0.05
 RESET = "rig interlocks reset"
-
-
-_AT_REST = (InterlockState.CLOSED, InterlockState.RELEASED)
+AT_REST = (InterlockState.CLOSED, InterlockState.RELEASED)
+"""States of a contact that is closed."""
 
 
 class InterlockError(RigError):
@@ -73,13 +59,12 @@ class InterlockWatch:
         looks_only: bool = False,
     ):
         self._bench, self._clock = bench, bench.clock
-        self._holds, self._act, self._store, self._note = holds, act, store, note
+        self._holds, self._act = holds, act
+        self.store, self.note = store, note
         self._declared = {one.name: one for one in bench.settings.interlock}
         self._looks_only = looks_only
         self._contacts: dict[str, Contact] = {}
-        self._by_role = by_role(bench.settings.interlock)
-        self._failed: dict[str, str] = {}
-        """Reason why an instrument's inputs could not be read the last time, by role."""
+        self._readings = ContactReadings(bench, self._take_in)
         self._reasons: dict[str, str] = {}
         """Reason why each latched contact is latched, in words."""
         self._unread: set[str] = set()
@@ -93,19 +78,9 @@ class InterlockWatch:
         self._unkept: list[RigError] = []
         self._lock = threading.RLock()
         """Held while the state of a contact changes, and until what follows from it is done."""
-        self._changed = threading.Condition()
-        self._turns = 0
-        self._opened = threading.Event()
         self._ending = threading.Event()
-        self._threads: list[threading.Thread] = []
-        self._read_at_s: dict[str, float] = {}
-        self._every_s = {
-            part.role: max(READ_EVERY_S, getattr(part.driver, "INPUTS_EVERY_S", 0.0))
-            for part in bench.plan.instruments
-        }
-        """Interval between two readings, by role."""
-        self._failed_at_s = float("-inf")
-        self._reading = self._begun = False
+        self._judge_thread: threading.Thread | None = None
+        self._begun = False
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -125,30 +100,29 @@ class InterlockWatch:
         if not self._declared:
             return
         if not self._looks_only:
-            self._store.check_writable()
+            self.store.check_writable()
         now_s = self._clock.now()
         for name, declared in self._declared.items():
-            latched = self._store.get(name)
+            latched = self.store.get(name)
             if latched.opened is not None:
                 self._reasons[name] = f"{latched.why} ({latched.opened})"
             self._contacts[name] = Contact(
                 name, declared.kind, now_s, latched=latched.opened is not None
             )
-        for role in self._by_role:
-            self._read(role)
+        self._readings.begin()
         self._begun = True
-        if self._clock.is_virtual:
-            return
-        for role in self._by_role:
-            self._start(f"interlocks {role}", partial(self._keep_reading, role))
-        self._start("interlocks", self._keep_judging)
+        if not self._clock.is_virtual:
+            self._judge_thread = threading.Thread(
+                target=self._keep_judging, name="interlocks", daemon=True
+            )
+            start_thread(self._judge_thread)
 
     def end(self) -> None:
         """End the watch; does nothing if it was not begun."""
         self._ending.set()
-        self._opened.set()
-        for thread in self._threads:
-            thread.join(FRESH_S)
+        self._readings.end()
+        if self._judge_thread is not None:
+            self._judge_thread.join(FRESH_S)
         self._begun = False
 
     # --- in the procedure's thread --------------------------------------------------------------
@@ -156,10 +130,10 @@ class InterlockWatch:
     def poll(self) -> None:
         """Called in every slice of a wait, in any phase: look at the contacts, and let what follows
         from an open one happen. Raises nothing."""
-        if not self._begun or self._reading:
+        if not self._begun or self._readings.under_way:
             return
         if self._clock.is_virtual:
-            self._read_all(when_due=True)
+            self._readings.read(self._are_needed, all_now=False)
         self._judge()
         self._tell()
 
@@ -168,14 +142,14 @@ class InterlockWatch:
         with self._lock:
             for name, contact in self._contacts.items():
                 if contact.latched and name != self._proving:
-                    raise self._error(name)
+                    raise self.error(name)
 
     def news(self) -> InterlockError | None:
         """Return, once, what `check` raises, unless it has raised it before."""
         with self._lock:
             for name, contact in self._contacts.items():
                 if contact.latched and name not in self._told:
-                    return self._error(name)
+                    return self.error(name)
         return None
 
     def settle(self) -> None:
@@ -184,71 +158,24 @@ class InterlockWatch:
         if not self._begun:
             return
         if self._clock.is_virtual:
-            self._read_all()
+            self._readings.read(self._are_needed, all_now=True)
         else:
-            with self._changed:
-                awaited = self._turns + 2 * len(self._by_role)
-                self._changed.wait_for(lambda: self._turns >= awaited, FRESH_S)
+            self._readings.await_new()
         self._judge()
         self._tell()
 
-    def reset(self, name: str) -> None:
-        """End the latch of a contact, here and in its record. Nothing may be armed.
+    # --- for a person's reset and proof test ----------------------------------------------------
 
-        Raises InterlockError if the contact is open or has not been closed for `STEADY_S`, RigError
-        if the record cannot be written.
-        """
-        if not self._await(name, lambda contact: contact.state is InterlockState.RELEASED, CLOSE_S):
-            raise InterlockError(f"interlock {name} is {self.level(name)}", "close it first")
-        self._store.reset(name)
-        with self._lock:
-            self._contacts[name].reset()
-
-    def prove(self, name: str, say: Callable[[str], None]) -> None:
-        """Have a person open and close a contact, and record that both were seen. Nothing may be
-        armed. `say` shows what the person is to do.
-
-        Raises InterlockError if the contact is latched, or does not open or close in time.
-        """
-        if self._store.get(name).opened is not None:
-            raise self._error(name)
+    @contextmanager
+    def proving(self, name: str) -> Iterator[None]:
+        """Let a contact be opened on purpose within the block: nothing follows from it."""
         self._proving = name
         try:
-            if not self._await_closed(name):
-                say(f"interlock {name} is {self.level(name)}: close it first")
-            self._require_closed(name)
-            say(f"proof test of interlock {name}: open it (within {PROOF_S:g} s)")
-            if not self._await(name, lambda contact: contact.hinders and contact.readable, PROOF_S):
-                raise InterlockError(
-                    f"interlock {name} was not seen to open within {PROOF_S:g} s",
-                    "the contact may be welded or bridged: repair it, then start again",
-                )
-            say(f"interlock {name} is seen to be open: close it (within {PROOF_S:g} s)")
-            self._require_closed(name)
+            yield
         finally:
             self._proving = None
-        self._store.prove(name)
-        self._note("info", "interlock", f"interlock {name} was seen to open and to close")
-        say(f"interlock {name} opens and closes: recorded")
 
-    def _await_closed(self, name: str, seconds: float = 0.0) -> bool:
-        """Wait until a contact is closed; return whether it is in time. During its proof test only:
-        the opening before was meant, and is forgotten."""
-        if not self._await(name, lambda contact: contact.state in _AT_REST, seconds):
-            return False
-        with self._lock:
-            if self._contacts[name].latched:
-                self._contacts[name].reset()
-        return True
-
-    def _require_closed(self, name: str) -> None:
-        if not self._await_closed(name, PROOF_S):
-            raise InterlockError(
-                f"interlock {name} was not seen to close within {PROOF_S:g} s",
-                "close it, look at its wire and its switch, then start again",
-            )
-
-    def _await(self, name: str, seen: Callable[[Contact], bool], seconds: float) -> bool:
+    def wait_for(self, name: str, seen: Callable[[Contact], bool], seconds: float) -> bool:
         """Wait until a contact is as it should be; return whether it is in time."""
         end_s = self._clock.now() + seconds
         while not seen(self._contacts[name]):
@@ -257,82 +184,37 @@ class InterlockWatch:
             self._clock.sleep(LOOK_EVERY_S)
         return True
 
+    def forget_opening(self, name: str) -> None:
+        """End the latch of a contact that is closed; its record is not changed."""
+        with self._lock:
+            if self._contacts[name].latched:
+                self._contacts[name].reset()
+
     def level(self, name: str) -> str:
         """Return in words how a contact stands."""
         contact = self._contacts[name]
         if not contact.readable:
-            return f"not readable ({self._failed.get(self._declared[name].role, 'no answer')})"
-        return "closed" if contact.state in _AT_REST else "open"
+            why = self._readings.failure(self._declared[name].role) or "no answer"
+            return f"not readable ({why})"
+        return "closed" if contact.state in AT_REST else "open"
 
     def failures(self) -> list[RigError]:
         """Return, once, why latches could not be recorded."""
         failures, self._unkept = self._unkept, []
         return failures
 
-    # --- reading and judging --------------------------------------------------------------------
-
-    def _start(self, name: str, work: Callable[[], None]) -> None:
-        thread = threading.Thread(target=work, name=name, daemon=True)
-        start_thread(thread)
-        self._threads.append(thread)
-
-    def _keep_reading(self, role: str) -> None:
-        with self._clock.in_background():
-            while not self._ending.wait(self._every_s[role]):
-                self._try_to_read(role)
-                with self._changed:
-                    self._turns += 1
-                    self._changed.notify_all()
+    # --- judging --------------------------------------------------------------------------------
 
     def _keep_judging(self) -> None:
         with self._clock.in_background():
-            while not self._ending.is_set():
-                self._opened.wait(READ_EVERY_S)
-                self._opened.clear()
+            while not self._ending.wait(JUDGE_EVERY_S):
                 self._judge()
 
-    def _read_all(self, when_due: bool = False) -> None:
-        self._reading = True  # A link's time-out lets bench time pass, and this is called again.
-        try:
-            now_s = self._clock.now()
-            for role in self._by_role:
-                age_s = now_s - self._read_at_s.get(role, float("-inf"))
-                if when_due and age_s < self._every_s[role]:
-                    continue
-                self._read_at_s[role] = now_s
-                if self._worth_reading(role, now_s):
-                    self._try_to_read(role)
-        finally:
-            self._reading = False
-
-    def _worth_reading(self, role: str, now_s: float) -> bool:
-        """Return whether to read an instrument in virtual time, where one that does not answer
-        holds up everything else: not if all its contacts are latched, which ends the run, and not
-        too soon after it did not answer."""
-        contacts = (self._contacts[one.name] for one in self._by_role[role])
-        if self._proving is None and all(contact.latched for contact in contacts):
-            return False
-        return role not in self._failed or now_s >= self._failed_at_s + AGAIN_S
-
-    def _try_to_read(self, role: str) -> None:
-        try:
-            self._read(role)
-            self._failed.pop(role, None)
-        except RigError as error:
-            self._failed[role] = error.one_line()
-            self._failed_at_s = self._clock.now()
-        except Exception as error:  # noqa: BLE001 - a driver's bug must not end the watch
-            self._failed[role] = f"{type(error).__name__}: {error}"
-
-    def _read(self, role: str) -> None:
-        """Read the contacts of one instrument. Raises InstrumentError."""
-        instrument = self._bench.instruments[role]
-        if not isinstance(instrument, ReadsInputs):
-            raise InstrumentError(role, "read inputs", "its driver does not read inputs")
-        declared = self._by_role[role]
-        levels = instrument.inputs_high([one.line for one in declared])
-        for one in declared:
-            self._take_in(one, levels[one.line])
+    def _are_needed(self, contacts: Sequence[InterlockSettings]) -> bool:
+        """Return whether contacts are to be read: not if all are latched, which ends the run."""
+        return self._proving is not None or not all(
+            self._contacts[one.name].latched for one in contacts
+        )
 
     def _take_in(self, declared: InterlockSettings, high: bool) -> None:
         with self._lock:
@@ -368,7 +250,7 @@ class InterlockWatch:
                 self._unread.add(name)
             self._news.append(("error", why))
             try:
-                self._store.latch(name, why)
+                self.store.latch(name, why)
             except RigError as error:
                 self._unkept.append(error)
         elif event is ContactEvent.CLOSES:
@@ -381,7 +263,7 @@ class InterlockWatch:
         at = f"at {self._clock.now():.3f} s of bench time"
         if contact.readable:
             return f"{what} opened {at}"
-        cause = self._failed.get(declared.role, f"{declared.role} does not answer in time")
+        cause = self._readings.failure(declared.role) or f"{declared.role} does not answer in time"
         return f"{what} cannot be read {at}, which counts as open: {cause}"
 
     def _tell(self) -> None:
@@ -389,15 +271,16 @@ class InterlockWatch:
         with self._lock:
             news, self._news = self._news, []
         for level, message in news:
-            self._note(level, "interlock", message)
+            self.note(level, "interlock", message)
 
-    def _error(self, name: str) -> InterlockError:
+    def error(self, name: str) -> InterlockError:
+        """Return what a latched contact means to a run, as the error that ends it."""
         self._told.add(name)
         what = self._reasons.get(name, f"interlock {name} (person) opened")
         hint = "check the bench and close it"
         if name in self._unread:
             hint = f"check {self._declared[name].role}, which reads it, and that it is closed"
-        if self._store.lasting:
+        if self.store.lasting:
             hint += f", then there: {RESET} --bench {self._bench.plan.source}"
         return InterlockError(what, f"{hint}; then start again")
 
@@ -430,5 +313,5 @@ def watched(
         watch.begin()
         clock.each_slice(in_each_wait)
         if looks_only:
-            clock.sleep(CLOSE_S)
+            clock.sleep(2 * STEADY_S)  # until it is known which contacts are closed
         yield watch

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.detector.commands import XMove
+from rig.detector.commands import Command, HeldForce, XMove
 from rig.detector.events import EVENT_KINDS, SlipEvent
 from rig.detector.registered import ChosenDetector, chosen_detector
 from rig.testing.raising import raising
@@ -60,26 +60,29 @@ def _blocks_give_the_events_of_the_whole(chosen: ChosenDetector) -> None:
         _same(_events(chosen, volts, sorted(cuts)), whole, f"blocks cut at {sorted(cuts.tolist())}")
 
 
-def _commands_of_x_are_taken(chosen: ChosenDetector) -> None:
+def _commands_are_taken(chosen: ChosenDetector) -> None:
     """Commands that come with the rows find what they find where all are known before."""
     rate_Hz = _rate(chosen)
     volts = recording(rate_Hz)
-    times_s = ((0.8, 0.4, 1.0), (0.9, -0.2, 1.3), (1.8, 0.3, 2.3))
-    moves = [
+    moves_s = ((0.8, 0.4, 1.0), (0.9, -0.2, 1.3), (1.8, 0.3, 2.3))
+    commands: list[Command] = [
         XMove(round(begin_s * rate_Hz), speed_mm_s, round(end_s * rate_Hz))
-        for begin_s, speed_mm_s, end_s in times_s
+        for begin_s, speed_mm_s, end_s in moves_s
     ]
+    for at_s, force_N in ((0.7, 4.0), (1.1, 3.0)):
+        commands.append(HeldForce(round(at_s * rate_Hz), force_N))
+    commands.sort(key=lambda one: one.sample)
     known = chosen.make(rate_Hz)
-    for move in moves:
-        known.command(move)
+    for one in commands:
+        known.command(one)
     whole = [*known.add(volts), *known.finish()]
     for size in SIZES:
-        detector, waiting, events = chosen.make(rate_Hz), list(moves), list[SlipEvent]()
+        detector, waiting, events = chosen.make(rate_Hz), list(commands), list[SlipEvent]()
         for begin, end in itertools.pairwise(_every(size, len(volts))):
             while waiting and waiting[0].sample < end:
                 detector.command(waiting.pop(0))
             events += detector.add(volts[begin:end])
-        _same([*events, *detector.finish()], whole, f"commands of x, blocks of {size} rows")
+        _same([*events, *detector.finish()], whole, f"commands, blocks of {size} rows")
 
 
 def _events_lie_in_the_rows_in_which_they_were_decided(chosen: ChosenDetector) -> None:
@@ -193,7 +196,7 @@ def _parameters_survive_json(chosen: ChosenDetector) -> None:
 
 _CHECKS: tuple[Callable[[ChosenDetector], None], ...] = (
     _blocks_give_the_events_of_the_whole,
-    _commands_of_x_are_taken,
+    _commands_are_taken,
     _events_lie_in_the_rows_in_which_they_were_decided,
     _instances_share_nothing,
     _a_gap_begins_anew,

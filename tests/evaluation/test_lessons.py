@@ -40,9 +40,9 @@ def test_a_trial_of_the_bench_is_heard_once_as_it_was_recorded_and_then_otherwis
     trial = made("slide", 3)
     assert trial.record is not None
     moves = (XMove(1200, 0.5, 1500),)
-    trial = replace(trial, record=replace(trial.record, x_moves=moves))
+    trial = replace(trial, record=replace(trial.record, commands=moves))
     first, *others = bench_lessons(trial, 3)
-    assert [one.x_moves for one in (first, *others)] == [moves, moves, ()]
+    assert [one.commands for one in (first, *others)] == [moves, moves, ()]
     assert (first.volts == trial.record.volts).all()
     assert [one.first for one in (first, *others)] == [True, False, False]
     assert all((one.volts != first.volts).any() for one in others)
@@ -85,7 +85,7 @@ def test_the_commands_of_x_are_inputs_from_their_row_on_at_any_rate():
     assert not Teacher().rows_of(heard).inputs[:, known].any()
     for rate_Hz, row in ((1000.0, 1200), (2000.0, 2400)):
         volts = np.repeat(heard.volts, round(rate_Hz / 1000.0), axis=0)
-        moved = replace(heard, volts=volts, rate_Hz=rate_Hz, x_moves=(XMove(row, 0.5, 2 * row),))
+        moved = replace(heard, volts=volts, rate_Hz=rate_Hz, commands=(XMove(row, 0.5, 2 * row),))
         taught = Teacher().rows_of(moved).inputs[:, known]
         assert 0.2 < taught.astype(bool).mean() < 0.7
 

@@ -89,7 +89,7 @@ def test_a_record_is_stored_with_all_that_is_scored():
     assert repr(again.truth) == repr(record.truth)  # NaN is not equal to NaN
     assert np.allclose(again.volts, record.volts, atol=1e-9)
     assert (again.way_mm, again.tick_from_s, again.traits) == (0.2, 0.5, {"kind": "slide"})
-    assert again.x_moves == (XMove(500, -0.25, 700),)
+    assert again.commands == (XMove(500, -0.25, 700),)
     assert unpack(b"something else") is None
 
 
@@ -97,7 +97,7 @@ def _record() -> WireRecord:
     truth = Truth("slip", 0.5, 0.6, 0.7, 0.8, record_s=1.0, quiet_s=((0.1, 0.5),))
     volts = 1e-3 * np.random.default_rng(0).standard_normal((1000, 2))
     moves = (XMove(500, -0.25, 700),)
-    return WireRecord(volts, 1000.0, truth, 0.2, 0.5, {"kind": "slide"}, x_moves=moves)
+    return WireRecord(volts, 1000.0, truth, 0.2, 0.5, {"kind": "slide"}, commands=moves)
 
 
 @pytest.fixture

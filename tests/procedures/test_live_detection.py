@@ -70,15 +70,15 @@ def test_the_moves_of_a_record_are_those_that_the_detector_knew_and_find_the_sam
     live.command(XMove(len(volts) + 5, 0.0, 0))
     live.finish()
     rows = len(volts)
-    assert live.moves == [XMove(100, 0.5, 900), XMove(400, 0.1, 4000), XMove(rows + 5, 0.0, 0)]
+    assert live.commands == [XMove(100, 0.5, 900), XMove(400, 0.1, 4000), XMove(rows + 5, 0.0, 0)]
     again = chosen_detector("impulse").make(trials.RATE_HZ)
-    for move in live.moves:
+    for move in live.commands:
         again.command(move)
     expected = [(e.kind, e.sample, e.confidence) for e in again.add(volts) + again.finish()]
     record, _ = recorded(live)
     assert [(one.kind, one.sample, one.confidence) for one in record.detections] == expected != []
     live.begin()
-    assert live.moves == [], "another record begins"
+    assert live.commands == [], "another record begins"
 
 
 class Wall:

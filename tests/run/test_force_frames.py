@@ -11,8 +11,8 @@ import pytest
 from rig.core.clock import WallClock
 from rig.core.errors import InstrumentError
 from rig.instruments.roles import ForceFrames
-from rig.run import force_monitor as force
 from rig.run.force_monitor import ForceMonitor
+from rig.run.frame_buffer import FrameBuffer
 from rig.run.holds import Holds
 
 
@@ -86,13 +86,12 @@ def test_several_batches_come_as_one_from_the_middle(monitor: ForceMonitor, sens
     assert len(got.saturated) == 18
 
 
-def test_forgotten_frames_are_an_error(
-    monitor: ForceMonitor, sensor: Sensor, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(monitor, "_recent", force.deque(maxlen=2))
-    feed(monitor, sensor, frames(0, 10), frames(10, 10), frames(20, 10))
+def test_forgotten_frames_are_an_error() -> None:
+    buffer = FrameBuffer(batches=2)
+    for first in (0, 10, 20):
+        buffer.add(frames(first, 10))
     with pytest.raises(InstrumentError, match="5 frames from number 5 on are no longer in"):
-        monitor.frames_since(5)
+        buffer.since(5)
 
 
 def follow(monitor: ForceMonitor, sensor: Sensor, clock: Clock, seconds: float) -> None:
@@ -201,7 +200,8 @@ def test_the_newest_frame_is_as_old_as_frames_are_missing(
     handed on make it no younger. Nothing where bench time stands while they come."""
     clock: Clock = monitor._clock  # type: ignore[assignment]
     assert monitor.older_s == 0.0
-    monitor._rate, monitor._usual = 1000.0, 2.0
+    monitor._rate = 1000.0
+    monitor._delay.take_as_usual(2.0)
     first = 0
     for behind, older_s in ((2.0, 0.0), (0.5, 0.0), (8.5, 0.0065)):
         sensor.frames_behind = behind

@@ -11,7 +11,7 @@ import pytest
 from tiers import mostly_thorough
 
 from rig.detector import registered
-from rig.detector.commands import XMove
+from rig.detector.commands import Command
 from rig.detector.contract import Detector
 from rig.detector.events import SlipEvent
 from rig.testing import detector_contract
@@ -126,7 +126,7 @@ class AtOnce(Steps):
 
     told = 0
 
-    def command(self, move: XMove) -> None:
+    def command(self, one: Command) -> None:
         """Counts the commands."""
         self.told += 1
 
@@ -138,7 +138,7 @@ class AtOnce(Steps):
 FAULTS: dict[str, type[Detector]] = {
     "blocks-give-the-events-of-the-whole": EachBlockAnew,
     "events-lie-in-the-rows-in-which-they-were-decided": Late,
-    "commands-of-x-are-taken": AtOnce,
+    "commands-are-taken": AtOnce,
     "instances-share-nothing": Shared,
     "a-gap-begins-anew": WithoutReset,
     "rows-that-cannot-be-are-refused": Tolerant,

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from rig.core.settings import Settings, fingerprint
 from rig.detector import kernel
-from rig.detector.commands import XMove
+from rig.detector.commands import Command
 from rig.detector.contract import Detector
 from rig.detector.events import unjudged_s
 from rig.detector.registered import ChosenDetector
@@ -53,7 +53,7 @@ class Contender(Named, Protocol):
         volts: Floats,
         rate_Hz: float,
         factors: tuple[float, ...],
-        moves: tuple[XMove, ...] = (),
+        commands: tuple[Command, ...] = (),
     ) -> list[DetectorReport]:
         """Returns its reports on a recording (n, 2) in V, in which x was commanded to make these
         moves, one for each factor on its threshold."""
@@ -85,7 +85,7 @@ class DetectorContender:
         volts: Floats,
         rate_Hz: float,
         factors: tuple[float, ...],
-        moves: tuple[XMove, ...] = (),
+        commands: tuple[Command, ...] = (),
     ) -> list[DetectorReport]:
         """Returns the events that it detects at each threshold."""
         reports: dict[str, DetectorReport] = {}
@@ -94,16 +94,16 @@ class DetectorContender:
             detector = self.detector.at_threshold(factor)
             key = fingerprint(detector.settings)  # a detector without a threshold is run once
             if key not in reports:
-                reports[key] = self._report(volts, detector.make(rate_Hz), rate_Hz, moves)
+                reports[key] = self._report(volts, detector.make(rate_Hz), rate_Hz, commands)
             found.append(reports[key])
         return found
 
     @staticmethod
     def _report(
-        volts: Floats, detector: Detector, rate_Hz: float, moves: tuple[XMove, ...]
+        volts: Floats, detector: Detector, rate_Hz: float, commands: tuple[Command, ...]
     ) -> DetectorReport:
-        for move in moves:
-            detector.command(move)
+        for one in commands:
+            detector.command(one)
         events = [*detector.add(volts), *detector.finish()]
         slips = [one.time_s for one in events if one.kind == "incipient slip"]
         armings = [one.time_s for one in events if one.kind == "predictive"]
@@ -139,7 +139,7 @@ class BaselineContender:
         volts: Floats,
         rate_Hz: float,
         factors: tuple[float, ...],
-        moves: tuple[XMove, ...] = (),
+        commands: tuple[Command, ...] = (),
     ) -> list[DetectorReport]:
         """Returns its alarms and armings at each threshold; it does not use commands."""
         return baseline_reports(volts, rate_Hz, self.settings, factors)

@@ -33,7 +33,7 @@ from rig.evaluation.wire.record import WireRecord, pack, read_record, unpack
 
 Read = TypeVar("Read")
 
-FORMAT = 3
+FORMAT = 4
 """Raised when what is stored changes its meaning."""
 CODE = ("drivers", "procedures", "rig.physics", "rig.control")
 """Packages whose code determines what a trial records."""

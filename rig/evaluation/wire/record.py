@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.detector.commands import XMove, from_text, to_text
+from rig.detector.commands import Command, from_text, text_in, to_text
 from rig.evaluation import simulated_truth
 from rig.evaluation.scoring.outcomes import Truth
 from rig.evaluation.scoring.patterns import roll_pattern
@@ -42,8 +42,8 @@ class WireRecord:
     """What the record shows beside what was drawn."""
     slips_s: tuple[tuple[float, float], ...] = ()
     """Begin and end of every slip of the whole ridge, the first included, in s of the record."""
-    x_moves: tuple[XMove, ...] = ()
-    """What x was commanded to do, as the detector of the trial was told."""
+    commands: tuple[Command, ...] = ()
+    """What was commanded, as the detector of the trial was told."""
 
 
 def read_record(path: Path) -> WireRecord:
@@ -82,8 +82,10 @@ def read_record(path: Path) -> WireRecord:
             traits["pattern"] = roll_pattern(volts, wave.rate_Hz, truth.motion_s)
         way_mm = _way_mm(run, point, truth.ridge_slip_s)
         slips_s = simulated_truth.slips_of(reading, record_s)
-        moves = tuple(from_text(reading.get("x_moves") or ""))
-        return WireRecord(volts, wave.rate_Hz, truth, way_mm, tick_from_s, traits, slips_s, moves)
+        commands = tuple(from_text(text_in(reading)))
+        return WireRecord(
+            volts, wave.rate_Hz, truth, way_mm, tick_from_s, traits, slips_s, commands
+        )
 
 
 def _way_mm(run: RunFile, point: str, slip_s: float) -> float | None:
@@ -108,7 +110,7 @@ def pack(record: WireRecord) -> bytes:
         "tick_from_s": record.tick_from_s,
         "traits": record.traits,
         "slips_s": record.slips_s,
-        "x_moves": to_text(record.x_moves),
+        "commands": to_text(record.commands),
     }
     buffer = io.BytesIO()
     volts = record.volts.astype(np.float32)
@@ -130,7 +132,7 @@ def unpack(content: bytes) -> WireRecord | None:
         return WireRecord(
             volts, said["rate_Hz"], truth, said["way_mm"], said["tick_from_s"], said["traits"],
             tuple((begin, end) for begin, end in said["slips_s"]),
-            tuple(from_text(said["x_moves"])),
+            tuple(from_text(said["commands"])),
         )  # fmt: skip
     except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile):
         return None

@@ -1,4 +1,5 @@
-"""The commands of x as an input of detectors, and the detector `impulse`, which uses them."""
+"""Commands as an input of detectors: moves of x, which the detector `impulse` uses, and held
+forces."""
 
 from __future__ import annotations
 
@@ -9,7 +10,7 @@ import numpy as np
 import pytest
 
 from rig.core.settings import Settings
-from rig.detector.commands import XMove, from_text, to_text
+from rig.detector.commands import HeldForce, XMove, from_text, text_in, to_text
 from rig.detector.contract import Detector
 from rig.detector.detector import IncipientSlipDetector, NETWORK_RATE_Hz
 from rig.detector.events import SlipEvent
@@ -137,12 +138,49 @@ def test_a_move_goes_through_a_check_and_to_the_rows_of_another_rate(
     assert checked._inner.changes == [(100, 0.0, 0.5), (300, 0.5, 0.0)]
 
 
-def test_moves_survive_as_text_and_older_files_have_none():
-    moves = [XMove(100, -0.5, 300), XMove(200, 0.25, 260)]
-    assert from_text(to_text(moves)) == moves
-    assert from_text("") == []
-    with pytest.raises(ValueError, match="not a list of moves of x"):
-        from_text("[1, 2]")
+def test_commands_survive_as_text_and_older_files_have_moves_of_x_or_none():
+    commands = [XMove(100, -0.5, 300), HeldForce(150, 3.6), XMove(200, 0.25, 260)]
+    assert from_text(to_text(commands)) == commands
+    assert from_text(text_in({"commands": to_text(commands)})) == commands
+    assert from_text(text_in({"x_moves": "[[100, -0.5, 300]]"})) == [XMove(100, -0.5, 300)]
+    assert from_text(text_in({"x_moves": None})) == []
+    for nonsense in ("[1, 2]", '[["force", 1]]', '[["x", 1, 2, 3, 4]]', '[["force", 1, "N"]]'):
+        with pytest.raises(ValueError, match=r"not a list|unpack|convert"):
+            from_text(nonsense)
+
+
+class ForceListener(Listener):
+    """Notes where the normal force that is to be held changed, too."""
+
+    def commanded_force(self, before_N: float | None, after_N: float) -> None:
+        self.changes.append((self.rows, -1.0 if before_N is None else before_N, after_N))
+
+
+@pytest.mark.parametrize("block", [7, 1000])
+def test_a_held_force_is_heard_at_its_row_among_the_moves(block: int):
+    detector = ForceListener(Settings(), RATE_Hz)
+    for one in (HeldForce(90, 4.0), XMove(100, 0.5, 300), HeldForce(200, 3.0), HeldForce(200, 2.5)):
+        detector.command(one)
+    for first in range(0, 500, block):
+        detector.add(np.zeros((min(block, 500 - first), 2)), first_sample=first)
+    expected = [(90, -1.0, 4.0), (100, 0.0, 0.5), (200, 4.0, 2.5), (300, 0.5, 0.0)]
+    assert detector.changes == expected
+
+
+def test_after_missing_rows_the_held_force_is_still_known():
+    detector = ForceListener(Settings(), RATE_Hz)
+    detector.command(HeldForce(100, 4.0))
+    detector.add(np.zeros((250, 2)), first_sample=0)
+    detector.add(np.zeros((50, 2)), first_sample=400)
+    assert detector.changes == [(400, 4.0, 4.0)]
+
+
+def test_a_held_force_goes_to_the_rows_of_another_rate():
+    resampled = ResampledDetector(ForceListener, Settings(), 10 * RATE_Hz)
+    resampled.command(HeldForce(1000, 4.0))
+    resampled.add(np.zeros((5000, 2)))
+    inner: Any = resampled._inner
+    assert inner.changes == [(100, -1.0, 4.0)]
 
 
 @pytest.mark.parametrize("name", ["paper-hp", "paper-literal"])
