@@ -105,10 +105,11 @@ class ApproachWatch:
             raise InstrumentError(
                 "stage_z",
                 "approach",
-                f"stage_z stands {what}, and the torque of its motor is {torque.latest_percent:.3g}"
-                f" %, within {torque.margin_percent:.3g} % of that in free air: it does not obey, "
-                f"rather than being held; force_sensor reads {force_N:.2g} N",
-                "look whether the drive is enabled and obeys: move the stage with rig jog",
+                f"stage_z stands {what}, and its drive reports a torque of "
+                f"{torque.latest_percent:.3g} %, within {torque.margin_percent:.3g} % of that in "
+                "free air: it does not obey, or it is held by its torque limit and the torque is "
+                f"wrong; force_sensor reads {force_N:.2g} N",
+                "look what holds the stage, and whether its drive is enabled and obeys",
             )
         what = f"stage_z is held {what}"
         if position_mm < self._first_mm or force_N > self._contact_N:

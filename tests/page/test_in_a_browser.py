@@ -86,7 +86,7 @@ def test_a_slip_trial_is_watched_to_its_end_and_the_values_are_those_of_its_file
         word(browser, "pressed")
         ended = running.finish()
     assert ended.code in (0, 5), ended.stderr  # 5: a busy computer is too late for a valid trial
-    wait_for(browser, "#facts", lambda text: "complete, exit 0" in text)
+    wait_for(browser, "#facts", lambda text: f"complete, exit {ended.code}" in text)
     word(browser, "safe")
     with RunFile.open(rig.only("*.h5")) as run:
         waves = list(run.waveforms(stream="force"))
