@@ -13,8 +13,6 @@ from procedures.sweep import Sweep
 from rig.batch.execute.drift import ReferenceRun, judge, part_names, zero_drift
 from rig.bench.settings import BenchSettings
 
-pytestmark = pytest.mark.thorough
-
 PARTS = part_names(BenchSettings(name="b", fixture={"mounted": "plate"}, film={"name": "F12"}))
 PROCEDURES = {one.name: one for one in (Sweep, SlipTrial, RollTrial)}
 
@@ -28,6 +26,7 @@ def taken(rig: Any, procedure: str, number: int, world: str, *settings: str) -> 
     return ReferenceRun(number, done.object["summary"])
 
 
+@pytest.mark.thorough
 def test_a_film_that_gives_half_is_named_and_a_zero_that_moved_is_reported(rig: Any) -> None:
     frequencies = ("--frequencies", "200Hz")
     first = taken(rig, "sweep", 1, "", *frequencies)
@@ -46,8 +45,15 @@ def test_a_film_that_gives_half_is_named_and_a_zero_that_moved_is_reported(rig: 
 
 @pytest.mark.parametrize(
     ("procedure", "short"),
-    [("slip-trial", ("--distance", "0.3", "--rest", "100ms")), ("roll-trial", ("--angle", "4"))],
-    ids=["slip-trial", "roll-trial"],
+    [
+        pytest.param(
+            "slip-trial",
+            ("--distance", "0.3", "--rest", "100ms"),
+            marks=pytest.mark.thorough,
+            id="slip-trial",
+        ),
+        pytest.param("roll-trial", ("--angle", "4"), marks=pytest.mark.nightly, id="roll-trial"),
+    ],
 )
 def test_strips_that_both_give_half_speak_of_their_amplifiers(
     rig: Any, procedure: str, short: tuple[str, ...]

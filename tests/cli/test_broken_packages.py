@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 from benches import declare_soft_contact
 from packages import install, on_path
-from tiers import mostly_thorough
+from tiers import mostly_nightly, mostly_thorough
 
 REGISTERED = "[rig.procedures]\ncreep = lab.creep:Creep\n"
 COMPLETE = '''"""The creep of the skin."""
@@ -395,8 +395,7 @@ FAULTS = {
 }
 
 
-@pytest.mark.parametrize("fault", FAULTS)
-@pytest.mark.thorough
+@pytest.mark.parametrize("fault", mostly_nightly(FAULTS, [next(iter(FAULTS))]))
 def test_a_fault_in_a_run_is_reported_as_the_packages_and_the_data_are_saved(
     rig: Any, tmp_path: Path, fault: str
 ) -> None:

@@ -79,7 +79,7 @@ def test_the_file_of_a_resumed_run_has_it_with_the_results_of_all_points(rig: An
     [
         pytest.param(("slip-trial", "--distance", "0.3"), None, marks=pytest.mark.nightly),
         pytest.param(("roll-trial", "--angle", "4"), "cylinder", marks=pytest.mark.thorough),
-        pytest.param(("path-trial",), None, marks=pytest.mark.thorough),
+        pytest.param(("path-trial",), None, marks=pytest.mark.nightly),
     ],
 )
 @pytest.mark.usefixtures("quick_ways")

@@ -6,16 +6,16 @@ from itertools import cycle
 
 import pytest
 from benches import DAQ_MODELS, PAIRS
+from tiers import mostly_nightly
 
 from rig.files.runfile.reader import RunFile
 from rig.files.verify import verify
 from rig.physics.vibrator import drawn_film, true_response
 
-pytestmark = pytest.mark.thorough
-
 FREQUENCIES = "20,210,2100,15000"
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("daq", "link"), list(zip(DAQ_MODELS, ["socket", "hislip"], strict=True)))
 def test_every_daq_and_every_link_of_the_generator_measures_the_film(rig, daq, link):
     world = rig.world(f'daq_model = "{daq}"\ngenerator_link = "{link}"\n')
@@ -34,8 +34,15 @@ def test_every_daq_and_every_link_of_the_generator_measures_the_film(rig, daq, l
             assert abs(pull).max() < 4.5
 
 
-@pytest.mark.parametrize(("stages", "daq"), list(zip(PAIRS, cycle(DAQ_MODELS), strict=False)))
-def test_every_pair_of_stages_slides_the_skin(rig, stages, daq):
+@pytest.mark.parametrize(
+    "pair",
+    mostly_nightly(
+        zip(PAIRS, cycle(DAQ_MODELS), strict=False), [("az", "U2542A"), ("festo-az", "U2331A")]
+    ),
+    ids="-".join,
+)
+def test_every_pair_of_stages_slides_the_skin(rig, pair):
+    stages, daq = pair
     world = f'daq_model = "{daq}"\nskin_mount.contact_mm = 12.05\n'
     ended = rig.run(
         "slip-trial", "--stages", stages, "--no-figures", "--json", "--world", rig.world(world),
@@ -58,7 +65,7 @@ def test_every_pair_of_stages_slides_the_skin(rig, stages, daq):
     assert reading["kinetic_friction"] == pytest.approx(0.65, rel=0.03)
 
 
-@pytest.mark.parametrize("stages", ["az", "festo-az"])
+@pytest.mark.parametrize("stages", mostly_nightly(["az", "festo-az"], ["az"]))
 def test_a_head_rolls_on_other_stages(rig, stages):
     head = "head = { body = { shape = 'cylinder', radius_mm = 30.0 }, axis_offset_mm = 1.0 }\n"
     ended = rig.run(

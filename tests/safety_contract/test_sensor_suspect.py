@@ -79,9 +79,9 @@ def run_with(rig, procedure, plan):
             for case in (
                 ("slip-trial", 'shows = "zero"', True),
                 ("slip-trial", 'shows = "scaled"\nfactor = 0.1', False),
-                ("roll-trial", 'shows = "frozen"\nmove = 1', True),
             )
         ),
+        pytest.param("roll-trial", 'shows = "frozen"\nmove = 1', True, marks=pytest.mark.nightly),
     ],
 )
 def test_a_torque_that_does_not_belong_to_the_force_ends_no_run_and_is_said_where_it_never_changes(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 
 import pytest
+from tiers import mostly_nightly
 
 from rig.files.runfile.reader import RunFile
 from rig.files.verify import verify
@@ -74,8 +75,7 @@ X_TROUBLES = {
 """Kinds of fault, and words for them; empty: the model's own."""
 
 
-@pytest.mark.thorough
-@pytest.mark.parametrize("what", X_TROUBLES)
+@pytest.mark.parametrize("what", mostly_nightly(X_TROUBLES, ["limit switch", "held fast"]))
 def test_a_stage_that_fails_in_the_slide_is_reported_and_the_skin_lifted(rig, what):
     kind, words = X_TROUBLES[what]
     ended = take(rig, "", f'[[fault]]\ndevice = "stage_x"\nkind = "{kind}"\n{SLIDING}')

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from nexusformat.nexus.validate import lint_nxdl, validate_application, validate_file
 from slip_model import compare
+from tiers import mostly_nightly
 
 from rig.detector.registered import chosen_detector
 from rig.files.definitions import definition_path
@@ -323,8 +324,7 @@ def test_the_film_clamp_is_the_wrong_fixture(rig):
     simulator.finish()
 
 
-@pytest.mark.thorough
-@pytest.mark.parametrize("tick_Hz", [100, 500])
+@pytest.mark.parametrize("tick_Hz", mostly_nightly([100, 500], [500]))
 def test_what_a_stalled_computer_keeps_from_its_ticks_is_left_out_and_nothing_is_lost(rig, tick_Hz):
     """Bench time goes on for 0.1 s without the run, in the slide: the servo takes the force up
     where it is, and the record has every sample, of strips and force, of that time too. The axes

@@ -85,14 +85,11 @@ EACH_LINK = (
     "slip: daq, a block in the slide",
     "slip: x, its stop",
     "slip: z, one look",
-    "slip: force, its frames",
-    "roll: rotary, a look",
     "sweep: generator, an amplitude",
-    "slip: daq, a pause",
     "sweep: z, one late answer",
 )
-"""One request of each link, and each fate; the walk over the others, which mostly waits, is
-nightly."""
+"""Each link that can hold up a drive, and each fate; the walk over others, which mostly waits, is
+nightly. A rotary stage that falls silent is in test_slow_links, a force sensor in test_force."""
 
 
 @pytest.fixture

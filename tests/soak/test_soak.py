@@ -25,7 +25,7 @@ from .trials import Fault, Trial, draw, shrunk, world_of
 TRIALS = 33
 SEED_BY_DEFAULT = 6
 """A sweep with three faults."""
-ALIKE = {3, 5, 9, 11, 13, 15, 17, 19, 24, 27, 28, 29}
+ALIKE = {*range(32)} - {0, 2, 4, 8, 16, 20, 21, 22, 26, 31}
 """Seeds whose faults other seeds have, too, in the same device; nightly."""
 SLIP_SHARE, ROLL_SHARE = 0.06, 0.04
 """They take three times as long as a short sweep; the benchmark makes more of them."""
