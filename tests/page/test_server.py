@@ -211,11 +211,13 @@ def test_a_live_run_is_shown_and_stopped_and_the_page_is_red_until_its_end_recor
     try:
         assert writer.stdout is not None
         writer.stdout.readline()
-        frame = page.frames(lambda f: f["holder"] and f["run"].get("point") and f["series"])
+        # On a busy computer the page may have read a point while more is still to be read, and
+        # then its word is unknown.
+        frame = page.frames(
+            lambda f: f["word"] == "running" and f["run"].get("point") and f["series"]
+        )
         assert frame["holder"]["pid"] == writer.pid
-        assert (frame["word"], frame["run"]["n"], frame["run"]["mark"]) == (
-            "running", 2, "SIMULATED",
-        )  # fmt: skip
+        assert (frame["run"]["n"], frame["run"]["mark"]) == (2, "SIMULATED")
         idle = [socket.create_connection(("127.0.0.1", page.port)) for _ in range(2)]
         for viewer in idle:  # who ask and never read delay nobody
             request = f"GET /api/live HTTP/1.1\r\nHost: localhost\r\nAuthorization: Bearer {page.watch_token}\r\n\r\n"  # noqa: E501
