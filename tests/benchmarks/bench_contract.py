@@ -1,12 +1,12 @@
-"""Every row of the contract in docs/safety-contract.md, 20 times: how often it held, by row.
+"""Every entry of the contract in docs/safety-contract.md, 20 times: how often it held, by entry.
 
 Run with ``pytest -m benchmark -n 0 -s tests/benchmarks/bench_contract.py``. A repetition is one
-pytest over the tests of all rows; the repetitions take the combinations of stages and DAQ in turn.
+pytest over the tests of all entries; they take the combinations of stages and DAQ in turn.
 
     RIG_REPEATS=8           so many repetitions: once on each combination
     RIG_BENCH=az/U2542A     all on one combination
-    RIG_ROWS=killed         rows with these words only (a regular expression)
-    RIG_SINCE=15205df       rows that the contract of that commit does not have
+    RIG_ROWS=killed         entries with these words only (a regular expression)
+    RIG_SINCE=15205df       entries that the contract of that commit does not have
     RIG_TIERS=default       without the thorough and nightly cases, which take most of the time
     RIG_SERIES_S=3600       no further repetition is begun after an hour
     RIG_REPORTS=FOLDER      run nothing; count the reports (--junitxml) of runs of the suite there
@@ -27,6 +27,7 @@ from xml.etree import ElementTree
 
 import pytest
 from benches import BENCHES, CHOSEN, Bench, bench_for
+from contract_page import entries_of, named_in
 from measured import heading, repeats
 
 pytestmark = [pytest.mark.benchmark, pytest.mark.timeout(28_800)]
@@ -37,16 +38,17 @@ SINCE = os.environ.get("RIG_SINCE", "")
 TIERS = os.environ.get("RIG_TIERS", "all")
 SERIES_S = float(os.environ.get("RIG_SERIES_S", "inf"))
 REPORTS = os.environ.get("RIG_REPORTS", "")
-TESTS = re.compile(r"`(tests/[\w/]+\.py::\w+)`")
 PAGES = ("docs/safety-contract.md", "docs/safety.md")
 """Where the contract is, and where it was in earlier commits."""
 
 
 def rows_of(page: str) -> dict[str, list[str]]:
-    """What happens, and the tests that show what follows, of the table in a page."""
-    table = page.partition("## The contract\n")[2].split("\n## ")[0]
-    rows = [line.split("|") for line in table.splitlines() if line.startswith("| ")]
-    return {row[1].strip(): TESTS.findall(row[3]) for row in rows if TESTS.search(row[3])}
+    """What happens, and the tests that show what follows."""
+    return {
+        what: tests
+        for what, text in entries_of(page, "The contract").items()
+        if (tests := [f"{path}::{name}" for path, name in named_in(text) if name])
+    }
 
 
 def page_at(commit: str) -> str:

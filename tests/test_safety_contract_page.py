@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import ast
 import re
-from itertools import pairwise
 from pathlib import Path
+
+from contract_page import entries_of, named_in
 
 REPOSITORY = Path(__file__).parents[1]
 SAFETY = (REPOSITORY / "docs" / "safety.md").read_text()
 CONTRACT = (REPOSITORY / "docs" / "safety-contract.md").read_text()
-NAMED = re.compile(r"`(tests/[\w/]+\.py)(?:::(\w+))?`")
 
 
 def functions_of(path: Path) -> set[str]:
@@ -22,7 +22,7 @@ def functions_of(path: Path) -> set[str]:
 
 
 def test_every_test_that_the_table_names_exists() -> None:
-    named = NAMED.findall(SAFETY + CONTRACT)
+    named = named_in(SAFETY + CONTRACT)
     missing = [
         f"{path}::{name}"
         for path, name in named
@@ -31,35 +31,37 @@ def test_every_test_that_the_table_names_exists() -> None:
     assert missing == []
 
 
-def rows_of(chapter: str) -> list[str]:
-    """The rows of all tables of a chapter, without their headings."""
-    (text,) = re.findall(rf"^## {chapter}.*?(?=^## |\Z)", CONTRACT, re.M | re.S)
-    lines = text.splitlines()
-    return [
-        line for before, line in pairwise(lines) if before.startswith("|") and line.startswith("| ")
-    ]
-
-
-def test_every_row_of_contract_and_limits_names_one() -> None:
+def test_every_entry_of_contract_and_limits_names_one() -> None:
     for chapter in ("The contract", "Limits", "Hand control"):
-        rows = rows_of(chapter)
-        assert len(rows) >= 7
-        assert [row for row in rows if not NAMED.search(row)] == []
+        entries = entries_of(CONTRACT, chapter).values()
+        assert len(entries) >= 7
+        assert [entry for entry in entries if not named_in(entry)] == []
 
 
-def test_every_row_of_the_contract_has_a_test_in_the_default_tier() -> None:
-    rows = rows_of("The contract")
-    assert len(rows) >= 40
-    named = [{f"{path}::{name}" for path, name in NAMED.findall(row)} for row in rows]
-    thorough = {
+def is_left_out(decorator: ast.expr) -> bool:
+    """Whether a test with this decorator is in no case in the default tier."""
+    if ast.unparse(decorator) in ("pytest.mark.thorough", "pytest.mark.nightly"):
+        return True
+    return any(
+        isinstance(call, ast.Call)
+        and ast.unparse(call.func) == "mostly_nightly"
+        and len(call.args) + len(call.keywords) < 3  # the third is what is in the default tier
+        for call in ast.walk(decorator)
+    )
+
+
+def test_every_entry_of_the_contract_has_a_test_in_the_default_tier() -> None:
+    entries = entries_of(CONTRACT, "The contract").values()
+    assert len(entries) >= 40
+    named = [{f"{path}::{name}" for path, name in named_in(entry)} for entry in entries]
+    later = {
         f"{path}::{node.name}"
         for path in {name.partition("::")[0] for names in named for name in names}
         for node in ast.parse((REPOSITORY / path).read_text()).body
-        if isinstance(node, ast.FunctionDef)
-        and any(ast.unparse(one) == "pytest.mark.thorough" for one in node.decorator_list)
+        if isinstance(node, ast.FunctionDef) and any(map(is_left_out, node.decorator_list))
     }
-    assert thorough
-    assert [row for row, tests in zip(rows, named, strict=True) if tests <= thorough] == []
+    assert later
+    assert [entry for entry, tests in zip(entries, named, strict=True) if tests <= later] == []
 
 
 def test_every_place_that_contents_and_links_name_is_there() -> None:
