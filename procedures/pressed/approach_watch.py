@@ -44,6 +44,11 @@ CONFIRMED_S = 0.05
 """Stretch of force whose mean confirms a contact."""
 
 
+class NotObeyedError(InstrumentError):
+    """Raised for a z that stands although it is commanded to move, where its torque shows that
+    nothing holds it: the force sensor is not suspected."""
+
+
 class ApproachWatch:
     """Watches one approach, tick by tick."""
 
@@ -99,17 +104,15 @@ class ApproachWatch:
             f"at {position_mm:.3f} mm, although it was commanded to move a further "
             f"{commanded_mm:.2f} mm within {HELD_S:g} s"
         )
-        torque = self._torque
-        if torque is not None and torque.shows_free_air(HELD_S / 2):
-            # A stage that is held pushes, and its torque rises.
-            raise InstrumentError(
+        idle_percent = None if self._torque is None else self._torque.idle_percent(HELD_S)
+        if idle_percent is not None:
+            raise NotObeyedError(
                 "stage_z",
                 "approach",
-                f"stage_z stands {what}, and its drive reports a torque of "
-                f"{torque.latest_percent:.3g} %, within {torque.margin_percent:.3g} % of that in "
-                "free air: it does not obey, or it is held by its torque limit and the torque is "
-                f"wrong; force_sensor reads {force_N:.2g} N",
-                "look what holds the stage, and whether its drive is enabled and obeys",
+                f"stage_z stands {what}, and the torque of its motor is {idle_percent:.3g} %, as in"
+                " free air: nothing holds it, and it does not obey; force_sensor reads "
+                f"{force_N:.2g} N of {self._target_N:g} N",
+                "look whether its drive is enabled and obeys: move the stage up with rig jog",
             )
         what = f"stage_z is held {what}"
         if position_mm < self._first_mm or force_N > self._contact_N:
@@ -182,7 +185,7 @@ def naming_the_sensor(run: Run, contact_N: float) -> Iterator[None]:
     try:
         yield
     except InstrumentError as error:
-        if error.device != "stage_z" or not _may_press(run):
+        if error.device != "stage_z" or isinstance(error, NotObeyedError) or not _may_press(run):
             raise
         force_N = felt_N(run, CONFIRMED_S)
         if force_N > contact_N:

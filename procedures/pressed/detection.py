@@ -91,10 +91,10 @@ class LiveDetection:
         if self._live is not None and len(volts):
             self._live.add(volts, first)
 
-    def command(self, one: Command) -> None:
+    def command(self, given: Command) -> None:
         """Say what was commanded, before the rows that show it. Raises nothing and waits for
         nothing: the detector knows of it with the next block."""
-        self._waiting.append(one)
+        self._waiting.append(given)
 
     def _give_commands(self) -> None:
         """Give the detector the commands since the last block, from its next row on where an

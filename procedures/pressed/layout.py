@@ -122,12 +122,8 @@ RECORDED = (
     Column("filter_delay", "s", "Delay of the anti-alias filter"),
     Column("detector", "", "Detector of slip during the trial", "text"),
     Column("detections", "", "What it found during the trial, as JSON", "text"),
-    Column(
-        "commands",
-        "",
-        "Commands as JSON: x, from sample, mm/s, to sample; force, from sample, N",
-        "text",
-    ),
+    Column("x_moves", "", "Commands to x as JSON: from sample, mm/s, to sample", "text"),
+    Column("held_forces", "", "Set points of F_n as JSON: from sample, N", "text"),
 )
 """Columns on the quality of the record."""
 

@@ -21,7 +21,7 @@ from rig.analysis.trial.clock_offset import clock_offset
 from rig.analysis.trial.touch_down import TouchDownError, TouchRecord
 from rig.analysis.trial.touch_gain import touch_gain
 from rig.bench.settings import STRIPS
-from rig.detector.commands import to_text as commands_to_text
+from rig.detector.commands import columns_of
 from rig.files.journal.detections import SLIP, Detection, to_text
 from rig.run.press_references import TouchGain
 
@@ -241,7 +241,7 @@ def reading_of(run: Run, record: TrialRecord) -> Reading:
         "filter_delay_s": record.filter_delay_s,
         "detector": settings.detector,
         "detections": to_text(record.detections),
-        "commands": commands_to_text(record.commands),
+        **columns_of(record.commands),
     }
     if record.held_back > HELD_BACK * ticks:
         run.event(

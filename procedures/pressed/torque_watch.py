@@ -68,8 +68,8 @@ class TorqueWatch:
         """Latest reading; None before the first, and where the drive does not report it."""
         self._fresh = False
         """True if the latest reading has not been learnt yet."""
-        self._moving: deque[float] = deque(maxlen=KEPT)
-        """Readings in motion in free air."""
+        self._moving: deque[tuple[float, float]] = deque(maxlen=KEPT)
+        """Times in s and readings in motion in free air."""
         self._resting: float | None = None
         self._held: list[float] = []
         """First readings under the held force."""
@@ -108,7 +108,7 @@ class TorqueWatch:
     def learn(self) -> None:
         """Use the latest reading, once, as one in motion in free air."""
         if self._fresh and self.latest_percent is not None:
-            self._moving.append(self.latest_percent)
+            self._moving.append((self._read_at_s, self.latest_percent))
         self._fresh = False
 
     @property
@@ -120,7 +120,7 @@ class TorqueWatch:
     @property
     def margin_percent(self) -> float:
         """Rise that has to come with a change of force."""
-        scatter = float(np.std(self._moving)) if self.is_learnt else 0.0
+        scatter = float(np.std(self._free_readings)) if self.is_learnt else 0.0
         return max(SHARE * self._limit_percent, LEAST_percent, SIGMAS * scatter)
 
     def rise_percent(self) -> float:
@@ -131,13 +131,22 @@ class TorqueWatch:
             return 0.0
         return abs(self.latest_percent - free)
 
-    def shows_free_air(self, within_s: float) -> bool:
-        """Return whether the latest reading is that of free air; False where either is not known,
-        or the reading is older than `within_s`."""
-        if not self.is_learnt or self.latest_percent is None:
-            return False
-        is_recent = self._run.clock.now() - self._read_at_s <= within_s
-        return is_recent and self.rise_percent() <= self.margin_percent
+    def idle_percent(self, stood_s: float) -> float | None:
+        """Return the latest reading where it shows that z, which has stood for `stood_s` although
+        it was commanded to move, does not push; None where it pushes, or where that cannot be told:
+        with few, old or unchanging readings, or where friction takes most of the torque limit."""
+        latest, now_s = self.latest_percent, self._run.clock.now()
+        # What was read since may be the torque of a stage that is held.
+        before = [one for at_s, one in self._moving if at_s < now_s - 2 * stood_s]
+        if latest is None or now_s - self._read_at_s > stood_s / 2:
+            return None
+        if len(before) < ENOUGH or len(self._shown) < 2:
+            return None
+        free = float(np.mean(before))
+        margin = max(SHARE * self._limit_percent, LEAST_percent, SIGMAS * float(np.std(before)))
+        if self._limit_percent - abs(free) <= margin:
+            return None
+        return latest if abs(latest - free) <= margin else None
 
     def hold_begins(self, force_N: float) -> None:
         """Compare with the readings from here on, in which the sensor reads `force_N`."""
@@ -190,12 +199,16 @@ class TorqueWatch:
         )
 
     @property
+    def _free_readings(self) -> list[float]:
+        return [one for _, one in self._moving]
+
+    @property
     def _hidden_percent(self) -> float:
         return HIDDEN_SHARE * self._limit_percent
 
     def _free_percent(self) -> float | None:
         if self.is_learnt:
-            return float(np.mean(self._moving))
+            return float(np.mean(self._free_readings))
         return self._resting
 
     def _friction_percent(self) -> float:

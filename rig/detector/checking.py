@@ -88,9 +88,9 @@ class CheckedDetector(Detector):
         found = self._ask("judging", self._inner.add, volts.copy(), first)
         return self._checked_events(found, first, first + len(volts))
 
-    def command(self, one: Command) -> None:
+    def command(self, given: Command) -> None:
         """Passes a command on to the other detector."""
-        self._ask("a command", self._inner.command, one)
+        self._ask("a command", self._inner.command, given)
 
     def end(self) -> list[SlipEvent]:
         """Returns the checked events due at the end of a recording."""

@@ -9,12 +9,11 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from typing import Any
 
-COLUMN, FORMER_COLUMN = "commands", "x_moves"
-"""Name of the reading's column that has the commands; and of that in files of before, which has the
-moves of x only."""
+MOVES_COLUMN, FORCES_COLUMN = "x_moves", "held_forces"
+"""Columns of a trial's reading that have the commands of each kind, as JSON."""
 
 
 @dataclass(frozen=True)
@@ -53,45 +52,62 @@ Command = XMove | HeldForce
 
 
 def to_text(commands: Iterable[Command]) -> str:
-    """Return commands as the text of a reading's column.
+    """Return commands of both kinds as one text.
 
     >>> to_text([XMove(100, -0.5, 300), HeldForce(120, 3.6)])
     '[["x", 100, -0.5, 300], ["force", 120, 3.6]]'
     """
     return json.dumps(
-        [
-            ("x", one.sample, one.speed_mm_s, one.until)
-            if isinstance(one, XMove)
-            else ("force", one.sample, one.force_N)
-            for one in commands
-        ]
+        [("x" if isinstance(one, XMove) else "force", *astuple(one)) for one in commands]
     )
 
 
 def from_text(text: str) -> list[Command]:
-    """Return the commands in a reading's column; none for "".
+    """Return the commands in a text of `to_text`. Raises ValueError for any other."""
+    return _parsed(text, _of_kind)
 
-    Raises ValueError for a text that is not one of `to_text`, or of a former version.
+
+def columns_of(commands: Iterable[Command]) -> dict[str, str]:
+    """Return commands as the columns of a trial's reading.
+
+    >>> columns_of([XMove(100, -0.5, 300), HeldForce(120, 3.6)])
+    {'x_moves': '[[100, -0.5, 300]]', 'held_forces': '[[120, 3.6]]'}
     """
+    given = list(commands)
+    return {
+        column: json.dumps([astuple(one) for one in given if isinstance(one, kind)])
+        for column, kind in ((MOVES_COLUMN, XMove), (FORCES_COLUMN, HeldForce))
+    }
+
+
+def commands_in(reading: Mapping[str, Any]) -> list[Command]:
+    """Return the commands in a trial's reading; none where it has no such columns, as in older
+    files. Their order is that within each kind, and a detector needs no other.
+
+    Raises ValueError for columns that are not those of `columns_of`.
+    """
+    moves = _parsed(reading.get(MOVES_COLUMN) or "", _move)
+    return [*moves, *_parsed(reading.get(FORCES_COLUMN) or "", _force)]
+
+
+def _parsed(text: str, command: Callable[..., Command]) -> list[Command]:
     try:
-        return [_command(*parts) for parts in (json.loads(text) if text else [])]
-    except TypeError as error:
+        return [command(*parts) for parts in (json.loads(text) if text else [])]
+    except (TypeError, ValueError) as error:
         raise ValueError(f"not a list of commands: {error}") from error
 
 
-def _command(kind: Any, *values: Any) -> Command:
+def _of_kind(kind: Any, *values: Any) -> Command:
+    if kind == "x":
+        return _move(*values)
     if kind == "force":
-        sample, force_N = values
-        return HeldForce(int(sample), float(force_N))
-    # Files of before have moves of x only, which do not say so.
-    sample, speed_mm_s, until = values if kind == "x" else (kind, *values)
+        return _force(*values)
+    raise ValueError(f"no kind of command {kind!r}")
+
+
+def _move(sample: Any, speed_mm_s: Any, until: Any) -> Command:
     return XMove(int(sample), float(speed_mm_s), int(until))
 
 
-def text_in(reading: Mapping[str, Any]) -> str:
-    """Return the text of the commands in a reading; "" where it has none.
-
-    >>> text_in({"x_moves": "[[100, -0.5, 300]]"})
-    '[[100, -0.5, 300]]'
-    """
-    return str(reading.get(COLUMN) or reading.get(FORMER_COLUMN) or "")
+def _force(sample: Any, force_N: Any) -> Command:
+    return HeldForce(int(sample), float(force_N))

@@ -121,7 +121,7 @@ class Detector(ABC):
     ) -> None:
         """Called before the row from which on another normal force is to be held, in a trial of
         which the commands are known; `before_N` is None at the first one. After `reset` it is
-        called with the present one, twice, as `commanded` is. Optional: it does nothing."""
+        called with the present one as both, as `commanded` is. Optional: it does nothing."""
 
     def end(self) -> list[SlipEvent]:
         """Returns the events due at the end of a recording. `row` of `event` must then be -1."""
@@ -195,20 +195,20 @@ class Detector(ABC):
         known = [one for one in (self._speeds, self._forces) if one and one[0][0] < end]
         return min(known, key=lambda one: one[0][0], default=None)
 
-    def command(self, one: Command) -> None:
+    def command(self, given: Command) -> None:
         """Takes a move of x or a normal force that was commanded, in the order of the commands. It
         takes the place of what earlier ones of its kind say of later rows, and begins at the next
         row at the earliest."""
-        sample = max(one.sample, self._rows)
-        changes = self._forces if isinstance(one, HeldForce) else self._speeds
+        sample = max(given.sample, self._rows)
+        changes = self._forces if isinstance(given, HeldForce) else self._speeds
         while changes and changes[-1][0] >= sample:
             changes.pop()
-        if isinstance(one, HeldForce):
-            changes.append((sample, one.force_N))
+        if isinstance(given, HeldForce):
+            changes.append((sample, given.force_N))
             return
-        changes.append((sample, one.speed_mm_s))
-        if one.speed_mm_s:
-            changes.append((max(one.until, sample + 1), 0.0))
+        changes.append((sample, given.speed_mm_s))
+        if given.speed_mm_s:
+            changes.append((max(given.until, sample + 1), 0.0))
 
     def finish(self) -> list[SlipEvent]:
         """Returns the events due at the end of a recording."""

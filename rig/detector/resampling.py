@@ -195,14 +195,14 @@ class ResampledDetector(Detector):
         rows = self._resampler.add(volts)
         return [] if not len(rows) else self._at_rows(self._inner.add(rows, first_sample=first))
 
-    def command(self, one: Command) -> None:
+    def command(self, given: Command) -> None:
         """Passes a command on, at the judged rows that come next."""
-        sample = max(one.sample, self.rows)
+        sample = max(given.sample, self.rows)
         due: Command
-        if isinstance(one, HeldForce):
-            due = HeldForce(sample, one.force_N)
+        if isinstance(given, HeldForce):
+            due = HeldForce(sample, given.force_N)
         else:
-            due = XMove(sample, one.speed_mm_s, max(one.until, sample))
+            due = XMove(sample, given.speed_mm_s, max(given.until, sample))
         self._inner.command(due.at_rows(self._resampler.ratio.outputs_before))
 
     def end(self) -> list[SlipEvent]:

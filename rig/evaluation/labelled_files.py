@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from rig.core.errors import ConfigurationError
 from rig.core.toml_files import read_text
-from rig.detector.commands import Command, from_text, text_in
+from rig.detector.commands import Command, commands_in
 from rig.evaluation import simulated_truth
 from rig.evaluation.scored_trials import judge_one
 from rig.evaluation.scoring.contenders import Contender
@@ -79,7 +79,7 @@ class ListedTrial:
     simulated: bool
     """True if it comes from a simulated bench."""
     commands: tuple[Command, ...] = ()
-    """What x was commanded to do, where the file states it."""
+    """What was commanded, where the file states it."""
 
 
 @dataclass(frozen=True)
@@ -213,7 +213,7 @@ def _recorded(path: Path, point: str, where: str) -> _Recorded:
             sample=header.sample.name or "",
             day="" if header.start_time is None else str(header.start_time)[:10],
             simulated=run.outcome.simulated is True,
-            commands=tuple(from_text(text_in(reading))),
+            commands=tuple(commands_in(reading)),
         )
 
 

@@ -103,8 +103,8 @@ def judge_one(
     sweep: bool,
     commands: tuple[Command, ...] = (),
 ) -> ScoredTrial:
-    """Scores one recording, with these commands. Raises ValueError if a
-    detector cannot process it."""
+    """Scores one recording with these commands. Raises ValueError if a detector cannot process
+    it."""
     factors = (1.0, *FACTORS) if sweep else (1.0,)
     judged = [
         [judge(truth, said, traits) for said in one.reports(volts, rate_Hz, factors, commands)]

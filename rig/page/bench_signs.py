@@ -20,7 +20,7 @@ from rig.run.lock_holder import LockHolder, holder_of, lock_file
 class BenchSigns:
     """The bench of the run that is shown, and that of the bench file that is watched.
 
-    One thread calls `name` and `look`; others read under `lock`.
+    One thread calls `find_names` and `look`; others read under `lock`.
     """
 
     def __init__(self, results: Path, bench_file: Path | None, lock: threading.Lock):
@@ -47,7 +47,7 @@ class BenchSigns:
         """Why what is seen of the bench cannot be relied on; empty if it can."""
         return self._locks_problem or self._plan_problem
 
-    def name(self, shown: Path | None, header: RunHeader | None) -> None:
+    def find_names(self, shown: Path | None, header: RunHeader | None) -> None:
         """Find the names of the bench's addresses, once for each run. `shown` is the journal or run
         file by which the bench is judged, and `header` what it says of the bench."""
         wanted = shown or self.bench_file

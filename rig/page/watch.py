@@ -214,7 +214,7 @@ class BenchWatch:
     def _look_at_bench(self, locked: dict[int, list[int]]) -> None:
         header = self.view.header if self.path is not None else self._latest.header
         if self.path is None or header is not None:
-            self.signs.name(self._shown, header)
+            self.signs.find_names(self._shown, header)
         self.signs.look(self._shown, self._run_pid, locked)
 
     @property

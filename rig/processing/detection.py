@@ -11,10 +11,10 @@ from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from rig.core.errors import ConfigurationError, ExitCode, RigError
-from rig.detector.commands import COLUMN, FORMER_COLUMN, from_text, text_in
+from rig.detector.commands import FORCES_COLUMN, MOVES_COLUMN, commands_in
 from rig.detector.events import EVENT_KINDS, SlipEvent, unjudged_s
 from rig.detector.registered import ChosenDetector
 from rig.files.checksum import checksum_findings, sha256_of
@@ -125,25 +125,24 @@ def detect_trials(run: RunFile, detector: ChosenDetector) -> list[DetectedTrial]
             "record the run again, or name another file",
         )
     trials = []
-    commands = commands_of(run)
+    readings = _readings_with_commands(run)
     for point in run.point_ids():
         if point in pieces:
             try:
                 trials.append(
-                    _detect_trial(point, pieces[point], commands.get(point, ""), detector)
+                    _detect_trial(point, pieces[point], readings.get(point, {}), detector)
                 )
             except ValueError as error:
                 raise ConfigurationError(f"{run.path}: trial {point}: {error}") from error
     return trials
 
 
-def commands_of(run: RunFile) -> dict[str, str]:
-    """Return what was commanded in each kept trial, as `rig.detector.commands` has it; empty for a
-    file that does not state it."""
-    if not {COLUMN, FORMER_COLUMN} & set(run.columns()):
+def _readings_with_commands(run: RunFile) -> dict[str, dict[str, Any]]:
+    """Return the reading of each kept trial; none for a file that does not state what was
+    commanded."""
+    if not {MOVES_COLUMN, FORCES_COLUMN} & set(run.columns()):
         return {}
-    readings = zip(run.point_ids(), run.readings(), strict=True)
-    return {point: text_in(reading) for point, reading in readings}
+    return dict(zip(run.point_ids(), run.readings(), strict=True))
 
 
 def _detect(job: DetectionJob) -> DetectionResult:
@@ -289,9 +288,9 @@ def _stream_of_strips(run: RunFile) -> str:
 
 
 def _detect_trial(
-    point: str, pieces: list[Waveform], commands: str, chosen: ChosenDetector
+    point: str, pieces: list[Waveform], reading: dict[str, Any], chosen: ChosenDetector
 ) -> DetectedTrial:
-    """Return the result for one trial, with the commands as text. Raises ValueError if the
+    """Return the result for one trial, with the commands of its reading. Raises ValueError if the
     detector cannot process it, or if its pieces are of different kinds."""
     import numpy as np
 
@@ -299,7 +298,7 @@ def _detect_trial(
     if rate_Hz is None:
         raise ValueError("the file gives no sampling rate of v_1 and v_2")
     detector = chosen.make(rate_Hz)
-    for one in from_text(commands):
+    for one in commands_in(reading):
         detector.command(one)
     events: list[SlipEvent] = []
     rows, differences, predictive = [], [], []

@@ -118,7 +118,7 @@ class LiveDetector(ABC):
         nothing and, unless the detector is patient, waits for nothing."""
 
     @abstractmethod
-    def command(self, one: Command) -> None:
+    def command(self, given: Command) -> None:
         """Says what was commanded (`rig.detector.contract.Detector.command`), before the rows from
         which on it counts. Raises nothing and waits like `add`."""
 
@@ -213,9 +213,9 @@ class _Direct(LiveDetector):
     def add(self, volts: Reals, first_sample: int) -> None:
         self._ask(lambda: self._detector.add(volts, first_sample))
 
-    def command(self, one: Command) -> None:
+    def command(self, given: Command) -> None:
         def told() -> list[SlipEvent]:
-            self._detector.command(one)
+            self._detector.command(given)
             return []
 
         self._ask(told)
@@ -305,8 +305,8 @@ class _InChild(LiveDetector):
             self._rows = first + len(part)
             self._send(ROWS, first, self._rows, part.tobytes())
 
-    def command(self, one: Command) -> None:
-        self._send(COMMAND, self._rows, self._rows, to_text([one]).encode())
+    def command(self, given: Command) -> None:
+        self._send(COMMAND, self._rows, self._rows, to_text([given]).encode())
 
     def finish(self) -> None:
         self._send(FINISH, 0, self._rows)

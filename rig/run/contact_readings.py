@@ -26,7 +26,7 @@ AGAIN_S = 1.0
 """Time after which an instrument that did not answer is read again in virtual time."""
 
 AreNeeded = Callable[[Sequence[InterlockSettings]], bool]
-"""Tells whether any of the contacts of one instrument is needed."""
+"""Tells whether any contact of one instrument is needed."""
 
 
 class ContactReadings:
@@ -77,9 +77,7 @@ class ContactReadings:
         were."""
         return self._failed.get(role)
 
-    def read(
-        self, are_needed: Callable[[Sequence[InterlockSettings]], bool], all_now: bool
-    ) -> None:
+    def read(self, are_needed: AreNeeded, all_now: bool) -> None:
         """Read the instruments whose turn it is, or with `all_now` all; in virtual time only, where
         one that does not answer holds up everything else. Left out are those of whose contacts none
         is needed, and one that has not answered, for `AGAIN_S`."""

@@ -234,8 +234,8 @@ class ForceMonitor:
             self._holds.end(_STALE)
         self._watch_gap(now)
         late = max(0.0, self._delay.beyond_usual(self._sensor.frames_behind))
-        self._frames.add(frames)
         self._newest_s = now - (late / self._rate if self._rate else 0.0)
+        self._frames.add(frames)
         for fault in self._faults.in_frames(frames):
             self._make_safe(fault)
         return [frames]

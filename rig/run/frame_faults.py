@@ -35,8 +35,8 @@ class FrameFaults:
     def __init__(self, axes: str):
         """`axes` are those that the sensor is known to have."""
         self.limit_N = math.inf
-        """Force along any axis that is a fault; set by the procedure's thread. A fault is found
-        once: it is without a limit afterwards."""
+        """Force along any axis that is a fault; set by the procedure's thread. After such a
+        fault there is none until it is set again."""
         self.largest_N = 0.0
         """Largest force along any axis since the procedure's thread has set it to 0."""
         self.at_rest: npt.NDArray[np.float32] | None = None

@@ -36,7 +36,7 @@ def prove(watch: InterlockWatch, name: str, say: Callable[[str], None]) -> None:
     if watch.store.get(name).opened is not None:
         raise watch.error(name)
     with watch.proving(name):
-        if not _is_closed(watch, name):
+        if not _closes_within(watch, name):
             say(f"interlock {name} is {watch.level(name)}: close it first")
         _require_closed(watch, name)
         say(f"proof test of interlock {name}: open it (within {PROOF_S:g} s)")
@@ -56,9 +56,9 @@ def _is_seen_open(contact: Contact) -> bool:
     return contact.hinders and contact.readable
 
 
-def _is_closed(watch: InterlockWatch, name: str, seconds: float = 0.0) -> bool:
-    """Return whether a contact is closed within a time. The opening before was meant, and is
-    forgotten."""
+def _closes_within(watch: InterlockWatch, name: str, seconds: float = 0.0) -> bool:
+    """Wait until a contact is closed, and forget its opening, which was meant; return whether it is
+    in time."""
     if not watch.wait_for(name, lambda contact: contact.state in AT_REST, seconds):
         return False
     watch.forget_opening(name)
@@ -66,7 +66,7 @@ def _is_closed(watch: InterlockWatch, name: str, seconds: float = 0.0) -> bool:
 
 
 def _require_closed(watch: InterlockWatch, name: str) -> None:
-    if not _is_closed(watch, name, PROOF_S):
+    if not _closes_within(watch, name, PROOF_S):
         raise InterlockError(
             f"interlock {name} was not seen to close within {PROOF_S:g} s",
             "close it, look at its wire and its switch, then start again",

@@ -112,10 +112,9 @@ class InterlockWatch:
         self._readings.begin()
         self._begun = True
         if not self._clock.is_virtual:
-            self._judge_thread = threading.Thread(
-                target=self._keep_judging, name="interlocks", daemon=True
-            )
-            start_thread(self._judge_thread)
+            judge = threading.Thread(target=self._keep_judging, name="interlocks", daemon=True)
+            start_thread(judge)
+            self._judge_thread = judge
 
     def end(self) -> None:
         """End the watch; does nothing if it was not begun."""

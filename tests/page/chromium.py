@@ -42,7 +42,10 @@ def chromium(
         browser.quit()
 
 
-SHOWN_TEXT = "return document.querySelector(arguments[0])?.innerText"
+SHOWN_TEXT = """
+const found = document.querySelector(arguments[0]);
+return found && found.checkVisibility() ? found.innerText : "";
+"""
 LOOK_EVERY_S = 0.1
 
 

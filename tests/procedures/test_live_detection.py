@@ -15,7 +15,7 @@ from procedures.pressed.detection import DetectionRecord, LiveDetection
 from procedures.pressed.reading import TrialRecord
 from procedures.slip_trial.settings import SlipTrialSettings
 from rig.core.clock import WallClock
-from rig.detector.commands import XMove
+from rig.detector.commands import HeldForce, XMove, columns_of, commands_in
 from rig.detector.registered import chosen_detector
 from rig.files.journal.detections import EVENT_CODES, SILENT_CODE, from_text, to_text
 
@@ -59,21 +59,27 @@ def test_blocks_of_any_length_give_the_events_of_the_whole_record(name: str) -> 
     assert "of its record (sample " in journal.events[0][2]
 
 
-def test_the_moves_of_a_record_are_those_that_the_detector_knew_and_find_the_same_again() -> None:
+def test_the_commands_of_a_record_are_those_that_the_detector_knew_and_find_the_same() -> (
+    None
+):
     volts = trials.slipping()
     live = LiveDetection("impulse", WallClock())
     live.begin()
     live.command(XMove(100, 0.5, 900))
+    live.command(HeldForce(350, 4.0))
     live.judge(volts[:400])
     live.command(XMove(380, 0.1, 4000))  # told 20 rows too late
+    live.command(HeldForce(390, 3.5))
     live.judge(volts[400:])
     live.command(XMove(len(volts) + 5, 0.0, 0))
     live.finish()
     rows = len(volts)
-    assert live.commands == [XMove(100, 0.5, 900), XMove(400, 0.1, 4000), XMove(rows + 5, 0.0, 0)]
+    moves = [XMove(100, 0.5, 900), XMove(400, 0.1, 4000), XMove(rows + 5, 0.0, 0)]
+    forces = [HeldForce(350, 4.0), HeldForce(400, 3.5)]
+    assert commands_in(columns_of(live.commands)) == [*moves, *forces]
     again = chosen_detector("impulse").make(trials.RATE_HZ)
-    for move in live.commands:
-        again.command(move)
+    for one in commands_in(columns_of(live.commands)):
+        again.command(one)
     expected = [(e.kind, e.sample, e.confidence) for e in again.add(volts) + again.finish()]
     record, _ = recorded(live)
     assert [(one.kind, one.sample, one.confidence) for one in record.detections] == expected != []

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from procedures.pressed.approach_watch import ApproachWatch
+from procedures.pressed.approach_watch import ApproachWatch, naming_the_sensor
 from procedures.pressed.torque_watch import TorqueWatch, WayTorque
 from rig.core.errors import InstrumentError
 from rig.instruments.roles import Reach
@@ -93,32 +93,67 @@ def test_a_torque_that_rises_without_a_force_names_the_sensor_long_before_its_li
     assert 0 < bench.pressed_N < 0.4 * LIMIT_percent
 
 
-def stand_still(bench: Bench, watch: ApproachWatch, torque: TorqueWatch, read: bool) -> None:
-    """Command z to move on for half a second; it stands."""
-    for _ in range(round(0.5 / TICK_S)):
-        watch.commanded(0.05, SPEED_mm_s)
-        if read:
-            torque.read()
-        watch.step(bench.mm, 0.0, touched=False)
-        bench.now_s += TICK_S
+def stand_still(
+    bench: Bench,
+    watch: ApproachWatch,
+    torque: TorqueWatch,
+    percent: float | None,
+    rises_s: float = 0.0,
+) -> InstrumentError:
+    """Command z to move on while it stands and its motor shows a torque, to which it rises, or none
+    is read; the error."""
+    begun_s = bench.now_s
+    try:
+        with naming_the_sensor(bench.run, 0.1):
+            for _ in range(round(0.5 / TICK_S)):
+                watch.commanded(0.05, SPEED_mm_s)
+                if percent is not None:
+                    torque.read()
+                    share = min(1.0, (bench.now_s - begun_s) / rises_s) if rises_s else 1.0
+                    torque.latest_percent = share * percent
+                watch.step(bench.mm, 0.0, touched=False)
+                bench.now_s += TICK_S
+    except InstrumentError as error:
+        assert bench.stopped
+        return error
+    raise AssertionError("it was not refused")
 
 
 @pytest.mark.parametrize(
-    ("read", "device"), [(True, "stage_z"), (False, "force_sensor")], ids=["read", "unknown since"]
+    ("percent", "device", "words"),
+    [
+        (2.5, "stage_z", "as in free air: nothing holds it, and it does not obey"),
+        (LIMIT_percent, "force_sensor", ""),
+        (None, "force_sensor", "stage_z is held at 12.2"),
+    ],
+    ids=["idle", "at its limit", "not read since"],
 )
-def test_a_stage_that_stands_without_torque_does_not_make_the_sensor_suspect(
-    read: bool, device: str
+def test_a_stage_that_stands_in_the_contact_range_is_told_from_one_that_is_held(
+    percent: float | None, device: str, words: str
 ) -> None:
-    """It stands in the contact range and no force is read: it may be held by what it presses on,
-    unless its torque shows that it is not."""
     bench = Bench(0.0)
     torque, watch = at_rest(bench)
     bench.press(watch, torque, CONTACT_mm - bench.mm)
-    with pytest.raises(InstrumentError, match=r"although it was commanded") as caught:
-        stand_still(bench, watch, torque, read)
-    assert caught.value.device == device
-    assert bench.stopped
-    assert ("does not obey, or it is held" in str(caught.value)) == read
+    error = stand_still(bench, watch, torque, percent)
+    assert error.device == device
+    assert words in str(error)
+    assert ("suspect the force sensor" in str(error.hint)) == (device == "force_sensor")
+
+
+def test_a_stage_that_is_held_above_any_contact_is_not_taken_for_idle() -> None:
+    """What its motor shows meanwhile is not the torque of free air."""
+    bench = Bench(0.0)
+    bench.mm = 11.0
+    torque, watch = at_rest(bench)
+    bench.press(watch, torque, 0.8)
+    assert "stage_z is held at 11.8" in str(stand_still(bench, watch, torque, LIMIT_percent, 0.3))
+
+
+def test_a_torque_that_never_changes_does_not_show_an_idle_stage() -> None:
+    bench = Bench(0.0, friction_percent=0.0)
+    torque, watch = at_rest(bench)
+    bench.press(watch, torque, CONTACT_mm - bench.mm)
+    assert "stage_z is held at 12.2" in str(stand_still(bench, watch, torque, 0.0))
 
 
 def test_the_friction_of_a_further_trial_is_no_rise_from_rest() -> None:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import re
-
 import pytest
 from tiers import mostly_nightly
 
@@ -91,10 +89,7 @@ def test_a_stage_that_is_held_before_contact_is_reported_with_where_it_stands(ri
     ended = take(
         rig, "", '[[fault]]\ndevice = "stage_z"\nkind = "stuck"\nmove = 4\nafter_s = 0.1\n'
     )
-    assert_told(ended, 3, "although it was commanded to move a further")
-    assert re.search(
-        r"^error: stage_z: approach: stage_z (is held|stands) at 11\.", ended.errors[0]
-    )
+    assert_told(ended, 3, "stage_z: approach: stage_z is held at 11.")
     assert "look what holds the stage" in ended.errors[0]
     last_of(rig, "stage_z")
 

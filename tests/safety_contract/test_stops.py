@@ -21,7 +21,8 @@ THOROUGH = [
     *(("homing", "interlock"), ("travel", "force limit"), ("held", "SIGTERM")),
     *(("slide", "force limit"), ("sweep, recording", "Ctrl-C"), ("paused", "interlock")),
 ]
-"""Each state, and each cause in two states at least; the other pairs are nightly."""
+"""Each cause, and each state in which z or x moves or presses; the other pairs are nightly. For a
+roll that is stopped see test_roll_trial."""
 
 
 @pytest.mark.stages("festo", because="the states' moments are those of these stages")

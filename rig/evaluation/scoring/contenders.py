@@ -45,7 +45,7 @@ class Named(Protocol):
 
 
 class Contender(Named, Protocol):
-    """A detector or baseline that can be scored: it sees the recording and the commands of x, and
+    """A detector or baseline that can be scored: it sees the recording and the commands, and
     nothing else."""
 
     def reports(
@@ -55,7 +55,7 @@ class Contender(Named, Protocol):
         factors: tuple[float, ...],
         commands: tuple[Command, ...] = (),
     ) -> list[DetectorReport]:
-        """Returns its reports on a recording (n, 2) in V, in which x was commanded to make these
+        """Returns its reports on a recording (n, 2) in V, with these
         moves, one for each factor on its threshold."""
         ...
 

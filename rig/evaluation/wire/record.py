@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.detector.commands import Command, from_text, text_in, to_text
+from rig.detector.commands import Command, commands_in, from_text, to_text
 from rig.evaluation import simulated_truth
 from rig.evaluation.scoring.outcomes import Truth
 from rig.evaluation.scoring.patterns import roll_pattern
@@ -82,7 +82,7 @@ def read_record(path: Path) -> WireRecord:
             traits["pattern"] = roll_pattern(volts, wave.rate_Hz, truth.motion_s)
         way_mm = _way_mm(run, point, truth.ridge_slip_s)
         slips_s = simulated_truth.slips_of(reading, record_s)
-        commands = tuple(from_text(text_in(reading)))
+        commands = tuple(commands_in(reading))
         return WireRecord(
             volts, wave.rate_Hz, truth, way_mm, tick_from_s, traits, slips_s, commands
         )
