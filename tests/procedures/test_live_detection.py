@@ -59,9 +59,7 @@ def test_blocks_of_any_length_give_the_events_of_the_whole_record(name: str) -> 
     assert "of its record (sample " in journal.events[0][2]
 
 
-def test_the_commands_of_a_record_are_those_that_the_detector_knew_and_find_the_same() -> (
-    None
-):
+def test_the_commands_of_a_record_are_those_that_the_detector_knew_and_find_the_same() -> None:
     volts = trials.slipping()
     live = LiveDetection("impulse", WallClock())
     live.begin()
