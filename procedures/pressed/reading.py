@@ -115,7 +115,7 @@ class TrialRecord:
     detections: list[Detection] = field(default_factory=list)
     """What the detector has found."""
     commands: list[Command] = field(default_factory=list)
-    """What was commanded, as the detector was told."""
+    """What was commanded, as the detector was given it."""
     squeezes: list[Squeeze] = field(default_factory=list)
     """Rises of the set point by the grip (`procedures.pressed.grip`)."""
     unanswered: list[float] = field(default_factory=list)

@@ -120,8 +120,7 @@ class TorqueWatch:
     @property
     def margin_percent(self) -> float:
         """Rise that has to come with a change of force."""
-        scatter = float(np.std(self._free_readings)) if self.is_learnt else 0.0
-        return max(SHARE * self._limit_percent, LEAST_percent, SIGMAS * scatter)
+        return self._margin_beyond(self._free_readings if self.is_learnt else [])
 
     def rise_percent(self) -> float:
         """Return by how much the latest reading differs from free air; 0 where either is not
@@ -133,17 +132,17 @@ class TorqueWatch:
 
     def idle_percent(self, stood_s: float) -> float | None:
         """Return the latest reading where it shows that z, which has stood for `stood_s` although
-        it was commanded to move, does not push; None where it pushes, or where that cannot be told:
-        with few, old or unchanging readings, or where friction takes most of the torque limit."""
+        it was commanded to move, does not push; None where it pushes, and where the torque does not
+        show it: with few, old or unchanging readings, or where friction takes most of the limit."""
         latest, now_s = self.latest_percent, self._run.clock.now()
-        # What was read since may be the torque of a stage that is held.
+        # What was read since it stands may be the torque of a stage that is held, and it may have
+        # been slow before.
         before = [one for at_s, one in self._moving if at_s < now_s - 2 * stood_s]
         if latest is None or now_s - self._read_at_s > stood_s / 2:
             return None
         if len(before) < ENOUGH or len(self._shown) < 2:
             return None
-        free = float(np.mean(before))
-        margin = max(SHARE * self._limit_percent, LEAST_percent, SIGMAS * float(np.std(before)))
+        free, margin = float(np.mean(before)), self._margin_beyond(before)
         if self._limit_percent - abs(free) <= margin:
             return None
         return latest if abs(latest - free) <= margin else None
@@ -197,6 +196,11 @@ class TorqueWatch:
             f"it pressed, and the sensor's {force_N:.2g} N have not changed with it",
             SUSPECT,
         )
+
+    def _margin_beyond(self, free: list[float]) -> float:
+        """Return the rise that is more than ripple and the scatter of readings in free air."""
+        scatter = float(np.std(free)) if free else 0.0
+        return max(SHARE * self._limit_percent, LEAST_percent, SIGMAS * scatter)
 
     @property
     def _free_readings(self) -> list[float]:

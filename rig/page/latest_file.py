@@ -24,7 +24,7 @@ class LatestFile:
         self._lock = lock
         self.file: FoundFile | None = None
         self.ending: dict[str, Any] | None = None
-        """What it says of the run's end; None as long as there is no file."""
+        """What it says of the run's end; None until one was found."""
         self.header: RunHeader | None = None
         self._unusable: set[FoundFile] = set()
         """Run files that cannot be read, or that were imported."""

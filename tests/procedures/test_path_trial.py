@@ -86,7 +86,7 @@ def test_x_follows_the_path_and_the_force_its_course_and_the_skin_is_lifted(rig:
     assert [force_N for _, force_N in course] == sorted((f for _, f in course), reverse=True)
     for time_s, force_N in course:
         wanted_N = np.interp(time_s, [0.8, 1.1], [3.0, 1.5])
-        assert force_N == pytest.approx(wanted_N, abs=0.1), "told within some ticks"
+        assert force_N == pytest.approx(wanted_N, abs=0.1), "within some ticks"
     assert course[-1][1] == pytest.approx(1.5)
 
 

@@ -43,7 +43,7 @@ class WireRecord:
     slips_s: tuple[tuple[float, float], ...] = ()
     """Begin and end of every slip of the whole ridge, the first included, in s of the record."""
     commands: tuple[Command, ...] = ()
-    """What was commanded, as the detector of the trial was told."""
+    """What was commanded, as the detector of the trial was given it."""
 
 
 def read_record(path: Path) -> WireRecord:
