@@ -9,13 +9,8 @@ import pytest
 from rig.files.runfile.reader import RunFile
 
 
-@pytest.mark.parametrize(
-    ("load", "outcome"),
-    [
-        pytest.param("4N", "lost", marks=pytest.mark.thorough),
-        pytest.param("1.5N", "held", marks=pytest.mark.nightly),
-    ],
-)
+@pytest.mark.thorough
+@pytest.mark.parametrize(("load", "outcome"), [("4N", "lost"), ("1.5N", "held")])
 @pytest.mark.usefixtures("quick_ways")
 def test_a_weight_is_lost_where_the_contact_cannot_hold_it_also_if_it_comes_fast(
     rig: Any, load: str, outcome: str

@@ -9,7 +9,6 @@ import time
 import numpy as np
 import pytest
 from nexusformat.nexus.validate import validate_application, validate_file
-from tiers import mostly_nightly
 
 from rig.files.definitions import definition_path
 from rig.files.runfile.reader import RunFile
@@ -165,7 +164,8 @@ TROUBLES = {
 }
 
 
-@pytest.mark.parametrize("what", mostly_nightly(TROUBLES, ["held fast", "no answer"]))
+@pytest.mark.thorough
+@pytest.mark.parametrize("what", TROUBLES)
 def test_a_rotary_stage_that_fails_in_the_roll_is_reported_and_the_skin_lifted(rig, what):
     kind, words = TROUBLES[what]
     when = "" if "silence" in kind else "move = 3\nafter_s = 0.2\n"
