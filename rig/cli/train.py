@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 MODEL_SEEDS = "0:100"
 """Seeds of the model's trials where nothing is named."""
-HEARINGS = 3
+HEARINGS = 4
 """Front ends through which each simulated trial is heard."""
 
 
@@ -83,10 +83,11 @@ def train(
     ] = 2,
     units: Annotated[int, typer.Option(help="Hidden units of each of them.", min=1, max=64)] = 16,
     epochs: Annotated[
-        int, typer.Option(help="Number of passes over all rows.", min=1, max=1000)
-    ] = 10,
+        int, typer.Option(help="Number of passes over all recordings.", min=1, max=1000)
+    ] = 30,
     seed: Annotated[
-        int, typer.Option(help="Seed of the initial weights and of the order of the rows.", min=0)
+        int,
+        typer.Option(help="Seed of the initial weights and of the order of the recordings.", min=0),
     ] = 0,
     jobs: Annotated[int, typer.Option(help="Number of parallel processes.", min=1, max=64)] = 1,
     debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks of errors.")] = False,
@@ -257,14 +258,13 @@ def _trained(
     sources: Sources, members: int, units: int, epochs: int, seed: int, command: str
 ) -> tuple[Network, list[Lesson]]:
     """Returns the network, and the lessons that were held out."""
-    import numpy as np
 
     import rig
     from rig.detector.detector import DETECTOR_VERSION
     from rig.detector.kernel import INPUTS
     from rig.detector.network import Network
     from rig.evaluation.lessons import Teacher
-    from rig.evaluation.training import TrainingRows, learn_together
+    from rig.evaluation.training import learn_together
 
     teacher = Teacher()
     learnt: list[TrainingRows] = []
@@ -282,20 +282,13 @@ def _trained(
             f"{sources.said() or 'no trials'}: too few to learn from some and be judged on others",
             "take at least five seeds, or files of two samples",
         )
-    rows = TrainingRows(
-        *(
-            np.concatenate([getattr(one, name) for one in learnt])
-            for name in ("inputs", "right", "weight")
-        )
-    )
-    learnt.clear()
-    say(f"train: {len(rows.inputs)} rows")
+    say(f"train: {sum(len(one.inputs) for one in learnt)} rows")
 
     def show(epoch: int, loss: float) -> None:
         if (epoch + 1) * 10 // epochs != epoch * 10 // epochs:
             say(f"train: epoch {epoch + 1} of {epochs}, loss {loss:.5f}")
 
-    hidden, output = learn_together(rows, members, units, epochs, seed, show)
+    hidden, output = learn_together(learnt, members, units, epochs, seed, show)
     seeds = [one for one in (sources.seeds, sources.wire) if one is not None]
     network = Network(
         name=f"rig-{DETECTOR_VERSION}",

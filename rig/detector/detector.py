@@ -83,7 +83,9 @@ class IncipientSlipDetector(Detector):
                 f"rate {rate_Hz:g} Hz must be {NETWORK_RATE_Hz:g} Hz for the detector 'rig', whose "
                 "network was trained at it: resample, or take paper-hp or paper-literal"
             )
-        known = (kernel.INPUTS, kernel.ADAPTED_INPUTS, kernel.FIXED_INPUTS)
+        known = (
+            kernel.INPUTS, kernel.CHARGED_INPUTS, kernel.ADAPTED_INPUTS, kernel.FIXED_INPUTS
+        )  # fmt: skip
         if settings.network is not None and settings.network.inputs not in known:
             raise ValueError(
                 f"network {settings.network.name!r} needs other inputs than this program's "
@@ -144,6 +146,16 @@ class IncipientSlipDetector(Detector):
         if before_mm_s * after_mm_s < BRAKES_BELOW * before_mm_s**2:
             self._state["braking_rows"] = self._braking_rows
             self._state["x_braked"] = 1.0
+
+    def commanded_force(self, before_N: float | None, after_N: float) -> None:
+        """Notes which normal force z is commanded to hold, for a network of `kernel.INPUTS`."""
+        state = self._state
+        if not state["force_known"]:
+            state["force_known"], state["force_share"] = 1, 1.0
+            return
+        change = after_N / before_N - 1 if before_N else 0.0
+        state["force_share"] *= 1 + change
+        state["force_changes"] += change
 
     def end(self) -> list[SlipEvent]:
         """Returns one event if there never was a quiet piece to measure offset and noise on, and
@@ -249,6 +261,7 @@ def _constants(settings: DetectorSettings, rate_Hz: float, low_pass: LowPass) ->
     c["charge_keeps"] = 1 - 1 / (kernel.CHARGE_ms * ms)
     c["long_keeps"] = 1 - 1 / (np.array(kernel.LONG_PEAKS_ms) * ms)
     c["command_keeps"] = 1 - 1 / (np.array(kernel.COMMAND_ms) * ms)
+    c["force_keeps"] = 1 - 1 / (np.array(kernel.FORCE_ms) * ms)
     c["drift_share"] = 1 / (np.array(kernel.DRIFT_ms) * ms)
     c["warm_up_rows"] = min(round(kernel.WARM_UP_ms * ms), int(c["quiet_rows"][0]) // 4)
     c["rolling_rows"] = round(kernel.ROLLING_ms * ms)

@@ -69,7 +69,7 @@ LOOK_ms, IDLE_ms = 12.0, 8.0
 """The network is evaluated at every row for `LOOK_ms` after an impulse, and otherwise once every
 `IDLE_ms`."""
 ADAPTIVE_IDLE_ms = 4.0
-"""The same for a network of `ADAPTED_INPUTS` or `INPUTS`."""
+"""The same for a network of `ADAPTED_INPUTS` or longer ones."""
 BACKGROUND_ms = (400.0, 64.0, 400.0)
 """Time constants of further powers of the impulse: of v_d, and two of v_s."""
 
@@ -115,6 +115,8 @@ LONG_PEAKS_ms = (1000.0, 1000.0, 400.0)
 the sum of v_d since the touch-down, and of the impulse of v_d."""
 COMMAND_ms = (30.0, 60.0)
 """Time constants with which a commanded braking and a commanded start of x are forgotten."""
+FORCE_ms = (60.0, 400.0)
+"""Time constants with which commanded changes of the normal force are forgotten."""
 LEAST_SPEED_mm_s = 0.02
 """Lowest commanded speed at which v_d is compared with it."""
 LEAST_SHARE = 0.02
@@ -189,6 +191,9 @@ STATE = np.dtype(
         ("x_gain", "f8"),  # largest v_d for the speed of x, mV s/mm, decaying
         ("x_braked", "f8"),  # 1 where x was commanded to brake, decaying
         ("x_started", "f8"),  # 1 where x was commanded to start or turn, decaying
+        ("force_known", "i8"),  # 1 from the first command of the normal force on
+        ("force_share", "f8"),  # commanded normal force over the first commanded one
+        ("force_changes", "f8", (2,)),  # sums of its relative changes, decaying over FORCE_ms
     ]
 )
 """State of the detector between two rows. All voltages are in mV."""
@@ -233,6 +238,7 @@ CONSTANTS = np.dtype(
         ("charge_keeps", "f8"),
         ("long_keeps", "f8", (3,)),
         ("command_keeps", "f8", (2,)),
+        ("force_keeps", "f8", (2,)),
     ]
 )
 """Settings of the detector, converted to rows and mV."""
@@ -288,7 +294,7 @@ amplifiers nor, in the main, the normal force makes a difference; "touch to nois
 noise compares with both. Until the touch-down is over the unit is 0.5 mV and "touched" is 0.
 """
 
-INPUTS = (
+CHARGED_INPUTS = (
     *ADAPTED_INPUTS,
     "sum of v_d since the touch to the touch",
     "sum of v_s since the touch to the touch",
@@ -307,12 +313,26 @@ INPUTS = (
     "v_d 8 ms to the speed of x",
     "v_d missing while x moves",
 )
-"""Names of the inputs of networks that are trained now (decision 0121).
+"""Names of the inputs of networks of decision 0121.
 
 A film's charge follows the force, so that the sums since the touch-down are the shear and the
 change of the normal force of the ridge, in units of the touch: how much of the friction is used,
 whether the shear still grows, and whether v_d still follows x. "Along the shear" is positive where
 the shear grows. The last six are 0 where the commands of x are not known.
+"""
+
+INPUTS = (
+    *CHARGED_INPUTS,
+    "force known",
+    "change of force 60 ms",
+    "change of force 400 ms",
+    "force to the first",
+    "sum of v_d since the touch to the commanded force",
+)
+"""Names of the inputs of networks that are trained now (decision 0124).
+
+The normal force is the one that z is commanded to hold, not the measured one. All five are 0 where
+it is not known.
 """
 
 EVENT_FEATURES = (
@@ -328,7 +348,7 @@ EVENT_COLUMNS = 4 + len(EVENT_FEATURES) + 1
 """Number of columns of an event: kind, row, confidence, reason, features, rows not judged."""
 
 _MEDIAN_TO_SIGMA = 1.4826
-_FIXED, _ADAPTED = len(FIXED_INPUTS), len(ADAPTED_INPUTS)
+_FIXED, _ADAPTED, _CHARGED = len(FIXED_INPUTS), len(ADAPTED_INPUTS), len(CHARGED_INPUTS)
 
 
 @njit(cache=True, error_model="numpy")
@@ -746,6 +766,8 @@ def _follow_charges(difference: float, total: float, s: Any, c: Any) -> None:
         s.x_gain = max(abs(s.average[0, 4]) / abs(s.x_speed), s.x_gain)
     s.x_braked *= c.command_keeps[0]
     s.x_started *= c.command_keeps[1]
+    for j in range(2):
+        s.force_changes[j] *= c.force_keeps[j]
 
 
 @njit(cache=True, error_model="numpy")
@@ -946,7 +968,8 @@ def _gather_fixed_inputs(s: Any, c: Any, x: Any) -> None:
 
 @njit(cache=True, error_model="numpy")
 def _gather_inputs(s: Any, c: Any, x: Any) -> None:
-    """Computes the inputs of a network of `ADAPTED_INPUTS`, or of `INPUTS`, which begin alike."""
+    """Computes the inputs of a network of `ADAPTED_INPUTS`, or of the longer ones, which begin
+    alike."""
     _gather(s.unit, s, c, x)
     at = _FIXED
     noise, common = s.fast_noise[0], s.fast_noise[1]
@@ -959,12 +982,14 @@ def _gather_inputs(s: Any, c: Any, x: Any) -> None:
     x[at + 5] = 1.0 if _has_touched(s) else 0.0
     if x.size > _ADAPTED:
         _gather_charges_and_commands(s, x)
+    if x.size > _CHARGED:
+        _gather_force(s, x)
     _compress(x)
 
 
 @njit(cache=True, error_model="numpy")
 def _gather_charges_and_commands(s: Any, x: Any) -> None:
-    """Computes the inputs that `INPUTS` has after `ADAPTED_INPUTS`.
+    """Computes the inputs that `CHARGED_INPUTS` has after `ADAPTED_INPUTS`.
 
     The factors bring them to the order of 1 to 10, like the others.
     """
@@ -995,6 +1020,22 @@ def _gather_charges_and_commands(s: Any, x: Any) -> None:
     if abs(s.x_speed) > LEAST_SPEED_mm_s:
         expected = s.x_gain * abs(s.x_speed) + 0.1 * s.unit
         x[at + 15] = 3.0 * (1.0 - along * s.average[0, 2] / expected)
+
+
+@njit(cache=True, error_model="numpy")
+def _gather_force(s: Any, x: Any) -> None:
+    """Computes the inputs that `INPUTS` has after `CHARGED_INPUTS`."""
+    at = _CHARGED
+    x[at] = s.force_known
+    x[at + 1] = 10.0 * s.force_changes[0]
+    x[at + 2] = 10.0 * s.force_changes[1]
+    x[at + 3] = 0.0
+    x[at + 4] = 0.0
+    if s.force_known:
+        sign = 1.0 if s.average[0, 5] >= 0.0 else -1.0
+        x[at + 3] = 10.0 * (s.force_share - 1.0)
+        touch = STANDARD_TOUCH * s.touch_share
+        x[at + 4] = 10.0 * sign * s.charge[0] / (touch * max(s.force_share, 0.05))
 
 
 @njit(cache=True, error_model="numpy")

@@ -54,7 +54,7 @@ class DetectorSettings(Settings):
     look_sigmas: float = Field(3.0, gt=0)
     """... and above this many standard deviations of its noise; otherwise every 8 ms."""
     fire_probability: float = Field(0.9, gt=0, lt=1)
-    """Probability of a slip, from the network, above which a slip is reported (decision 0097)."""
+    """Probability of a slip, from the network, above which a slip is reported."""
     roll_probability: float = Field(0.9, gt=0, lt=1)
     """Probability of a roll, from the network, above which a roll is reported."""
     silence_s: float = Field(0.15, gt=0)
@@ -148,7 +148,10 @@ def named_detectors() -> dict[str, DetectorSettings]:
     """
     return {
         "rig": RigSettings(
-            network=trained_network(), fire_probability_with_x=0.8, over_probability=0.2
+            network=trained_network(),
+            fire_probability=0.95,
+            fire_probability_with_x=0.9,
+            over_probability=0.2,
         ),
         # The lowest threshold that alarms in at most 2 % of simulated rolls (decision 0049). It
         # misses slow slides, the default one by 1.3 mV: `rig detect` says so and why.

@@ -149,8 +149,7 @@ def bench_lessons(made: MadeTrial, hearings: int) -> Iterator[Lesson]:
     """Yields a trial of the simulated bench as it was recorded, and then with gains and faults of
     further front ends; nothing for one that could not be made.
 
-    The last of several hearings is without the commands of x, which recordings of other programs
-    do not have.
+    Each is heard with its commands and then without: recordings of other programs have none.
     """
     trial, record = made.trial, made.record
     if record is None:
@@ -175,10 +174,11 @@ def bench_lessons(made: MadeTrial, hearings: int) -> Iterator[Lesson]:
     yield first
     base = LESSON_FRONT_END.model_copy(update=AS_IT_IS)
     for hearing in range(1, hearings):
-        chance = np.random.default_rng([WIRE_KINDS.index(trial.kind), trial.seed, 4, hearing])
-        front_end = front_end_of(int(chance.integers(len(FAULTS))), base)
-        volts, _ = recorded(record.volts, record.rate_Hz, front_end, chance)
-        commands = () if hearing == hearings - 1 else record.commands
+        volts, commands = record.volts, () if hearing % 2 else record.commands
+        if hearing > 1:
+            chance = np.random.default_rng([WIRE_KINDS.index(trial.kind), trial.seed, 4, hearing])
+            front_end = front_end_of(int(chance.integers(len(FAULTS))), base)
+            volts, _ = recorded(record.volts, record.rate_Hz, front_end, chance)
         yield replace(first, volts=volts, commands=commands, first=False)
 
 

@@ -14,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rig.detector import kernel
-from rig.detector.commands import XMove
+from rig.detector.commands import HeldForce, XMove
 from rig.detector.detector import IncipientSlipDetector
 from rig.detector.events import SlipEvent, unjudged_s
 from rig.detector.network import Network
@@ -140,7 +140,9 @@ def test_the_commands_of_x_are_inputs_from_their_row_on():
     moves = (XMove(1200, 0.5, 1500),)
     shown = IncipientSlipDetector(by_hand(), RATE_Hz).network_inputs(pressed_and_sheared(), moves)
     unknown = IncipientSlipDetector(by_hand(), RATE_Hz).network_inputs(pressed_and_sheared())
-    x = {name: shown.inputs[:, kernel.INPUTS.index(name)] for name in kernel.INPUTS[-6:]}
+    first = kernel.INPUTS.index("x known")
+    x = {name: shown.inputs[:, first + k] for k, name in enumerate(kernel.CHARGED_INPUTS[first:])}
+    assert len(x) == 6
     before, after = shown.rows < 1200, shown.rows >= 1500
     moving = ~before & ~after
     for name in x:
@@ -153,8 +155,35 @@ def test_the_commands_of_x_are_inputs_from_their_row_on():
     assert not x["x braked"][moving].any()
     assert (np.diff(x["x braked"][after]) < 0).all()
     # Nothing else changes.
-    own = np.s_[:, : len(kernel.INPUTS) - 6]
+    own = np.s_[:, np.r_[:first, len(kernel.CHARGED_INPUTS) : len(kernel.INPUTS)]]
     np.testing.assert_array_equal(shown.inputs[own], unknown.inputs[own])
+
+
+def test_the_held_force_is_an_input_from_its_row_on():
+    forces = (HeldForce(600, 4.0), HeldForce(1200, 2.0), HeldForce(1300, 3.0))
+    shown = IncipientSlipDetector(by_hand(), RATE_Hz).network_inputs(pressed_and_sheared(), forces)
+    unknown = IncipientSlipDetector(by_hand(), RATE_Hz).network_inputs(pressed_and_sheared())
+    known = len(kernel.CHARGED_INPUTS)
+    assert not unknown.inputs[:, known:].any()
+    np.testing.assert_array_equal(shown.inputs[:, :known], unknown.inputs[:, :known])
+    # Undo the compression of large numbers, x / sqrt(1 + |x|).
+    said = shown.inputs[:, known:]
+    large = np.sign(said) * (said**2 + np.sqrt(said**4 + 4 * said**2)) / 2
+    x = dict(zip(kernel.INPUTS[known:], large.T, strict=True))
+    assert x["force known"][shown.rows >= 600] == pytest.approx(1)
+    for begin, end, share in ((600, 1200, 1.0), (1200, 1300, 0.5), (1300, 2000, 0.75)):
+        at = (shown.rows >= begin) & (shown.rows < end)
+        assert x["force to the first"][at] == pytest.approx(10 * (share - 1))
+    shear = "sum of v_d since the touch to the touch"
+    to_touch = shown.inputs[:, kernel.INPUTS.index(shear)]
+    at = (shown.rows >= 1200) & (shown.rows < 1300)
+    assert (np.sign(x["sum of v_d since the touch to the commanded force"][at]) == np.sign(
+        to_touch[at]
+    )).all()  # fmt: skip
+    for name, tau_ms in (("change of force 60 ms", 60), ("change of force 400 ms", 400)):
+        row = shown.rows[at]
+        assert x[name][at] == pytest.approx(-5 * (1 - 1 / tau_ms) ** (row - 1199), rel=0.02)
+        assert not x[name][shown.rows < 1200].any()
 
 
 def test_with_the_commands_of_x_another_probability_is_asked_for():

@@ -285,7 +285,7 @@ def test_wrong_shapes_are_refused():
 def test_the_network_of_the_package_fits_the_detector():
     network = named_detectors()["rig"].network
     assert network is not None
-    assert network.inputs in (kernel.INPUTS, kernel.ADAPTED_INPUTS)
+    assert network.inputs == kernel.INPUTS
     assert 0 <= network.first_seed <= network.last_seed < 1_000_000
 
 

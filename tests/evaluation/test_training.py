@@ -3,7 +3,17 @@
 import numpy as np
 import pytest
 
-from rig.evaluation.training import TrainingRows, TrainingTrial, learn, learn_together, rows_of
+from rig.evaluation import training
+from rig.evaluation.training import (
+    FURTHER_SLIP,
+    SLIP_WEIGHT,
+    TrainingRows,
+    TrainingTrial,
+    learn,
+    learn_together,
+    rows_of,
+    together,
+)
 
 NEVER = float("nan")
 NONE = np.zeros((0, 2))
@@ -40,6 +50,29 @@ def test_a_second_slip_is_as_right_as_the_first_and_what_is_between_them_is_wron
     assert not rows.right[:, 1].any()
 
 
+def test_a_slip_is_one_case_and_the_first_of_a_motion_teaches_most():
+    rows = rows_of(lesson(slips_s=np.array([[0.4, 0.41], [0.6, 0.64], [0.61, 0.7], [0.8, 0.9]])))
+    # That before the motion is none; the second one here has what the first one leaves it.
+    assert [list(np.flatnonzero(rows.slip == k)) for k in (0, 1, 2)] == [
+        list(range(598, 626)), list(range(626, 636)), list(range(798, 826))
+    ]  # fmt: skip
+    assert (rows.slip >= 0).sum() == rows.right[:, 0].sum()
+    weights = [set(rows.weight[rows.slip == k, 0]) for k in (0, 1, 2)]
+    further = np.float32(SLIP_WEIGHT * FURTHER_SLIP)
+    assert weights == [{np.float32(SLIP_WEIGHT)}, {further}, {further}]
+    no = rows.slip < 0
+    assert set(rows.weight[no, 0]) == {0, 1}
+
+
+def test_the_slips_of_several_recordings_stay_apart():
+    first, second = rows_of(lesson(slips_s=np.array([[0.6, 0.7], [0.8, 0.9]]))), rows_of(lesson())
+    both = together([first, rows_of(lesson(slips_s=NONE)), second])
+    assert (both.slip[:1000] == first.slip).all()
+    assert (both.slip[1000:2000] == -1).all()
+    assert set(both.slip[2000:]) == {-1, 2}
+    assert both.inputs.shape == (3000, 3)
+
+
 def test_a_hold_teaches_no_slip_at_all():
     rows = rows_of(lesson(slips_s=NONE))
     assert not rows.right.any()
@@ -73,7 +106,15 @@ def plain_problem() -> TrainingRows:
     first = x[:, 0] > (x[:, 1] - 20) / 5
     ring = np.hypot(x[:, 0], x[:, 2]) < 1.0
     right = np.column_stack([first, ring]).astype(np.float32)
-    return TrainingRows(x.astype(np.float32), right, np.ones_like(right))
+    return TrainingRows(x.astype(np.float32), right, np.ones_like(right), np.full(6000, -1))
+
+
+def in_recordings(rows: TrainingRows) -> list[TrainingRows]:
+    """Cut rows into recordings of 60, of which none has a slip of several rows."""
+    cuts = [slice(begin, begin + 60) for begin in range(0, len(rows.inputs), 60)]
+    return [
+        TrainingRows(rows.inputs[at], rows.right[at], rows.weight[at], rows.slip[at]) for at in cuts
+    ]
 
 
 def answers(rows: TrainingRows, hidden: np.ndarray, output: np.ndarray) -> np.ndarray:
@@ -85,15 +126,16 @@ def test_it_learns_what_can_be_learned():
     rows = plain_problem()
     losses: list[float] = []
     hidden, output = learn(
-        rows, units=12, epochs=400, seed=1, on_epoch=lambda _, loss: losses.append(loss)
-    )
+        in_recordings(rows), units=12, epochs=800, seed=1,
+        on_epoch=lambda _, loss: losses.append(loss),
+    )  # fmt: skip
     assert (answers(rows, hidden, output) == rows.right).mean(axis=0) == pytest.approx(1, abs=0.05)
-    assert len(losses) == 400
+    assert len(losses) == 800
     assert losses[-1] < losses[0] / 4
 
 
 def test_the_seed_decides_everything():
-    rows = plain_problem()
+    rows = in_recordings(plain_problem())
     one, other = (learn(rows, units=4, epochs=2, seed=3) for _ in range(2))
     assert (one[0] == other[0]).all()
     assert (one[1] == other[1]).all()
@@ -107,16 +149,63 @@ def test_networks_that_are_averaged_answer_with_the_mean_of_their_log_odds():
         total = rows.inputs @ hidden[:, :-1].T + hidden[:, -1]
         return (total / (1 + np.abs(total))) @ output[:, :-1].T + output[:, -1]
 
-    apart = [odds(*learn(rows, units=3, epochs=1, seed=seed)) for seed in (5, 6)]
-    together = odds(*learn_together(rows, members=2, units=3, epochs=1, seed=5))
+    cut = in_recordings(rows)
+    apart = [odds(*learn(cut, units=3, epochs=1, seed=seed)) for seed in (5, 6)]
+    together = odds(*learn_together(cut, members=2, units=3, epochs=1, seed=5))
     assert together == pytest.approx((apart[0] + apart[1]) / 2, abs=1e-4)
     assert np.abs(apart[0] - apart[1]).max() > 0.1
 
 
 def test_rows_that_do_not_count_teach_nothing():
     rows = plain_problem()
-    spoilt = TrainingRows(rows.inputs, rows.right.copy(), rows.weight.copy())
+    spoilt = TrainingRows(rows.inputs, rows.right.copy(), rows.weight.copy(), rows.slip)
     spoilt.right[::2] = 1 - spoilt.right[::2]
     spoilt.weight[::2] = 0
-    hidden, output = learn(spoilt, units=12, epochs=400, seed=1)
+    hidden, output = learn(in_recordings(spoilt), units=12, epochs=400, seed=1)
     assert (answers(rows, hidden, output) == rows.right).mean() > 0.93
+
+
+def test_what_is_taught_of_a_slip_is_that_some_of_its_rows_say_so():
+    """The evidence comes at one row of each slip, early or late; the others look like a hold."""
+    chance = np.random.default_rng(7)
+
+    def recording() -> TrainingRows:
+        x = 0.1 * chance.standard_normal((200, 2)).astype(np.float32)
+        slip = np.full(200, -1)
+        slip[100:120] = 0
+        x[chance.integers(100, 120), 0] = 2.0
+        right, weight = np.zeros((200, 2), np.float32), np.ones((200, 2), np.float32)
+        right[slip == 0, 0], weight[slip == 0, 0] = 1, SLIP_WEIGHT
+        return TrainingRows(x, right, weight, slip)
+
+    hidden, output = learn([recording() for _ in range(64)], units=4, epochs=200, seed=2)
+
+    def odds(x: list[float]) -> float:
+        total = hidden[:, :-1] @ x + hidden[:, -1]
+        return float((output[:, :-1] @ (total / (1 + np.abs(total))) + output[:, -1])[0])
+
+    assert odds([2.0, 0.0]) > 2
+    assert odds([0.0, 0.0]) < -4
+
+
+def test_the_derivatives_are_those_of_the_loss():
+    chance = np.random.default_rng(3)
+    x = chance.standard_normal((40, 3))
+    right = (chance.random((40, 2)) < 0.3).astype(float)
+    slip = np.full(40, -1)
+    slip[5:12], slip[12:15], slip[14] = 0, 1, 0
+    right[slip >= 0, 0] = 1
+    rows = TrainingRows(x, right, chance.random((40, 2)), slip)
+    for number in (0, 1):  # the rows of a slip share one weight
+        rows.weight[slip == number, 0] = rows.weight[slip == number, 0][0]
+    weights = [chance.standard_normal(shape) for shape in ((4, 3), 4, (2, 4), 2)]
+    _, slopes = training._slopes(x, rows, weights)
+    for one, slope in zip(weights, slopes, strict=True):
+        at = tuple(0 for _ in one.shape)
+        was = one[at]
+        losses = []
+        for moved in (-1e-4, 1e-4):
+            one[at] = was + moved
+            losses.append(training._slopes(x, rows, weights)[0])
+        one[at] = was
+        assert slope[at] == pytest.approx((losses[1] - losses[0]) / 2e-4, rel=0.02, abs=1e-4)
