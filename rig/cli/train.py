@@ -31,7 +31,8 @@ if TYPE_CHECKING:
 MODEL_SEEDS = "0:100"
 """Seeds of the model's trials where nothing is named."""
 HEARINGS = 4
-"""Front ends through which each simulated trial is heard."""
+"""Number of times that each simulated trial is heard: of the model through as many front ends, of
+the bench twice as it was recorded and through two."""
 
 
 def train(
@@ -281,6 +282,11 @@ def _trained(
         raise ConfigurationError(
             f"{sources.said() or 'no trials'}: too few to learn from some and be judged on others",
             "take at least five seeds, or files of two samples",
+        )
+    if not any(len(one.inputs) for one in learnt):
+        raise ConfigurationError(
+            f"{sources.said()}: in none of them is the skin touched, so there is nothing to learn",
+            "check the channels and that the strips' signals are in volts",
         )
     say(f"train: {sum(len(one.inputs) for one in learnt)} rows")
 

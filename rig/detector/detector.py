@@ -99,6 +99,9 @@ class IncipientSlipDetector(Detector):
         if isinstance(settings, ImpulseSettings):
             self._braking_rows = round(settings.braking_s * rate_Hz)
         self._sections = _high_pass(settings.impulse_Hz, rate_Hz)
+        self._knows_forces = (
+            settings.network is not None and settings.network.inputs == kernel.INPUTS
+        )
         inputs = len(kernel.INPUTS if settings.network is None else settings.network.inputs)
         if settings.network is None:
             self._hidden, self._output = np.zeros((inputs + 1, 0)), np.zeros((2, 1))
@@ -124,6 +127,7 @@ class IncipientSlipDetector(Detector):
         """Forgets all rows: offset and noise are measured anew."""
         self._first = self.rows
         self._state = np.zeros(1, kernel.STATE)
+        self._x_before_force: float | None = None
 
     def judge(self, volts: Reals) -> list[SlipEvent]:
         """Returns the events decided in further rows (n, 2) of v_1 and v_2 in V."""
@@ -140,6 +144,11 @@ class IncipientSlipDetector(Detector):
 
     def commanded(self, before_mm_s: float, after_mm_s: float) -> None:
         """Notes what x is commanded to do, for the logics ``impulse`` and ``rig``."""
+        if self._knows_forces and not self._state["force_known"]:
+            # Files of before decision 0123 have the moves of x alone, with which a network of
+            # `kernel.INPUTS` was not taught: for it, the commands are known once both are.
+            self._x_before_force = after_mm_s
+            return
         self._state["x_known"], self._state["x_speed"] = 1, after_mm_s
         if after_mm_s and before_mm_s * after_mm_s <= 0:
             self._state["x_started"] = 1.0
@@ -152,6 +161,8 @@ class IncipientSlipDetector(Detector):
         state = self._state
         if not state["force_known"]:
             state["force_known"], state["force_share"] = 1, 1.0
+            if self._x_before_force is not None:
+                state["x_known"], state["x_speed"] = 1, self._x_before_force
             return
         change = after_N / before_N - 1 if before_N else 0.0
         state["force_share"] *= 1 + change

@@ -192,7 +192,7 @@ STATE = np.dtype(
         ("x_braked", "f8"),  # 1 where x was commanded to brake, decaying
         ("x_started", "f8"),  # 1 where x was commanded to start or turn, decaying
         ("force_known", "i8"),  # 1 from the first command of the normal force on
-        ("force_share", "f8"),  # commanded normal force over the first commanded one
+        ("force_share", "f8"),  # commanded normal force over the first one since the reset
         ("force_changes", "f8", (2,)),  # sums of its relative changes, decaying over FORCE_ms
     ]
 )

@@ -146,10 +146,10 @@ def model_lessons(
 
 
 def bench_lessons(made: MadeTrial, hearings: int) -> Iterator[Lesson]:
-    """Yields a trial of the simulated bench as it was recorded, and then with gains and faults of
-    further front ends; nothing for one that could not be made.
+    """Yields a trial of the simulated bench as it was recorded, with its commands and without, and
+    then with the gains and the fault of further front ends; nothing for one that could not be made.
 
-    Each is heard with its commands and then without: recordings of other programs have none.
+    Every second hearing is without commands, as recordings of other programs are.
     """
     trial, record = made.trial, made.record
     if record is None:

@@ -8,9 +8,9 @@ the whole ridge slips to 25 ms after it, again at each further slip, and never e
 a slip nor as none. A partial slip is not a slip.
 
 A slip is one case, not as many as it has rows. One alarm finds it, so what is taught is that the
-probability is high at some of its rows: the mean of the odds over them. The evidence comes early in
-one slip and late in another, and a network that is taught every row alone learns to be cautious in
-all of them (decision 0124).
+probability is high at some of its rows: the odds of a slip are the mean of the odds of its rows.
+The evidence comes early in one slip and late in another, and a network that is taught every row
+alone learns to be cautious in all of them (decision 0124).
 """
 
 from __future__ import annotations
@@ -42,9 +42,10 @@ SLIP_WEIGHT = 13.0
 """Weight of the first slip of a motion, beside 1 for a row without a slip."""
 FURTHER_SLIP = 0.12
 """Weight of each further slip, as a share of that: a trial in which the ridge slips fifty times
-must not teach more than others."""
-BATCH = 32
-"""Number of recordings in a batch."""
+teaches seven times as much as one with a single slip, not fifty times."""
+BATCH, LEAST_STEPS = 32, 2000
+"""Largest number of recordings in a batch; it is smaller where the training would have fewer steps
+than the second."""
 
 
 @dataclass(frozen=True)
@@ -103,7 +104,8 @@ def rows_of(lesson: TrainingTrial) -> TrainingRows:
     for number, (begin_s, _) in enumerate(slips_s):
         taught = (time >= begin_s - EARLY_S) & (time <= begin_s + LATE_S)
         right[taught, 0] = 1
-        # An alarm in the time of two slips finds both; it is taught with the first.
+        # An alarm in the time of two slips finds both. These rows are the earlier slip's; what is
+        # left of the later one is a case of its own.
         taught &= slip < 0
         weight[taught, 0] = SLIP_WEIGHT * (FURTHER_SLIP if number else 1.0)
         slip[taught] = number
@@ -160,12 +162,13 @@ def learn(
     ]
     first = [np.zeros_like(w) for w in weights]
     second = [np.zeros_like(w) for w in weights]
-    count, steps = math.ceil(len(recordings) / BATCH), 0
+    size = min(BATCH, max(1, len(recordings) * epochs // LEAST_STEPS))
+    count, steps = math.ceil(len(recordings) / size), 0
     for epoch in range(epochs):
         order = chance.permutation(len(recordings))
         losses = 0.0
-        for begin in range(0, len(order), BATCH):
-            at = order[begin : begin + BATCH]
+        for begin in range(0, len(order), size):
+            at = order[begin : begin + size]
             batch = together([recordings[k] for k in at])
             # Scaled inputs let one learning rate suit all of them; the scale is folded into the
             # weights below.
@@ -237,8 +240,8 @@ def _slopes(x: Singles, rows: TrainingRows, weights: list[Singles]) -> tuple[flo
 def _of_slips(odds: Singles, slip: NDArray[np.int64], weight: Singles) -> tuple[Singles, Singles]:
     """Returns the loss of rows of slips and its derivatives with respect to their log odds.
 
-    A slip is reported with the mean of the odds over its rows. Its loss is shared by them in
-    proportion to their odds. Rows of a slip are consecutive, but for those of other slips.
+    The odds of a slip are the mean of the odds of its rows. Its loss is shared by them in
+    proportion to their odds.
     """
     _, number = np.unique(slip, return_inverse=True)
     highest = np.full(number.max() + 1, -np.inf, np.float32)

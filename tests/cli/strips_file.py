@@ -18,6 +18,7 @@ def slip_file(
     sample: str = "skin",
     day: str = "2026-11-21",
     simulated: bool = True,
+    gain: float = 1.0,
 ) -> Path:
     """A run file of one trial at 1 kHz: a hump from 1.0 s on, a burst at 1.5 s. It has a truth
     where it is simulated, and else when its motion began."""
@@ -31,7 +32,7 @@ def slip_file(
     noise = 1e-4 * np.random.default_rng(5).standard_normal((3000, 2))
     hump = 0.015 * np.exp(-(((time - 1.5) / 0.2) ** 2))
     burst = 0.02 * np.sin(2 * np.pi * 200 * (time - 1.5)) * ((time >= 1.5) & (time < 1.51))
-    v_1, v_2 = (noise + np.outer(hump + burst, [0.5, -0.5])).T
+    v_1, v_2 = gain * (noise + np.outer(hump + burst, [0.5, -0.5])).T
     truth = {
         "ridge": 1, "slide_us": 11_100_000, "first_slip_us": [11_400_000],
         "whole_slip_us": [11_500_000], "gross_slip_us": 11_700_000, "record_begun_us": 10_000_000,

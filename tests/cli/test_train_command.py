@@ -112,6 +112,15 @@ def test_what_cannot_be_learnt_from_is_refused_in_one_line(tmp_path: Path, argum
     assert not (tmp_path / "net.json").exists()
 
 
+def test_files_in_which_nothing_is_touched_are_refused(tmp_path: Path):
+    for number, sample in enumerate("ab"):
+        slip_file(tmp_path, f"t{number}", sample=sample, day=f"2026-11-0{number + 1}", gain=1e-4)
+    (tmp_path / "list.csv").write_text("file\nt0.h5\nt1.h5\n")
+    said = refused("--out", tmp_path / "net.json", "--files", tmp_path / "list.csv")
+    assert "2 trials of run files: in none of them is the skin touched" in said
+    assert not (tmp_path / "net.json").exists()
+
+
 def test_an_earlier_network_is_never_overwritten(tmp_path: Path):
     (tmp_path / "net.json").write_text("mine")
     assert "exists already" in refused("--out", tmp_path / "net.json")

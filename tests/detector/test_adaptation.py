@@ -137,9 +137,10 @@ def test_the_sums_since_the_touch_are_shear_and_force_in_units_of_the_touch(gain
 
 
 def test_the_commands_of_x_are_inputs_from_their_row_on():
-    moves = (XMove(1200, 0.5, 1500),)
-    shown = IncipientSlipDetector(by_hand(), RATE_Hz).network_inputs(pressed_and_sheared(), moves)
-    unknown = IncipientSlipDetector(by_hand(), RATE_Hz).network_inputs(pressed_and_sheared())
+    held, move = HeldForce(600, 4.0), XMove(1200, 0.5, 1500)
+    rows = pressed_and_sheared()
+    shown = IncipientSlipDetector(by_hand(), RATE_Hz).network_inputs(rows, (held, move))
+    unknown = IncipientSlipDetector(by_hand(), RATE_Hz).network_inputs(rows, (held,))
     first = kernel.INPUTS.index("x known")
     x = {name: shown.inputs[:, first + k] for k, name in enumerate(kernel.CHARGED_INPUTS[first:])}
     assert len(x) == 6
@@ -155,7 +156,7 @@ def test_the_commands_of_x_are_inputs_from_their_row_on():
     assert not x["x braked"][moving].any()
     assert (np.diff(x["x braked"][after]) < 0).all()
     # Nothing else changes.
-    own = np.s_[:, np.r_[:first, len(kernel.CHARGED_INPUTS) : len(kernel.INPUTS)]]
+    own = np.s_[:, [k for k, name in enumerate(kernel.INPUTS) if name not in x]]
     np.testing.assert_array_equal(shown.inputs[own], unknown.inputs[own])
 
 
@@ -194,12 +195,14 @@ def test_with_the_commands_of_x_another_probability_is_asked_for():
     without = IncipientSlipDetector(chosen, RATE_Hz)
     assert samples(without.add(pressed_and_sheared())) == []
     known = IncipientSlipDetector(chosen, RATE_Hz)
+    known.command(HeldForce(600, 4.0))
     known.command(XMove(1200, 0.5, 1500))
     (first, *_) = samples(known.add(pressed_and_sheared()))
     assert 1200 <= first < 1210
     same = IncipientSlipDetector(
         chosen.model_copy(update={"fire_probability_with_x": None}), RATE_Hz
     )
+    same.command(HeldForce(600, 4.0))
     same.command(XMove(1200, 0.5, 1500))
     assert samples(same.add(pressed_and_sheared())) == []
 
@@ -344,3 +347,30 @@ def test_whatever_comes_the_inputs_are_finite_and_cannot_judge_takes_turns_with_
     assert turns == list(itertools.islice(expected, len(turns)))
     for begin_s, end_s in unjudged_s(events, 3.0):
         assert 0 <= begin_s < end_s <= 3.0
+
+
+def test_moves_of_x_without_a_held_force_are_as_unknown_for_a_network_taught_with_both():
+    """Files of before decision 0123 have them alone."""
+    moves, force = (XMove(700, 0.5, 1500), XMove(1600, 0.3, 1800)), HeldForce(900, 4.0)
+    rows = pressed_and_sheared()
+    alone = IncipientSlipDetector(by_hand(), RATE_Hz).network_inputs(rows, moves)
+    unknown = IncipientSlipDetector(by_hand(), RATE_Hz).network_inputs(rows)
+    np.testing.assert_array_equal(alone.inputs, unknown.inputs)
+    both = IncipientSlipDetector(by_hand(), RATE_Hz).network_inputs(rows, (*moves, force))
+    for name in ("x known", "speed of x"):
+        x = both.inputs[:, kernel.INPUTS.index(name)].astype(bool)
+        assert not x[both.rows < 900].any()
+        assert x[(both.rows >= 900) & (both.rows < 1500)].all()
+    network = by_hand().network
+    assert network is not None
+    before = network.model_copy(
+        update={
+            "inputs": kernel.CHARGED_INPUTS,
+            "hidden": tuple(
+                (*row[: len(kernel.CHARGED_INPUTS)], row[-1]) for row in network.hidden
+            ),
+        }
+    )
+    shorter = by_hand().model_copy(update={"network": before})
+    shown = IncipientSlipDetector(shorter, RATE_Hz).network_inputs(rows, moves)
+    assert shown.inputs[shown.rows >= 700, kernel.CHARGED_INPUTS.index("x known")].all()

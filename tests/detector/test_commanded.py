@@ -115,11 +115,12 @@ def test_without_a_command_missing_rows_make_none():
 
 def test_the_network_sees_the_speed_of_x_after_missing_rows():
     rig = IncipientSlipDetector(named_detectors()["rig"], NETWORK_RATE_Hz)
+    rig.command(HeldForce(50, 4.0))
     rig.command(XMove(100, 0.5, 90_000))
     rig.add(np.zeros((2000, 2)), first_sample=0)
     rig.add(np.zeros((200, 2)), first_sample=2400)
     state = rig._state[0]
-    assert (state["x_known"], state["x_speed"]) == (1, 0.5)
+    assert (state["x_known"], state["x_speed"], state["force_known"]) == (1, 0.5, 1)
     assert (state["x_started"], state["x_braked"]) == (0.0, 0.0), "it goes as it went"
 
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rig.detector.commands import XMove
+from rig.detector.commands import HeldForce, XMove
 from rig.detector.kernel import INPUTS
 from rig.evaluation.lessons import (
     BENCH_WEIGHT,
@@ -85,7 +85,8 @@ def test_the_commands_of_x_are_inputs_from_their_row_on_at_any_rate():
     assert not Teacher().rows_of(heard).inputs[:, known].any()
     for rate_Hz, row in ((1000.0, 1200), (2000.0, 2400)):
         volts = np.repeat(heard.volts, round(rate_Hz / 1000.0), axis=0)
-        moved = replace(heard, volts=volts, rate_Hz=rate_Hz, commands=(XMove(row, 0.5, 2 * row),))
+        given = (HeldForce(row // 2, 4.0), XMove(row, 0.5, 2 * row))
+        moved = replace(heard, volts=volts, rate_Hz=rate_Hz, commands=given)
         taught = Teacher().rows_of(moved).inputs[:, known]
         assert 0.2 < taught.astype(bool).mean() < 0.7
 
