@@ -86,7 +86,7 @@ def test_the_default_detector_is_paper_hp_and_the_help_says_why(rig: Any, runs: 
     assert named.stdout == default.stdout.replace("Saved ", "Saved before as ")
     shown = " ".join(re.sub(r"[│╭╮╰╯─]", " ", rig.run("detect", "--help").stdout).split())
     assert "[default: paper-hp]" in shown
-    assert "none is good enough, and the default stays until one is" in shown
+    assert "none is shown to be good enough, and the default stays until one is" in shown
 
 
 @pytest.mark.thorough
