@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from rig.cli.regrip_study import lines_of
+from rig.detector.registered import chosen_detector
 from rig.evaluation.wire import regrip_study
 from rig.evaluation.wire.kinds import WireTrial
 from rig.evaluation.wire.regrip_study import RegripStudy, Weight, as_object, table
@@ -80,6 +82,19 @@ def test_what_was_made_is_not_made_again(made: list[WireTrial]) -> None:
     number = len(made)
     assert weights(cache) == first
     assert len(made) == number
+
+
+def test_with_other_parameters_of_the_detector_its_trials_are_made_again(
+    made: list[WireTrial], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cache = Stored()
+    weights(cache)
+    known = len(made)
+    chosen = chosen_detector("paper-hp")
+    other = replace(chosen, settings=chosen.settings.model_copy(update={"fire_mV": 11.0}))
+    monkeypatch.setattr(regrip_study, "chosen_detector", lambda name: other)
+    weights(cache)
+    assert [trial.settings["detector"] for trial in made[known:]] == ["paper-hp"] * 6
 
 
 def test_the_table_has_shares_with_intervals_and_counts_false_squeezes(

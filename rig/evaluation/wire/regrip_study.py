@@ -20,6 +20,8 @@ from typing import Any
 import numpy as np
 
 from rig.core.cache import Cache
+from rig.core.settings import fingerprint
+from rig.detector.registered import chosen_detector
 from rig.evaluation.scoring.tables import ScoredNumber, rate
 from rig.evaluation.wire.kinds import (
     LARGEST_FORCE_N,
@@ -132,6 +134,16 @@ def _number(value: object) -> float | None:
     return number if math.isfinite(number) else None
 
 
+def _of_detector(trial: WireTrial) -> str:
+    """Return what the key of a trial says of the detector that its grip answers: another version or
+    other parameters make other squeezes. Nothing for a trial without one."""
+    name = trial.settings.get("detector", NONE)
+    if name == NONE:
+        return ""
+    chosen = chosen_detector(name)
+    return f"-{fingerprint(chosen.version, chosen.code_digest, chosen.settings)[:24]}"
+
+
 class RegripStudy:
     """Makes the trials of the study, those that are in the cache at once."""
 
@@ -169,7 +181,7 @@ class RegripStudy:
     def _made_or_stored(
         self, trial: WireTrial, what: str, read: Callable[[Path], Any], total: int
     ) -> tuple[Any, str]:
-        key = f"regrip-{what}-{key_of(trial)}"
+        key = f"regrip-{what}-{key_of(trial)}{_of_detector(trial)}"
         stored = self._cache.get(key)
         if stored is not None:
             self._count(total)
