@@ -82,7 +82,7 @@ def train(
             help="Number of networks that are trained apart and averaged into one.", min=1, max=16
         ),
     ] = 2,
-    units: Annotated[int, typer.Option(help="Hidden units of each of them.", min=1, max=64)] = 16,
+    units: Annotated[int, typer.Option(help="Hidden units of each of them.", min=1, max=64)] = 32,
     epochs: Annotated[
         int, typer.Option(help="Number of passes over all recordings.", min=1, max=1000)
     ] = 30,
@@ -259,7 +259,6 @@ def _trained(
     sources: Sources, members: int, units: int, epochs: int, seed: int, command: str
 ) -> tuple[Network, list[Lesson]]:
     """Returns the network, and the lessons that were held out."""
-
     import rig
     from rig.detector.detector import DETECTOR_VERSION
     from rig.detector.kernel import INPUTS

@@ -55,8 +55,8 @@ class Contender(Named, Protocol):
         factors: tuple[float, ...],
         commands: tuple[Command, ...] = (),
     ) -> list[DetectorReport]:
-        """Returns its reports on a recording (n, 2) in V, with these
-        moves, one for each factor on its threshold."""
+        """Returns its reports on a recording (n, 2) in V with these commands, one for each factor
+        on its threshold."""
         ...
 
 
