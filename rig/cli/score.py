@@ -57,7 +57,8 @@ Kinds = Annotated[
     typer.Option(
         help="Kinds of trials, separated by commas: slide, roll, hold, tap (default), again, "
         "reversal, tremor, falling force, re-grip, lift-off; with --wire slide, ramp, hold, roll "
-        "a, roll b, reversal, tremor, re-grip, falling force, tap, lift-off, rest (default: all).",
+        "a, roll b, reversal, tremor, re-grip, falling force, tap, lift-off, rest, "
+        "re-grip in a slide (default: all).",
         metavar="LIST",
     ),
 ]

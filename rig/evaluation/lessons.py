@@ -226,6 +226,7 @@ class Teacher:
                 motion_s=lesson.truth.motion_s,
                 motion_end_s=lesson.motion_end_s,
                 lift_off_s=lesson.truth.lift_off_s,
+                moves=shown.inputs[:, INPUTS.index("speed of x")] > 0 if commands else None,
             )
         )
         return replace(rows, weight=lesson.weight * rows.weight)

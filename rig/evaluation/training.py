@@ -44,6 +44,9 @@ slip has at 2 ms. Neither this nor the next was tuned (decision 0124)."""
 FURTHER_SLIP = 0.12
 """Weight of each further slip, as a share of that: a trial in which the ridge slips fifty times
 teaches seven times as much as one with a single slip, not fifty times."""
+LASTING_S = 0.1
+"""A slip that lasts while x moves is taught as one more case, as a further slip, in each of these
+pieces of it: whoever answers an alarm by a firmer grip has to know that it was not enough."""
 BATCH, LEAST_STEPS = 32, 2000
 """Largest number of recordings in a batch; it is smaller where the training would have fewer steps
 than the second."""
@@ -68,6 +71,8 @@ class TrainingTrial:
     """End of the roll; NaN if it lasts to the end, and for trials without a roll."""
     lift_off_s: float
     """Lift-off of the ridge."""
+    moves: NDArray[np.bool_] | None = None
+    """Rows at which x is known to be commanded to move, (m,); None where no commands are known."""
 
 
 @dataclass(frozen=True)
@@ -110,12 +115,33 @@ def rows_of(lesson: TrainingTrial) -> TrainingRows:
         taught &= slip < 0
         weight[taught, 0] = SLIP_WEIGHT * (FURTHER_SLIP if number else 1.0)
         slip[taught] = number
+    if lesson.moves is not None:
+        lasting = _pieces_of_lasting_slips(time, slips_s, lesson.moves & (slip < 0))
+        at = lasting >= 0
+        right[at, 0] = 1
+        weight[at, 0] = SLIP_WEIGHT * FURTHER_SLIP
+        slip[at] = len(slips_s) + lasting[at]
     if math.isfinite(lesson.lift_off_s):
         let_go_s = lesson.lift_off_s - BEFORE_LIFT_OFF_S
         late = slips_s[slips_s[:, 0] > lesson.lift_off_s - LIFTS_WITHIN_S, 0]
         unclear = time > min([let_go_s, *(late - RIGHT_FROM_S)])
         right[unclear], weight[unclear], slip[unclear] = 0, 0, -1
     return TrainingRows(lesson.inputs.astype(np.float32), right, weight, slip)
+
+
+def _pieces_of_lasting_slips(
+    time_s: Reals, slips_s: Reals, usable: NDArray[np.bool_]
+) -> NDArray[np.int64]:
+    """Returns the number of the piece of a lasting slip of which a row at `time_s` (m,) is one, -1
+    for the others; `usable` (m,) are the rows that may be one."""
+    numbers, count = np.full(time_s.size, -1), 0
+    for begin_s, end_s in slips_s:
+        lasts_from_s = begin_s + RIGHT_TO_S
+        lasts = usable & (time_s > lasts_from_s) & (time_s < end_s) & (numbers < 0)
+        pieces = ((time_s[lasts] - lasts_from_s) // LASTING_S).astype(np.int64)
+        numbers[lasts] = count + pieces
+        count += int(pieces.max(initial=-1)) + 1
+    return numbers
 
 
 def learn_together(

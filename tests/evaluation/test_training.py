@@ -64,6 +64,21 @@ def test_a_slip_is_one_case_and_the_first_of_a_motion_teaches_most():
     assert set(rows.weight[no, 0]) == {0, 1}
 
 
+def test_a_slip_that_lasts_while_x_moves_is_a_case_in_every_100_ms():
+    moves = np.arange(1000) < 900
+    slips_s = np.array([[0.6, 0.61], [0.6505, 0.99]])
+    rows = rows_of(lesson(slips_s=slips_s, moves=moves))
+    assert [list(np.flatnonzero(rows.slip == k)) for k in range(5)] == [
+        list(range(598, 626)), list(range(649, 676)),
+        list(range(681, 781)), list(range(781, 881)), list(range(881, 900)),
+    ]  # fmt: skip
+    assert set(rows.weight[rows.slip > 1, 0]) == {np.float32(SLIP_WEIGHT * FURTHER_SLIP)}
+    assert (rows.right[:, 0] == (rows.slip >= 0)).all()
+    assert not rows.weight[900:995, 0].any()  # x stands: nothing is taught until the slip is over
+    unknown = rows_of(lesson(slips_s=slips_s))
+    assert not unknown.weight[676:995, 0].any()
+
+
 def test_the_slips_of_several_recordings_stay_apart():
     first, second = rows_of(lesson(slips_s=np.array([[0.6, 0.7], [0.8, 0.9]]))), rows_of(lesson())
     both = together([first, rows_of(lesson(slips_s=NONE)), second])

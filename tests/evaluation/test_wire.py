@@ -73,6 +73,19 @@ def test_a_hold_goes_to_60_to_98_percent_of_the_way_to_slip_and_stays(seed: int)
     assert settings.stay_s >= 0.4
 
 
+@pytest.mark.parametrize("seed", range(10))
+def test_a_re_grip_in_a_slide_grips_about_where_the_ridge_slips_and_slides_on(seed: int):
+    trial = drawn("re-grip in a slide", seed, LIMIT)
+    settings = PathTrialSettings.model_validate(trial.settings)
+    ends_mm = abs(settings.path_positions_mm[-1])
+    assert ends_mm == pytest.approx(2 * LIMIT.way_mm, abs=1e-6)
+    grips_s, gripped_s, _ = settings.force_times_s[1:]
+    slips_s = LIMIT.way_mm / float(trial.traits["speed_mm_s"])
+    assert 0.9 * slips_s - 1e-4 <= grips_s <= 1.1 * slips_s + 0.05 + 1e-4
+    assert gripped_s - grips_s == pytest.approx(0.005)
+    assert 1.1 <= settings.force_shares[-1] <= 1.4
+
+
 def test_a_soft_stop_takes_its_speed_back_in_steps():
     softs = [t for s in range(20) if (t := drawn("hold", s, LIMIT)).traits["stop"] == "soft"]
     path = np.abs(np.column_stack([softs[0].settings["path_times_s"],

@@ -25,7 +25,7 @@ from rig.physics.population import (
 
 WireKind = Literal[
     "slide", "ramp", "hold", "roll a", "roll b", "reversal", "tremor", "re-grip", "falling force",
-    "tap", "lift-off", "rest",
+    "tap", "lift-off", "rest", "re-grip in a slide",
 ]  # fmt: skip
 """Kinds of trials on the simulated bench. Rolls are those of Figure 19, a and b."""
 WIRE_KINDS: tuple[WireKind, ...] = get_args(WireKind)
@@ -90,7 +90,7 @@ class WireTrial:
 
 def needs_limit(kind: WireKind) -> bool:
     """Return whether trials of this kind are stated as shares of the way to slip."""
-    return kind in ("hold", "reversal", "tremor", "re-grip", "falling force", "tap", "lift-off")
+    return kind not in ("slide", "ramp", "roll a", "roll b", "rest")
 
 
 def drawn(kind: WireKind, seed: int, limit: Limit | None) -> WireTrial:
@@ -283,6 +283,19 @@ def _re_grip(draw: _Draw) -> str:
     return "path-trial"
 
 
+def _re_grip_in_a_slide(draw: _Draw) -> str:
+    """A slide in which the grip becomes firmer about when the ridge slips, as a grip that answers
+    an alarm does: the ridge sticks again, or slides on, and slips once more."""
+    speed_mm_s = draw.trait("speed_mm_s", min(SPEED_mm_s.draw(draw.chance), 5.0))
+    way_mm = 2.0 * draw.way_mm
+    draw.path([(way_mm / speed_mm_s, way_mm)], draw.sign())
+    rise = _firmer(draw, 1 + draw.trait("grip_share", draw.chance.uniform(0.1, 0.4)))
+    slips_s = draw.way_mm / speed_mm_s
+    grips_s = draw.chance.uniform(0.9, 1.1) * slips_s + draw.chance.uniform(0.0, 0.05)
+    draw.course(grips_s, [(0.005, rise), (0.5, rise)])
+    return "path-trial"
+
+
 def _falling_force(draw: _Draw) -> str:
     """A load at rest, then a grip that loosens until the load slips or is hardly held."""
     share = draw.trait("held_share", draw.chance.uniform(0.4, 0.8))
@@ -347,4 +360,5 @@ _KINDS: dict[WireKind, Callable[[_Draw], str]] = {
     "tap": _tap,
     "lift-off": _lift_off,
     "rest": _rest,
+    "re-grip in a slide": _re_grip_in_a_slide,
 }
