@@ -48,7 +48,7 @@ class StageModel:
     asked_every_s: float
     """How often its state is asked for at least, the simulated bench's time-out being 2 s."""
     update_Hz: float
-    """How often it can be told a new target."""
+    """How often it can be given a new target."""
     friction: tuple[float, float]
     """Static and kinetic coefficients up to which the force is held within 2 % rms and 5 % peak, at
     6 mm/s and after a rehearsal."""
@@ -103,7 +103,7 @@ class Bench:
 
     @property
     def tick_Hz(self) -> float:  # noqa: N802 - the unit keeps its capital
-        """Of a trial's servo: as often as z can be told a new target."""
+        """Of a trial's servo: as often as z can be given a new target."""
         return min(USUAL_Hz, self.z.update_Hz)
 
     @property

@@ -126,7 +126,7 @@ class Running:
         self._reader.join(PATIENCE_S)
         return Finished(code, stdout, "".join(self._lines))
 
-    def told(self, state: str) -> str:
+    def reported(self, state: str) -> str:
         """What it is, its `state` and exit code, and its stderr."""
         self._reader.join(PATIENCE_S)
         lines = "".join(self._lines)
@@ -309,7 +309,7 @@ class Rig:
             if not ended:
                 running.process.kill()
                 running.process.wait()
-            print(running.told("ended" if ended else "was left running"))
+            print(running.reported("ended" if ended else "was left running"))
 
 
 @pytest.fixture

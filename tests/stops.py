@@ -163,7 +163,7 @@ def stopped_in_real_time(rig: Any, state: State, cause: str, later_s: float) -> 
     running = rig.start(*state.command, "--bench", "bench.toml")
     while not marked(rig):
         if running.process.poll() is not None:
-            raise AssertionError(f"{running.told('ended before the cause')}\n{rig.log()[-5:]}")
+            raise AssertionError(f"{running.reported('ended before the cause')}\n{rig.log()[-5:]}")
         time.sleep(0.005)
     marked_s = time.monotonic()
     if cause in SIGNALS:

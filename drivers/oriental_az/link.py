@@ -15,7 +15,7 @@ foreign answer from being taken for the one that is waited for:
   take, and the drive is not trusted until it has echoed a number that was never used before
   (function 8): whatever it still owed came before the echo.
 
-Not with pymodbus's serial clients: neither can be drained or told to synchronise, and the
+Not with pymodbus's serial clients: neither can be drained or made to synchronise, and the
 synchronous one sleeps for milliseconds (decision 0042). Frames: Modbus over Serial Line V1.02;
 times: HP-5142E p. 236-237.
 """

@@ -65,8 +65,8 @@ def reply(line: bytes) -> Reply | None:
     """
     text = line.rstrip(b"\r\n")
     text = text[max(text.rfind(b"@"), 0) :]
-    body, colon, told = text[1:].rpartition(b":")
-    if text[:1] not in (b"@", b"#", b"!") or not colon or told != b"%02X" % check(body):
+    body, colon, given = text[1:].rpartition(b":")
+    if text[:1] not in (b"@", b"#", b"!") or not colon or given != b"%02X" % check(body):
         raise ZaberFrameError(f"it does not fit its checksum: {_shown(line)}")
     if text[:1] != b"@":
         return None

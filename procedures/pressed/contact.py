@@ -527,11 +527,11 @@ def _judge_what_remains(run: Run, pressed: str, stands_mm: float) -> None:
     limit_N = run.force.limit_N
     if force_N <= (min(PRESSED_N, limit_N) if run.force.tared else limit_N):
         return
-    told = f"the {pressed} is still pressed with {force_N:.3g} N at {stands_mm:.3f} mm"
+    finding = f"the {pressed} is still pressed with {force_N:.3g} N at {stands_mm:.3f} mm"
     hint = (
         "check what presses; move the stage away by hand. Where nothing presses, the force "
         "sensor's zero has moved"
     )
     if force_N > limit_N:
-        raise UnsafeError(f"stage_z: unload: {told}, over the limit of {limit_N:g} N", hint)
-    run.fail(InstrumentError("stage_z", "unload", told, hint))
+        raise UnsafeError(f"stage_z: unload: {finding}, over the limit of {limit_N:g} N", hint)
+    run.fail(InstrumentError("stage_z", "unload", finding, hint))

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from rig.run.context import Run
     from rig.run.press_references import TouchGain
 
-TOLD, REFUSED = 1.5, 2.5
+REPORTED, REFUSED = 1.5, 2.5
 """Ratios of way or stiffness to the earlier ones, either way, beyond which a run is warned of and
 refused. Friction and repeated mounting of one object change them by less than the first."""
 MARGIN_mm = 0.02
@@ -22,7 +22,7 @@ MARGIN_mm = 0.02
 SOON_mm, SOFTER = 0.01, 1 / 3
 """So far beyond the earlier way the force has to be this share of the wanted one at least: what
 reads a tenth of the force is found before it has pressed with several times of it."""
-ZERO_TOLD_N, ZERO_REFUSED_N = 1.0, 5.0
+ZERO_REPORTED_N, ZERO_REFUSED_N = 1.0, 5.0
 """The same for the change of the force sensor's zero."""
 STANDARD_ERRORS = 3.0
 """Differences of a touch gain within so many of their standard errors are none."""
@@ -40,7 +40,7 @@ class EarlierPress:
     """The reference for presses of one kind with one force, if there is one."""
 
     def __init__(self, run: Run, force_N: float, what: str = ""):
-        """`what` tells presses with the same force apart, see `PressedSettings.kind_of_press`."""
+        """`what` distinguishes presses with the same force, see `PressedSettings.kind_of_press`."""
         self._run, self._force_N = run, force_N
         self._kind = f"{force_N:g} N {what}"
         self._reference = run.references.of(self._kind)
@@ -96,20 +96,22 @@ class EarlierPress:
         size = max(ratio, 1 / ratio) if ratio > 0 else math.inf
         shift_N = max(abs(a - b) for a, b in zip(zero, earlier.zero_N, strict=True))
         found = []
-        if size > TOLD:
+        if size > REPORTED:
             found.append(
                 f"the contact has {stiffness_N_mm:.3g} N/mm, and had {earlier.stiffness_N_mm:.3g} "
                 "N/mm"
             )
-        if shift_N > ZERO_TOLD_N:
+        if shift_N > ZERO_REPORTED_N:
             found.append(f"the force sensor's zero differs by {shift_N:.2g} N")
         if not found:
             return
-        told = f"{' and '.join(found)} in earlier runs of this kind (reference of {earlier.time})"
+        differs = (
+            f"{' and '.join(found)} in earlier runs of this kind (reference of {earlier.time})"
+        )
         if size > REFUSED or shift_N > ZERO_REFUSED_N:
             self._run.bench.stage_z.stop()
-            raise InstrumentError("force_sensor", "press", told, HINT)
-        self._run.event("warning", "earlier-runs", f"{told}; {HINT}")
+            raise InstrumentError("force_sensor", "press", differs, HINT)
+        self._run.event("warning", "earlier-runs", f"{differs}; {HINT}")
 
     def judge_gains(self, gains: Mapping[str, TouchGain]) -> None:
         """Compare the strips' touch gains of a trial that is over. Raises InstrumentError where one
@@ -131,15 +133,15 @@ class EarlierPress:
         beyond = max(0.0, abs(difference) - STANDARD_ERRORS * error)
         ratio = 1 + math.copysign(beyond, difference) / earlier.value_V_s_N
         size = max(ratio, 1 / ratio) if ratio > 0 else math.inf
-        if size <= TOLD:
+        if size <= REPORTED:
             return
-        told = (
+        differs = (
             f"the touch gain of {strip} is {gain.value_V_s_N:.3g} V s/N, and was "
             f"{earlier.value_V_s_N:.3g} V s/N in earlier runs of this kind (reference of {time})"
         )
         if size > REFUSED:
-            raise InstrumentError("daq", "touch-down", told, GAIN_HINT)
-        self._run.event("warning", "earlier-runs", f"{told}; {GAIN_HINT}")
+            raise InstrumentError("daq", "touch-down", differs, GAIN_HINT)
+        self._run.event("warning", "earlier-runs", f"{differs}; {GAIN_HINT}")
 
     def _remember(self, way_mm: float, stiffness_N_mm: float, zero: ForceZero) -> None:
         references = self._run.references

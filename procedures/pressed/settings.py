@@ -326,8 +326,8 @@ def _own_error(readings: Sequence[Reading], name: str) -> float | None:
 
 def truth_of(readings: Sequence[Reading]) -> dict[str, Any]:
     """Return the simulated bench's record of the latest trial that has one; empty on a real one."""
-    told = [str(truth) for r in readings if (truth := r.get("simulated_truth"))]
-    known: dict[str, Any] = json.loads(told[-1]) if told else {}
+    accounts = [str(truth) for r in readings if (truth := r.get("simulated_truth"))]
+    known: dict[str, Any] = json.loads(accounts[-1]) if accounts else {}
     return known
 
 

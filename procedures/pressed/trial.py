@@ -166,7 +166,7 @@ class PressedTrial:
         to the set point.
 
         InstrumentError where the force falls below half of the set point, as in a hold: a sensor
-        that has died cannot be told from it, and z would press on afterwards.
+        that has died cannot be distinguished from it, and z would press on afterwards.
         """
 
         def rest(tick: Tick) -> bool:
@@ -252,7 +252,7 @@ class PressedTrial:
         self.recorder.detected()  # what a detector in another process has found since
         for one in self.record.detections:
             if one.kind == SLIP:
-                self.run.tell(
+                self.run.inform(
                     f"{self.record.point}: Slip detected at {one.time_s:.3f} s "
                     f"({self.settings.detector})"
                 )

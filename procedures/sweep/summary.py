@@ -176,8 +176,8 @@ def _truth(readings: Sequence[Reading]) -> FilmTruth | None:
     """Return the film of a simulated bench; None on a real one."""
     from rig.analysis.film.truth import FilmTruth
 
-    told = [str(reading[TRUTH]) for reading in readings if reading.get(TRUTH)]
-    return FilmTruth.of(told[0] if told else None)
+    accounts = [str(reading[TRUTH]) for reading in readings if reading.get(TRUTH)]
+    return FilmTruth.of(accounts[0] if accounts else None)
 
 
 def _gain_near_200(readings: Sequence[Reading]) -> dict[str, Any]:

@@ -37,14 +37,14 @@ def connect(
     plan: BenchPlan,
     clock: Clock,
     check: Callable[[], None] = lambda: None,
-    tell: Callable[[str], None] = lambda text: None,
+    show_line: Callable[[str], None] = lambda text: None,
 ) -> Bench:
     """Connect to every instrument; if some fail, report all failures and leave none connected.
 
     `check` is called before each instrument and while instruments are being connected; an exception
-    from it ends the connecting. `tell` is called with a line about the progress where connecting
-    takes long. Each instrument gets its link worker as soon as it is connected, so that a drive's
-    keep-alive runs while the next instrument is still connecting.
+    from it ends the connecting. `show_line` is called with a line about the progress where
+    connecting takes long. Each instrument gets its link worker as soon as it is connected, so that
+    a drive's keep-alive runs while the next instrument is still connecting.
     """
     links = LinkWorkers(clock)
     connecting = _Connecting(plan, clock, links)
@@ -55,7 +55,7 @@ def connect(
                 check()
                 connecting.one(part)
         else:
-            _at_once(connecting, clock, check, tell)
+            _at_once(connecting, clock, check, show_line)
         connecting.raise_failures()
     except BaseException:
         unregister()
@@ -68,7 +68,7 @@ def _at_once(
     connecting: _Connecting,
     clock: Clock,
     check: Callable[[], None],
-    tell: Callable[[str], None],
+    show_line: Callable[[str], None],
 ) -> None:
     """Connect all links at the same time and wait until that is over."""
     check()
@@ -79,7 +79,7 @@ def _at_once(
         now_s = time.monotonic()
         if now_s - told_s >= TELL_EVERY_S:
             told_s = now_s
-            tell(f"connecting for {now_s - begun_s:.0f} s: waiting for {', '.join(waiting)}")
+            show_line(f"connecting for {now_s - begun_s:.0f} s: waiting for {', '.join(waiting)}")
         clock.sleep(WAIT_SLICE_S)
 
 

@@ -315,7 +315,7 @@ def _communication_findings(
 
 def _address_findings(plans: list[InstrumentPlan], source: str) -> Iterator[ConfigurationError]:
     """Yield a fault for each instrument whose settings name no address: its locks and latches could
-    not be told from those of other benches. `rig make-safe` works without an address."""
+    not be distinguished from those of other benches. `rig make-safe` works without an address."""
     for plan in plans:
         if address_values(plan.settings):
             continue

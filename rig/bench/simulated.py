@@ -32,10 +32,10 @@ class BenchFactory(Protocol):
         self,
         options: dict[str, Any],
         ready: Callable[[str], None],
-        tell: Callable[[str], None] = ...,
+        show_line: Callable[[str], None] = ...,
     ) -> None:
         """Run the bench in real time until stopped; `ready` is called with the text of its bench
-        file, `tell` with each line that who runs it should see."""
+        file, `show_line` with each line that who runs it should see."""
         ...
 
 

@@ -223,7 +223,7 @@ def _at_the_bench(
 
         needed = tuple(part for part in plan.instruments if part.role in roles)
         try:
-            connected = connect(replace(plan, instruments=needed), clock, tell=say)
+            connected = connect(replace(plan, instruments=needed), clock, show_line=say)
         except BaseException:
             clock.close()
             raise

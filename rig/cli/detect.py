@@ -81,15 +81,15 @@ def detect(
             digest = detection_digest(wanted)
             work = [DetectionJob(file.absolute(), wanted, there, digest, True) for file in files]
         answers: dict[int, Answer] = {}
-        told = 0
+        next_file = 0
 
         def answered(number: int, result: DetectionResult | DetectionFailure | RigError) -> None:
             """Keep an answer; report those whose turn in the order of the files has come."""
-            nonlocal told
+            nonlocal next_file
             answers[number] = _answer(result, work[number], files[number])
-            while told in answers:
-                _tell(files[told], answers[told], as_json, debug)
-                told += 1
+            while next_file in answers:
+                _report(files[next_file], answers[next_file], as_json, debug)
+                next_file += 1
 
         # A file that is not there is refused at once, not as 1/1 behind others' hours of work.
         there_is = [k for k, file in enumerate(files) if scheduler is not None or file.exists()]
@@ -162,7 +162,7 @@ def _code(answers: Sequence[Answer]) -> ExitCode:
     return ExitCode.FINISHED_WITH_FAILURES if len(failed) < len(answers) else failed[0].code
 
 
-def _tell(file: Path, answer: Answer, as_json: bool, debug: bool) -> None:
+def _report(file: Path, answer: Answer, as_json: bool, debug: bool) -> None:
     if isinstance(answer, RigError):
         tell_failure(answer, debug)
         return

@@ -112,7 +112,7 @@ def show(
         if overlay:
             from rig.figures.overlay import draw_overlay
 
-            _tell_of(draw_overlay(files, figures_to, pdf), say if as_json else _print)
+            _report_drawn(draw_overlay(files, figures_to, pdf), say if as_json else _print)
             return
         draws = figures or pdf or figures_to is not None
         from rig.files.checksum import checksum_findings
@@ -352,18 +352,18 @@ def _analysed(analyses: Analyses) -> dict[str, Any]:
     }
 
 
-def _draw(file: Path, folder: Path | None, pdf: bool, tell: Callable[[str], None]) -> None:
-    """Draw the figures of a file and tell where they are; one that fails costs a line, not the
+def _draw(file: Path, folder: Path | None, pdf: bool, report: Callable[[str], None]) -> None:
+    """Draw the figures of a file and report where they are; one that fails costs a line, not the
     command."""
     from rig.figures.drawing import draw
 
-    _tell_of(draw(file, folder, pdf), tell)
+    _report_drawn(draw(file, folder, pdf), report)
 
 
-def _tell_of(drawn: Drawn, tell: Callable[[str], None]) -> None:
+def _report_drawn(drawn: Drawn, report: Callable[[str], None]) -> None:
     """Tell where figures are, and what could not be drawn."""
     for picture in drawn.files:
-        tell(f"figure: {picture}")
+        report(f"figure: {picture}")
     for warning in drawn.warnings:
         say(f"warning: {warning}")
 

@@ -146,7 +146,7 @@ def import_(
             Program(name=PROGRAM, version=rig.__version__, configuration=source_state()),
             figures,
         )
-        told, failures = [], []
+        answers, failures = [], []
         for path in wanted:
             try:
                 done = importing.one(path, replace(about, labels=lines.get(path.name)))
@@ -156,12 +156,12 @@ def import_(
                 tell_failure(error, debug)
                 failures.append(error)
                 continue
-            told.append(done)
+            answers.append(done)
             if not as_json:
                 print(done["file"])  # noqa: T201 - stdout carries data
-        code = _code(len(told), failures)
+        code = _code(len(answers), failures)
         if as_json:
-            whole = told[0] if len(wanted) == 1 else _of_all(told, failures, code)
+            whole = answers[0] if len(wanted) == 1 else _of_all(answers, failures, code)
             print(json.dumps(whole))  # noqa: T201 - data
         if code is not ExitCode.DONE:
             raise typer.Exit(int(code))
@@ -223,7 +223,7 @@ class _Importing:
 
 
 def _of_all(
-    told: Sequence[dict[str, Any]], failures: Sequence[RigError], code: ExitCode
+    answers: Sequence[dict[str, Any]], failures: Sequence[RigError], code: ExitCode
 ) -> dict[str, Any]:
     return {
         "file": None,
@@ -231,8 +231,8 @@ def _of_all(
         "exit": int(code),
         "simulated": None,
         "imported": True,
-        "summary": {"files": len(told) + len(failures), "failed": len(failures)},
-        "results": list(told),
+        "summary": {"files": len(answers) + len(failures), "failed": len(failures)},
+        "results": list(answers),
         "errors": [error.one_line() for error in failures],
     }
 

@@ -53,14 +53,14 @@ def show(context: typer.Context, bench: BenchToml = BENCH_FILE, debug: Debug = F
         with _looking(plan, records) as watch:
             for contact in plan.settings.interlock:
                 record = records.get(contact.name)
-                told = f"{contact.name} ({contact.kind}, {contact.input}): "
-                told += watch.level(contact.name)
+                line = f"{contact.name} ({contact.kind}, {contact.input}): "
+                line += watch.level(contact.name)
                 if record.opened is not None:
-                    told += f"; LATCHED since {record.opened}: {record.why}"
+                    line += f"; LATCHED since {record.opened}: {record.why}"
                 elif record.reset is not None:
-                    told += f"; reset {record.reset} by {record.reset_by}"
+                    line += f"; reset {record.reset} by {record.reset_by}"
                 proof = "never" if record.proof is None else f"{record.proof} by {record.proof_by}"
-                say(f"{told}; last proof test: {proof}")
+                say(f"{line}; last proof test: {proof}")
 
 
 @app.command()

@@ -59,12 +59,12 @@ def _of_the_computer(error: OSError | ImportError | MemoryError) -> RigError:
     for which there is no memory, a process too many."""
     if isinstance(error, OSError):
         where = f"{shortened(str(error.filename))}: " if error.filename else ""
-        told = f"{where}{error.strerror or error}"
+        message = f"{where}{error.strerror or error}"
         if error.filename:
-            failure = RigError(told, "give another name or place", ExitCode.USAGE)
+            failure = RigError(message, "give another name or place", ExitCode.USAGE)
         else:
             hint = "free what the computer lacks: processes (ulimit -u), memory, open files"
-            failure = RigError(told, hint, ExitCode.INTERNAL)
+            failure = RigError(message, hint, ExitCode.INTERNAL)
     else:
         failure = RigError(
             f"{type(error).__name__}: {error}" if str(error) else type(error).__name__,

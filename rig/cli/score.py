@@ -237,14 +237,20 @@ def score(
             found = _wire(kinds, drawn, contenders, roc, jobs)
             for name, reason in found.failed.items():
                 say(f"score: {name} could not be made: {reason}")
-            told = {
+            conditions = {
                 "seeds": str(drawn),
                 "kinds": list(_wire_kinds(kinds)),
                 "failed": found.failed,
                 "code": found.code,
             }
             report(
-                contenders, found.judged, f"on the simulated bench, {use}", True, told, out, as_json
+                contenders,
+                found.judged,
+                f"on the simulated bench, {use}",
+                True,
+                conditions,
+                out,
+                as_json,
             )
             return
         trials = _population(ranges, front, swapped_gains, kinds, drawn)

@@ -80,8 +80,8 @@ counts: ``port: Wiring[str]``. A dry run takes these from the simulated instrume
 from the bench file."""
 Address = Annotated[T, Field(json_schema_extra={WIRING: True, ADDRESS: True})]
 """Type of a driver's setting that says where its instrument is: ``port: Address[str]``. It is
-`Wiring` as well. The settings of this type together tell this instrument's link from all others, as
-``host`` and ``tcp_port`` do (`rig.bench.addresses`)."""
+`Wiring` as well. The settings of this type together distinguish this instrument's link from all
+others, as ``host`` and ``tcp_port`` do (`rig.bench.addresses`)."""
 
 
 class Settings(BaseModel):

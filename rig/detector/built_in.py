@@ -34,7 +34,7 @@ class _OwnDetector(IncipientSlipDetector):
 
 
 class Rig(_OwnDetector):
-    """A small network judges v_1 - v_2 and v_1 + v_2; it tells rolls from slips."""
+    """A small network judges v_1 - v_2 and v_1 + v_2; it distinguishes rolls from slips."""
 
     Settings = RigSettings
     name = "rig"

@@ -193,7 +193,7 @@ def _package_of(name: str) -> tuple[str, str]:
 @cache
 def _digest_of(kind: type[Detector]) -> str:
     """Returns the SHA-256 of every file of the package around a class, or of its only module: a
-    version that is kept by hand does not tell two states of the code apart."""
+    version that is kept by hand does not distinguish two states of the code."""
     top = import_module(kind.__module__.partition(".")[0])
     file = Path(top.__file__ or "")
     root = file.parent

@@ -98,8 +98,8 @@ def loads_of(run: RunFile) -> list[float]:
 
 def _object_of(run: RunFile) -> str:
     name = str(run.settings.get("object") or mounted_on(run.header) or "not stated")
-    told = next((text for one in run.readings() if (text := one.get("simulated_truth"))), "{}")
-    body = json.loads(str(told)).get("object", {})
+    account = next((text for one in run.readings() if (text := one.get("simulated_truth"))), "{}")
+    body = json.loads(str(account)).get("object", {})
     if body.get("shape") not in ("cylinder", "sphere"):
         return name
     return f"{name} (World: {body['shape']}, {body['radius_mm']:g} mm radius)"

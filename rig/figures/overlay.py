@@ -1,4 +1,4 @@
-"""Several runs of one kind in one figure, told apart by what differs between them.
+"""Several runs of one kind in one figure, distinguished by what differs between them.
 
 Sweeps are drawn over the frequency, slip and path trials over the time since the slip, or since the
 motion begins where not all of them slipped by the same account, and rolls over the angle. What
@@ -162,8 +162,9 @@ def _ending(place: Path, suffix: str) -> Path:
 
 
 def names_of(runs: Sequence[RunFile]) -> list[str]:
-    """Return what tells each run from the others: sample, film or settings that differ between
-    them, with units; its file where that is nothing, too much, or the same for two of them."""
+    """Return what distinguishes each run from the others: sample, film or settings that differ
+    between them, with units; its file where that is nothing, too much, or the same for two of
+    them."""
     stated = [_stated(run) for run in runs]
     # Only what all of them state: a file of another version may lack a setting.
     known = [key for key in stated[0] if all(key in each for each in stated)]
@@ -183,7 +184,7 @@ def _stated(run: RunFile) -> dict[str, Any]:
     plain = {
         key: value for key, value in run.settings.items() if isinstance(value, int | float | str)
     }
-    # The number of trials does not tell trials apart; loads have curves of their own.
+    # The number of trials does not distinguish trials; loads have curves of their own.
     for key in ("trials", "load_N"):
         plain.pop(key, None)
     return {"sample": run.header.sample.name, "film": film_of(run), **plain}

@@ -1,6 +1,6 @@
 """What a detection depends on besides the run file: the code and the parameters, as one digest.
 
-A version number that is kept by hand does not tell two checkouts apart. Every file of code or of
+A version number that is kept by hand does not distinguish two checkouts. Every file of code or of
 weights that has a part in the way from a run file to its processed file is therefore hashed, as it
 is when this module is imported, which is when the code itself is. Versions of libraries are not
 part of it.

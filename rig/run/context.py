@@ -49,7 +49,7 @@ class Run:
         self.disturbances = Disturbances(bench.settings.holds)
         self._force: ForceMonitor | None = None
         self.warnings: list[str] = []
-        self.tell: Callable[[str], None] = lambda message: None
+        self.inform: Callable[[str], None] = lambda message: None
         """Shows a message to the operator, for the observers of the run. It may have to wait for a
         terminal: never call it while a force is held."""
         self.warn_at_once: Callable[[str], None] = lambda message: None

@@ -142,7 +142,7 @@ class _Execution:
             InterlockStore(bench.plan, lasting=job.lock is not None),
         )
         self.run.references = PressReferences(job.results, bench.plan, job.sample, job.accept)
-        self.run.tell = lambda message: self.observers.event("info", message)
+        self.run.inform = lambda message: self.observers.event("info", message)
         self.run.warn_at_once = self.observers.warn_at_once
         self.phases = Phases()
         self.loop = PointLoop(
@@ -356,8 +356,8 @@ class _Execution:
             if any(not self.procedure.why_invalid(r) for r in self.readings.values()):
                 self.run.references.keep()
         except Exception as error:  # noqa: BLE001 - the data come next, whatever a hook raises
-            told = error if isinstance(error, RigError) else internal(error)
-            self.outcome.warnings.append(told.one_line())
+            reported_error = error if isinstance(error, RigError) else internal(error)
+            self.outcome.warnings.append(reported_error.one_line())
 
     def _save(self) -> None:
         """Put the end on the disk, add the results, close the journal and compile it; every step is
@@ -398,8 +398,8 @@ class _Execution:
             if self.readings:
                 self.recorder.put_results(found)
         except Exception as error:  # noqa: BLE001 - a bug in an analysis does not end what follows
-            told = error if isinstance(error, RigError) else internal(error)
-            self.outcome.warnings.append(f"no results in the run file: {told.one_line()}")
+            reported_error = error if isinstance(error, RigError) else internal(error)
+            self.outcome.warnings.append(f"no results in the run file: {reported_error.one_line()}")
 
     def _forget_what_is_not_in_the_journal(self) -> None:
         """Drop the readings that are not in the journal, after a failure of the disk."""

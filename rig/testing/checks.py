@@ -392,10 +392,10 @@ def check_another_instrument_is_refused_with_both_names_and_released(case: Case)
         )
         with raising(InstrumentError, stranger) as caught:
             connect(case, service)
-        told = caught.error.one_line()
-        _names_the_place(told, service)
+        line = caught.error.one_line()
+        _names_the_place(line, service)
         for words in (case.stranger_told, "expected"):
-            assert words in told, f"{words!r} is missing in {told!r}"
+            assert words in line, f"{words!r} is missing in {line!r}"
         _let_go(service)
 
 

@@ -133,9 +133,9 @@ def _calibrated(sensor: Any, service: Any) -> None:
         tare = tuple(0.0 if axis in missing else zero[axis] for axis in range(3))
         service.sleep(_slice_s(service))
         sensor.calibrate(own.tolist())
-        told = sensor.tare(tare)
-        assert np.allclose(told, own @ tare), (
-            f"tare() returns {told} N; the reading {tare} is a force of {own @ tare} N"
+        returned = sensor.tare(tare)
+        assert np.allclose(returned, own @ tare), (
+            f"tare() returns {returned} N; the reading {tare} is a force of {own @ tare} N"
         )
         pieces = _collected(sensor, service)
         assert pieces, "read() returns no frames although some are due"

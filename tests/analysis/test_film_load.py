@@ -112,7 +112,7 @@ def test_the_load_cells_error_widens_b_and_the_load(record):
 
 
 @pytest.mark.parametrize(
-    ("frequency", "voltage", "told"),
+    ("frequency", "voltage", "reported"),
     [
         (1.0, 1e-3, "outside the calibrated 2 to"),
         (30e3, 1e-3, "outside the calibrated"),
@@ -120,8 +120,8 @@ def test_the_load_cells_error_widens_b_and_the_load(record):
         (100.0, math.nan, "it contains no load"),
     ],
 )
-def test_what_cannot_be_determined_is_refused(record, frequency, voltage, told):
-    with pytest.raises(FilmLoadError, match=told):
+def test_what_cannot_be_determined_is_refused(record, frequency, voltage, reported):
+    with pytest.raises(FilmLoadError, match=reported):
         load_from_voltage(record, frequency, complex(voltage), np.eye(2))
 
 

@@ -207,7 +207,7 @@ def test_what_cannot_be_fitted_is_refused_by_reason(samples, frequency, reason):
 
 
 def test_what_a_line_that_is_not_fitted_leaks_is_in_the_leakage():
-    """53 Hz in one cycle beside weak mains: the mains cannot be told from the tone."""
+    """53 Hz in one cycle beside weak mains: the mains cannot be distinguished from the tone."""
     rate, frequency, hum = 64e3, 53.0, 1e-3
     n = whole_cycles(frequency, rate, 0.0)
     t = np.arange(n) / rate

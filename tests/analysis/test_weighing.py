@@ -173,7 +173,7 @@ def test_sound_readings_have_no_outlier():
 
 
 @pytest.mark.parametrize(
-    ("readings", "told"),
+    ("readings", "reported"),
     [
         (np.tile(ZERO, (21, 1)) + 1e-6 * np.arange(63).reshape(21, 3) % 3e-6, "does not follow"),
         (bridge(FORCES)[:, [1, 0, 2]], "answers more to weights on|three directions"),
@@ -182,8 +182,8 @@ def test_sound_readings_have_no_outlier():
     ],
     ids=["dead", "swapped", "one channel twice", "nan"],
 )
-def test_a_sensor_that_does_not_follow_is_refused(readings, told):
-    with pytest.raises(WeighingError, match=told):
+def test_a_sensor_that_does_not_follow_is_refused(readings, reported):
+    with pytest.raises(WeighingError, match=reported):
         fit_force(FORCES, readings, np.full((21, 3), 1e-4))
 
 
@@ -194,11 +194,11 @@ def test_a_dead_load_cell_is_refused():
 
 
 @pytest.mark.parametrize(
-    ("loads", "told"), [((0.0, 5.0), "2 readings"), ((5.0, 5.0, 5.0), "3 readings")]
+    ("loads", "reported"), [((0.0, 5.0), "2 readings"), ((5.0, 5.0, 5.0), "3 readings")]
 )
-def test_too_few_different_weights_are_refused(loads, told):
+def test_too_few_different_weights_are_refused(loads, reported):
     loads = np.array(loads)
-    with pytest.raises(WeighingError, match=told):
+    with pytest.raises(WeighingError, match=reported):
         fit_line(loads[:, None], 0.1 * loads, np.full(len(loads), 1e-5))
 
 

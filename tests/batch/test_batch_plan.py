@@ -158,9 +158,9 @@ def test_the_documented_example_expands_as_the_text_says() -> None:
     text = DOCUMENTED.read_text()
     (example,) = re.findall(r"```toml\n(.*?)```", text, re.S)
     batch, plan, _ = parse_batch(example, "night.toml")
-    told = re.search(r"(\d+) runs of (\d+) conditions", text)
-    assert told is not None
-    assert (len(plan.runs), len(plan.conditions)) == (int(told[1]), int(told[2]))
+    reported = re.search(r"(\d+) runs of (\d+) conditions", text)
+    assert reported is not None
+    assert (len(plan.runs), len(plan.conditions)) == (int(reported[1]), int(reported[2]))
     assert batch.batch.order == "blocked"
     known = set(tomllib.loads(example)["batch"])
     assert known <= {word.strip("`") for word in re.findall(r"`[a-z_]+`", text)}, (

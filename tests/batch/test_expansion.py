@@ -30,7 +30,7 @@ def varied(plan: BatchPlan) -> list[dict[str, Any]]:
     return [dict(condition.varied) for condition in plan.conditions.values()]
 
 
-def told(*experiments: dict[str, Any], **tables: Any) -> list[str]:
+def reported(*experiments: dict[str, Any], **tables: Any) -> list[str]:
     """What is wrong with them."""
     with pytest.raises(RefusedBatchError) as caught:
         planned(*experiments, **tables)
@@ -243,7 +243,7 @@ def test_a_reference_is_run_first_after_every_so_many_others_and_last(
 
 
 def test_all_that_is_wrong_is_reported_at_once_with_its_experiment() -> None:
-    lines = told(
+    lines = reported(
         {"matrix": {"speed_mm_s": [-1, "3 kg", 0.5]}, "settings": {"rest": 1}},
         {"procedure": "slide"},
         {"procedure": "sweep", "settings": {"lowest_Hz": 30e3}},
@@ -287,23 +287,23 @@ SAMPLE = {"points": 3, "ranges": {"speed_mm_s": (0.1, 1.0)}}
     ],
 )
 def test_what_means_nothing_is_refused(experiment: dict[str, Any], words: str) -> None:
-    lines = told(experiment)
+    lines = reported(experiment)
     assert any(words in line for line in lines), lines
 
 
 def test_blocks_by_what_is_not_varied_are_refused() -> None:
-    (line,) = told({"block_by": ["rest_s"]}, batch={"order": "blocked"})
+    (line,) = reported({"block_by": ["rest_s"]}, batch={"order": "blocked"})
     assert "block_by: rest_s is not varied" in line
 
 
 def test_a_queue_beyond_sense_is_refused_before_it_is_made() -> None:
     values = [k / 1000 for k in range(1, 1001)]
     matrix = {"speed_mm_s": values, "rest_s": values, "distance_mm": values}
-    (line,) = [line for line in told({"matrix": matrix}) if "conditions" in line]
+    (line,) = [line for line in reported({"matrix": matrix}) if "conditions" in line]
     assert "1000000000 conditions are more than 100000" in line
-    (line,) = told({"repeat": 100_000, "matrix": {"trials": list(range(1, 12))}})
+    (line,) = reported({"repeat": 100_000, "matrix": {"trials": list(range(1, 12))}})
     assert "1100000 runs are more than 1000000" in line
-    (line,) = told(
+    (line,) = reported(
         {
             "matrix": {"speed_mm_s": values, "trials": list(range(1, 101))},
             "exclude": [{"trials": k} for k in range(1, 31)],

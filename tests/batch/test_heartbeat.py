@@ -34,16 +34,16 @@ def running(point: str = "", run: int = 12, message: str = "") -> HeartbeatRecor
 
 def test_a_heartbeat_says_who_is_where_and_since_when(path: Path) -> None:
     Heartbeat(path).write(running("trial-003"))
-    told = json.loads(path.read_text())
-    assert told["pid"] == os.getpid()
-    assert [told[key] for key in ("state", "run", "of", "point")] == [
+    reported = json.loads(path.read_text())
+    assert reported["pid"] == os.getpid()
+    assert [reported[key] for key in ("state", "run", "of", "point")] == [
         "running",
         12,
         240,
         "trial-003",
     ]
     assert read(path).simulated
-    assert datetime.fromisoformat(told["time"]).tzinfo is not None
+    assert datetime.fromisoformat(reported["time"]).tzinfo is not None
     assert [file.name for file in path.parent.iterdir()] == [path.name], "nothing is left beside it"
 
 

@@ -34,12 +34,12 @@ def test_a_command_gets_title_and_text_as_arguments_and_all_of_it_as_json(tmp_pa
     notifier = Notifier(command(KEEPS, str(kept)))
     notifier.notify("hold", "night-1: on hold", "film 'F12' is worn", {"run": 12, "file": kept})
     assert notifier.close(CLOSING_S) == []
-    arguments, told = json.loads(kept.read_text())
+    arguments, said = json.loads(kept.read_text())
     assert arguments == ["night-1: on hold", "film 'F12' is worn"]
-    assert told["occasion"] == "hold"
-    assert [told["title"], told["text"]] == arguments
-    assert told["details"] == {"run": 12, "file": str(kept)}
-    assert datetime.fromisoformat(told["time"]).tzinfo is not None
+    assert said["occasion"] == "hold"
+    assert [said["title"], said["text"]] == arguments
+    assert said["details"] == {"run": 12, "file": str(kept)}
+    assert datetime.fromisoformat(said["time"]).tzinfo is not None
 
 
 def test_several_are_reported_in_their_order_and_only_of_what_was_asked_for(tmp_path: Path) -> None:
@@ -180,7 +180,7 @@ def listener() -> Iterator[ThreadingHTTPServer]:
     class Handler(BaseHTTPRequestHandler):
         def do_POST(self) -> None:
             body = self.rfile.read(int(self.headers["Content-Length"]))
-            server.told.append(json.loads(body))  # type: ignore[attr-defined]
+            server.said.append(json.loads(body))  # type: ignore[attr-defined]
             self.send_response(500 if self.path == "/refuses" else 200)
             self.end_headers()
 
@@ -188,7 +188,7 @@ def listener() -> Iterator[ThreadingHTTPServer]:
             pass
 
     server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
-    server.told = []  # type: ignore[attr-defined]
+    server.said = []  # type: ignore[attr-defined]
     thread = threading.Thread(target=server.serve_forever, daemon=True)
     thread.start()
     yield server
@@ -205,7 +205,7 @@ def test_an_address_of_apprise_is_reported_and_one_that_refuses_is_a_warning(lis
     )
     notifier.notify("hold", "night-1: on hold", "the disk is full")
     (warning,) = notifier.close(CLOSING_S)
-    assert [(told["title"], told["message"], told["type"]) for told in listener.told] == 2 * [
+    assert [(said["title"], said["message"], said["type"]) for said in listener.said] == 2 * [
         ("night-1: on hold", "the disk is full", "warning")
     ]
     assert "notify.urls: address 1: 'night-1: on hold' was not sent: exit code 1: " in warning

@@ -104,7 +104,7 @@ def test_a_full_disk_holds_and_an_unsafe_bench_ends_the_batch_and_neither_costs_
 
 
 @pytest.mark.parametrize(
-    ("when", "told"),
+    ("when", "reported"),
     [
         ({"finished_runs": 3}, "3 runs are finished"),
         ({"failed_runs": 2}, "2 runs have failed"),
@@ -112,7 +112,7 @@ def test_a_full_disk_holds_and_an_unsafe_bench_ends_the_batch_and_neither_costs_
         ({"finished_runs": 4, "failed_runs": 3, "bench_hours": 2.1}, ""),
     ],
 )
-def test_stop_conditions_tell_what_was_met(when: dict[str, Any], told: str) -> None:
+def test_stop_conditions_tell_what_was_met(when: dict[str, Any], reported: str) -> None:
     why = reason_to_end(batch(stop_when=when), done=3, failed=2, bench_s=7200.0)
-    assert told in why
-    assert bool(why) == bool(told)
+    assert reported in why
+    assert bool(why) == bool(reported)

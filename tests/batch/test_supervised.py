@@ -20,7 +20,7 @@ class Between:
     """A worker between two runs, whose supervisor was heard `silent_s` ago."""
 
     def __init__(self, silent_s: float, monkeypatch: pytest.MonkeyPatch) -> None:
-        self.now_s, self.told, self.stopped = silent_s, list[str](), False
+        self.now_s, self.reported, self.stopped = silent_s, list[str](), False
         self.waited_s = 0.0
         self.heard_after_s = 30.0
         """Waiting time after which the supervisor is heard again."""
@@ -30,7 +30,7 @@ class Between:
         worker._commands = self.commands
         worker._check_interlocks = lambda: None
         worker._interlocks_watched = contextlib.nullcontext
-        worker._send = lambda event, **fields: self.told.append(fields["text"])
+        worker._send = lambda event, **fields: self.reported.append(fields["text"])
         self.worker = worker
         monkeypatch.setattr(time, "monotonic", lambda: self.now_s)
         monkeypatch.setattr(time, "sleep", self.sleep)
@@ -54,7 +54,7 @@ class _Unset:
 def test_a_supervisor_that_is_heard_is_not_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
     between = Between(0.9 * SUPERVISOR_S, monkeypatch)
     between.worker._between_runs()
-    assert (between.waited_s, between.told) == (0.0, [])
+    assert (between.waited_s, between.reported) == (0.0, [])
 
 
 def test_a_supervisor_that_hangs_is_waited_for_before_a_run_begins(
@@ -63,9 +63,9 @@ def test_a_supervisor_that_hangs_is_waited_for_before_a_run_begins(
     between = Between(1.1 * SUPERVISOR_S, monkeypatch)
     between.worker._between_runs()
     assert between.waited_s == pytest.approx(30.0, abs=0.1)
-    (told,) = between.told
-    assert "the supervisor of the batch was not heard for 10 s" in told
-    assert "no run was begun until it was heard again" in told
+    (reported,) = between.reported
+    assert "the supervisor of the batch was not heard for 10 s" in reported
+    assert "no run was begun until it was heard again" in reported
 
 
 def test_a_stop_request_ends_that_wait(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -163,8 +163,8 @@ def test_every_limit_of_every_condition_is_reported_once_with_its_experiment() -
         {"settings": {"largest_force_N": 50.0}},
     )
     checked, _ = check(plan, None)
-    told = [finding.text.split(" u is outside")[0] for finding in checked.findings]
-    assert told == [
+    reported = [finding.text.split(" u is outside")[0] for finding in checked.findings]
+    assert reported == [
         "experiment 1: slip-trial-001 and 1 more: point trial-001: stage_x position 40.5",
         "experiment 1: slip-trial-002 and 1 more: point trial-001: stage_x position 41",
         "experiment 1: slip-trial-002 and 1 more: point trial-001: stage_x position 42",

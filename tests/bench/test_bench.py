@@ -1,4 +1,4 @@
-"""Bench files: everything wrong is told at once; what is connected refuses what is outside."""
+"""Bench files: everything wrong is reported at once; what is connected refuses what is outside."""
 
 from __future__ import annotations
 
@@ -144,17 +144,17 @@ WRONG: dict[str, tuple[str, str]] = {
 
 @pytest.mark.parametrize("case", WRONG)
 def test_a_wrong_file_is_refused_with_place_and_reason(case: str) -> None:
-    text, told = WRONG[case]
+    text, reported = WRONG[case]
     message = refused(text)
     assert "bench.toml" in message
-    assert told in message, message
+    assert reported in message, message
 
 
 def test_all_errors_are_reported_at_once() -> None:
     text = changed("film-clamp", "vice").replace("= 2.0", "= 200.0").replace("= 101", "= 1")
     message = refused(text)
-    for told in ("fixture.mounted", "max_amplitude_V", "load_cell = 1 is not a terminal"):
-        assert told in message
+    for reported in ("fixture.mounted", "max_amplitude_V", "load_cell = 1 is not a terminal"):
+        assert reported in message
 
 
 def test_a_daq_that_is_wrong_itself_is_not_blamed_for_its_wiring() -> None:
@@ -289,19 +289,19 @@ def test_instruments_on_one_link_are_connected_one_after_the_other() -> None:
 
 def test_who_is_waited_for_is_told_by_name(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("rig.bench.connect.TELL_EVERY_S", 0.1)
-    told, lines = threading.Event(), list[str]()
+    reported, lines = threading.Event(), list[str]()
 
     def slowly(settings: object, clock: object) -> Any:
-        assert told.wait(PATIENCE_S), "nobody says what is waited for"
+        assert reported.wait(PATIENCE_S), "nobody says what is waited for"
         return Fake()
 
     def tell(line: str) -> None:
         lines.append(line)
         if line.endswith("waiting for daq"):
-            told.set()
+            reported.set()
 
     plan = plan_with(works(Fake()), SimpleNamespace(connect=slowly))
-    connect(plan, WallClock(), tell=tell).close()
+    connect(plan, WallClock(), show_line=tell).close()
     assert re.fullmatch(r"connecting for \d+ s: waiting for daq", lines[-1])
 
 
@@ -338,7 +338,7 @@ def test_a_declared_simulation_is_simulated() -> None:
 
 
 @pytest.mark.parametrize(
-    ("frequency", "amplitude", "told"),
+    ("frequency", "amplitude", "reported"),
     [
         (1001.0, 1.0, "frequency 1001 Hz is outside 1 to 1000 Hz of the generator G"),
         (0.5, 1.0, "frequency 0.5 Hz"),
@@ -349,12 +349,12 @@ def test_a_declared_simulation_is_simulated() -> None:
     ],
 )
 def test_a_guarded_generator_refuses_before_anything_is_sent(
-    frequency: float, amplitude: float, told: str
+    frequency: float, amplitude: float, reported: str
 ) -> None:
     inner = Fake()
     with pytest.raises(LimitError) as caught:
         GuardedGenerator(inner).sine(frequency, amplitude)  # type: ignore[arg-type]
-    assert told in caught.value.message
+    assert reported in caught.value.message
     assert inner.calls == []
 
 
@@ -499,7 +499,7 @@ def test_an_interlock_names_an_input_of_an_instrument_of_the_bench() -> None:
 
 
 @pytest.mark.parametrize(
-    ("table", "told"),
+    ("table", "reported"),
     [
         (DOOR.replace("daq.501.0", "daq.509.0"), "no such input; it has 501.0 to 504.3"),
         (DOOR.replace("daq.501.0", "stage_x.1"), "the bench has no stage_x"),
@@ -513,8 +513,8 @@ def test_an_interlock_names_an_input_of_an_instrument_of_the_bench() -> None:
         (DOOR + DOOR.replace('"door"', '"gate"'), "two [[interlock]] tables have the input"),
     ],
 )
-def test_an_interlock_that_cannot_be_read_is_refused(table: str, told: str) -> None:
-    assert told in refused(GOOD + table)
+def test_an_interlock_that_cannot_be_read_is_refused(table: str, reported: str) -> None:
+    assert reported in refused(GOOD + table)
 
 
 STAGES_BY_DRIVER = {

@@ -180,7 +180,7 @@ def spoiled(record: CalibrationRecord, **changes: Any) -> str:
 
 
 @pytest.mark.parametrize(
-    ("content", "told"),
+    ("content", "reported"),
     [
         (None, "No such file"),
         (b"\xff\xfe\x00", "not a calibration record"),
@@ -201,7 +201,7 @@ def spoiled(record: CalibrationRecord, **changes: Any) -> str:
     ],
 )
 def test_a_file_that_is_no_such_record_is_reported_in_one_line(
-    tmp_path: Path, content: bytes | None, told: str
+    tmp_path: Path, content: bytes | None, reported: str
 ) -> None:
     path = tmp_path / "record.json"
     if content is not None:
@@ -209,7 +209,7 @@ def test_a_file_that_is_no_such_record_is_reported_in_one_line(
     with pytest.raises(ConfigurationError) as caught:
         read_calibration(path, FilmCalibration)
     line = caught.value.one_line()
-    assert told in line
+    assert reported in line
     assert str(path) in line
     assert "rig calibrate pvdf" in line
     assert caught.value.code is ExitCode.USAGE

@@ -6,7 +6,7 @@ wrong at random, one command. Counts what was lost, doubled or left unsafe.
 `RIG_SHARE` of the runs have a fault; `RIG_FIGURES=0` draws no figures. `RIG_RUNS=60` is the least.
 
 Who looks at the bench when the batch holds is played here: it lets it go on, and starts it again
-where the bench could not be made safe. How often is told.
+where the bench could not be made safe. How often is printed.
 """
 
 from __future__ import annotations

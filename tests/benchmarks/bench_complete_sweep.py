@@ -58,14 +58,14 @@ def floor_s(run, seed):
 def time_and_load(run, seed):
     """What a sweep took and how it held its loads."""
     load, largest, wanted = map(run.column, ("load_amplitude", "largest_load", "load_set"))
-    told = [m.decode() for m in run.entry["events/message"][()] if b"overshoot" in m]
+    reported = [m.decode() for m in run.entry["events/message"][()] if b"overshoot" in m]
     return {
         "ratio": run.column("taken").sum() / floor_s(run, seed).sum(),
         "whole": run.outcome.duration,
         "deviation": 100 * np.abs(load / wanted - 1).max(),
         "overshoot": 100 * (largest / wanted - 1).max(),
-        "preload overshoot": float(re.search(r"overshoot ([\d.]+) %", told[0])[1]),
-        "preload held after": float(re.search(r"held ([\d.]+) s", told[0])[1]),
+        "preload overshoot": float(re.search(r"overshoot ([\d.]+) %", reported[0])[1]),
+        "preload held after": float(re.search(r"held ([\d.]+) s", reported[0])[1]),
     }
 
 

@@ -98,10 +98,10 @@ def test_memory_does_not_grow_with_length() -> None:
     heading("one hour at 1 kHz in chunks of 100 rows: largest memory of the process, MiB")
     volts = recording(60)
     detector = IncipientSlipDetector(named_detectors()["rig"], RATE_Hz)
-    told = 0
+    reported = 0
     for minute in range(60):
         for k in range(0, len(volts), 100):
-            told += len(detector.add(volts[k : k + 100]))
+            reported += len(detector.add(volts[k : k + 100]))
         if minute in (0, 9, 29, 59):
             peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-            print(f"after minute {minute + 1}: {peak:.1f} MiB, {told} events")
+            print(f"after minute {minute + 1}: {peak:.1f} MiB, {reported} events")

@@ -70,7 +70,7 @@ SERIAL_NUMBER = 0x1F
 
 
 class OneFault(WireFaults):
-    """Befalls the answer to the next request that begins so, once it is told to."""
+    """Disturbs the answer to the next request that begins so, once it is armed."""
 
     def __init__(self, request: bytes):
         super().__init__(FaultPlan(), "")
@@ -397,8 +397,8 @@ class Count:
 
     def tell(self, name: str) -> None:
         """Print it in a few lines."""
-        told = ", ".join(f"{count} {what}" for what, count in sorted(self.outcomes.items()))
-        print(f"{name}: {told}; {len(self.wrong)} wrong answers")
+        shown = ", ".join(f"{count} {what}" for what, count in sorted(self.outcomes.items()))
+        print(f"{name}: {shown}; {len(self.wrong)} wrong answers")
         after = ", ".join(f"{count} x {n}" for n, count in sorted(self.further.items()))
         print(f"    failed questions after a disturbed one: {after}")
         for words in (*self.wrong[:3], *self.undisturbed[:3]):

@@ -158,8 +158,8 @@ def test_points_drawn_again():
 
 def world_s_dependence_dB(run):  # noqa: N802
     """The change of the gain by decade of load that the World of a sweep had."""
-    told = next(r["simulated_truth"] for r in run.readings() if r.get("simulated_truth"))
-    return FilmTruth.of(str(told)).gain_per_load_decade_dB
+    reported = next(r["simulated_truth"] for r in run.readings() if r.get("simulated_truth"))
+    return FilmTruth.of(str(reported)).gain_per_load_decade_dB
 
 
 def drawn_again(run, seed, dependence_dB, draw):

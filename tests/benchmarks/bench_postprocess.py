@@ -111,11 +111,11 @@ def test_lateness_of_the_tick_loop(tmp_path, cores):
     alone = summary(found["alone"])
     for name, windows in found.items():
         own = summary(windows)
-        told = "  ".join(
+        reported = "  ".join(
             f"{key} {value:7.3f}" + (f" (x{value / alone[key]:.2f})" if alone[key] else "")
             for key, value in own.items()
         )
-        print(f"{name:22s} {told}")
+        print(f"{name:22s} {reported}")
     assert all(len(windows) == ROUNDS for windows in found.values())
 
 

@@ -1,6 +1,6 @@
-"""What goes wrong in the slide or ramp of a trial in real time at 500 Hz, its links aside of the
-tick: x at rest, the skin off the plate or said to be on it, what went wrong told, a file that can
-be read.
+"""What goes wrong in the slide or ramp of a trial in real time at 500 Hz, its links beside the
+tick: x at rest, the skin off the plate or said to be on it, what went wrong reported, a file that
+can be read.
 
 Run with ``pytest -m benchmark -n 0 -s tests/benchmarks/bench_real_time_faults.py``. CI has the same
 faults in slaved time, where each happens at the same instant every time; here it does not.
@@ -93,9 +93,12 @@ def test_a_motion_that_goes_wrong_in_real_time_ends_in_order(rig, name, loading)
         seen = [e for e in rig.log() if e["device"] == stage and e["what"] in ("move", "at-rest")]
         assert seen[-1]["what"] == "at-rest", f"{stage} still moves"
         rest[stage] = seen[-1]["value"]
-    told = "NOT SAFE" in ended.stderr or "may still be pressed" in ended.stderr
-    print(f"z at {rest['stage_z']:.3f} mm, x at {rest['stage_x']:.3f} mm, told as not safe: {told}")
-    assert (told and name.startswith("z ")) or rest["stage_z"] == pytest.approx(5.0, abs=0.01)
+    reported = "NOT SAFE" in ended.stderr or "may still be pressed" in ended.stderr
+    print(
+        f"z at {rest['stage_z']:.3f} mm, x at {rest['stage_x']:.3f} mm, "
+        f"reported as not safe: {reported}"
+    )
+    assert (reported and name.startswith("z ")) or rest["stage_z"] == pytest.approx(5.0, abs=0.01)
     assert verify(rig.only("*.h5")) == []
 
 

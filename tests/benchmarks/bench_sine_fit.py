@@ -39,7 +39,7 @@ def test_cost_of_a_fit(n):
 @pytest.mark.parametrize("step", [0.0, 20 / 2**16])
 @pytest.mark.parametrize("assumed_mains", [50.0, 50.02])
 def test_error_over_the_bound(frequency, step, assumed_mains):
-    """The hum is at 50.02 Hz; the fit is told the nominal frequency or the measured one."""
+    """The hum is at 50.02 Hz; the fit is given the nominal frequency or the measured one."""
     rate, sigma, hum, amplitude = 60e3, 3.46e-4, 1e-4, 5e-3
     n = record_length(frequency, rate, 0.02, interference=mains_lines(), maximum_duration=2.0)
     random = np.random.default_rng(1)

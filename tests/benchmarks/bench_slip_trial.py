@@ -105,8 +105,8 @@ def test_the_force_is_held_in_the_corners(rig):
             (reading,) = run.readings()
         errors = [reading[f"{name}_percent"] for name in ERRORS]
         condition = f"{static:4g} {ratio:5g} {force_N:4g} {speed_mm_s:6g} {tick_Hz:4g}"
-        told = "   ".join(f"{error:7.2f}" for error in errors)
-        print(f"{condition}  {told}   {reading['invalid']}", flush=True)
+        reported = "   ".join(f"{error:7.2f}" for error in errors)
+        print(f"{condition}  {reported}   {reading['invalid']}", flush=True)
         if errors[0] > 2 or errors[1] > 5 or errors[2] > 10:
             missed.append(condition)
     target("corners missed", len(missed), 0, "")
@@ -142,14 +142,14 @@ def test_no_sample_is_lost_or_doubled(rig):
         "--rest", "100ms",
     )  # fmt: skip
     assert ended.code == 0, ended.stderr
-    told = [(e["t_us"], e["value"]) for e in rig.log() if e["what"] == "acquisition"]
-    assert [what for _, what in told] == ["run", "stop"] * TRIALS
+    reported = [(e["t_us"], e["value"]) for e in rig.log() if e["what"] == "acquisition"]
+    assert [what for _, what in reported] == ["run", "stop"] * TRIALS
     samples = frames = 0
     with RunFile.open(file_of(rig, ended)) as run:
         readings = {r["trial"]: r for r in run.readings()}
         for number in range(1, TRIALS + 1):
             series = {w.stream: w for w in run.waveforms(f"trial-{number:03d}")}
-            begin_us, end_us = told[2 * number - 2][0], told[2 * number - 1][0]
+            begin_us, end_us = reported[2 * number - 2][0], reported[2 * number - 1][0]
             strip = series["strips"].counts["strip_1"]
             assert len(strip) == readings[number]["samples"]
             left = (end_us - begin_us) // 100 - len(strip)  # 10 kS/s
@@ -233,11 +233,11 @@ def test_ticks_in_real_time(rig):
     with RunFile.open(rig.only("*.h5")) as file:
         for reading in file.readings():
             busy, missed = reading["held_back_ticks"], reading["missed_ticks"]
-            told = f"{reading['ticks']} ticks, {missed} left out, z busy in {busy}"
+            reported = f"{reading['ticks']} ticks, {missed} left out, z busy in {busy}"
             force = "F_n {:.2f} % rms, {:.2f} % peak, {:.2f} % overshoot".format(
                 *(reading[f"{name}_percent"] for name in ERRORS)
             )
-            print(f"trial {reading['trial']}: {told}; {force}; {reading['invalid']}")
+            print(f"trial {reading['trial']}: {reported}; {force}; {reading['invalid']}")
     loops, bare = np.load(rig.results / "loops.npy"), np.load(bare_file)
     meanwhile = np.zeros(len(bare), dtype=bool)
     for begin_s, end_s, *_ in loops:

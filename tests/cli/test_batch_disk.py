@@ -46,9 +46,9 @@ def fill(folder: Path) -> Path:
 
 
 def test_a_full_disk_holds_the_batch_until_there_is_room(rig: Any, small_disk: Path) -> None:
-    told = rig.folder / "told.jsonl"
+    reported = rig.folder / "reported.jsonl"
     command = rig.folder / "notify"
-    command.write_text(NOTIFY.format(python=sys.executable, path=str(told)))
+    command.write_text(NOTIFY.format(python=sys.executable, path=str(reported)))
     command.chmod(command.stat().st_mode | stat.S_IXUSR)
     write_night(
         rig,
@@ -76,7 +76,7 @@ settings = {{ frequencies_Hz = [160, 180, 200, 220], settling_s = 4 }}
     assert beat["state"] == "holding"
     assert "full" in beat["message"] or "No space left" in beat["message"]
     deadline = time.monotonic() + PATIENCE_S
-    while not told.exists() and time.monotonic() < deadline:
+    while not reported.exists() and time.monotonic() < deadline:
         time.sleep(0.1)
     filler.unlink()
     ended = running.finish()
@@ -84,7 +84,7 @@ settings = {{ frequencies_Hz = [160, 180, 200, 220], settling_s = 4 }}
     assert object_of(ended.stdout)["runs"]["done"] == 1
     assert all(len(run.points) == 4 for run in taken(batch).values())
     assert ask(batch, "SELECT number FROM run WHERE processed IS NULL") == []
-    first, *_, last = (json.loads(line) for line in told.read_text().splitlines())
+    first, *_, last = (json.loads(line) for line in reported.read_text().splitlines())
     assert (first["occasion"], last["occasion"]) == ("hold", "end")
     assert "full" in first["text"] or "No space left" in first["text"]
     assert "complete" in last["text"]

@@ -26,9 +26,9 @@ rehearsal, and 7.2 to 10 s after a gap."""
 
 
 def test_a_loose_contact_ends_its_run_only_and_people_are_notified_of_it(rig: Any) -> None:
-    told = rig.folder / "told.jsonl"
+    reported = rig.folder / "reported.jsonl"
     command = rig.folder / "notify"
-    command.write_text(NOTIFY.format(python=sys.executable, path=str(told)))
+    command.write_text(NOTIFY.format(python=sys.executable, path=str(reported)))
     command.chmod(command.stat().st_mode | stat.S_IXUSR)
     (rig.folder / "loose.toml").write_text(GAPS)
     (rig.folder / "night.toml").write_text(
@@ -54,7 +54,7 @@ settings = {{ speed_mm_s = 2 }}
     assert "so far: 6 holds, " in ended.stderr
     beat = json.loads((batch / "heartbeat.json").read_text())
     assert (beat["holds"], beat["presses"]) == (6, status["presses"])
-    messages = [json.loads(line) for line in told.read_text().splitlines()]
+    messages = [json.loads(line) for line in reported.read_text().splitlines()]
     assert [message["occasion"] for message in messages] == ["hold", "failure"]
     assert "run 1 at " in messages[0]["text"]
     assert "the force sensor is silent" in messages[0]["text"]

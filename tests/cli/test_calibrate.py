@@ -151,7 +151,7 @@ STOPPED = {"status": "stopped", "reason": "stopped by Ctrl-C", "exit": 130}
 
 
 @pytest.mark.parametrize(
-    ("made", "arguments", "told"),
+    ("made", "arguments", "reported"),
     [
         ({"end": STOPPED}, (), ("not complete", "rig resume")),
         ({"procedure": "slip-trial"}, (), ("a run of slip-trial, not of a sweep", "rig sweep")),
@@ -169,13 +169,13 @@ STOPPED = {"status": "stopped", "reason": "stopped by Ctrl-C", "exit": 130}
 )  # fmt: skip
 @pytest.mark.thorough
 def test_a_run_that_makes_no_record_is_refused_in_one_line(
-    rig: Any, made: dict[str, Any], arguments: tuple[str, ...], told: tuple[str, ...]
+    rig: Any, made: dict[str, Any], arguments: tuple[str, ...], reported: tuple[str, ...]
 ) -> None:
     file = sweep_file(rig.folder, **made)
     ended = rig.run("calibrate", "pvdf", file.name, *arguments)
     assert ended.code == 2, ended.stderr
     (error,) = ended.errors
-    for words in told:
+    for words in reported:
         assert words in error
     assert not list(rig.folder.rglob("pvdf-*.json"))
 
@@ -258,7 +258,7 @@ def test_the_same_seed_gives_the_same_readings(rig: Any) -> None:
 
 
 @pytest.mark.parametrize(
-    ("arguments", "code", "told"),
+    ("arguments", "code", "reported"),
     [
         (("force", "--weights", "5,60"), 4, ("60 N are over the limit of", "force_sensor")),
         (("force", "--weights", "5"), 2, ("two different weights",)),
@@ -280,12 +280,12 @@ def test_the_same_seed_gives_the_same_readings(rig: Any) -> None:
 )
 @pytest.mark.thorough
 def test_what_cannot_be_weighed_is_refused_before_the_first_weight(
-    rig: Any, arguments: tuple[str, ...], code: int, told: tuple[str, ...]
+    rig: Any, arguments: tuple[str, ...], code: int, reported: tuple[str, ...]
 ) -> None:
     ended = rig.run("calibrate", *arguments, "--yes")
     assert ended.code == code, ended.stderr
     (error,) = ended.errors
-    for words in told:
+    for words in reported:
         assert words in error
     assert "\n1/" not in ended.stderr
     assert not list(rig.folder.rglob("*.json"))
@@ -329,7 +329,7 @@ class Terminal:
             text=True,
         )
         os.close(slave)
-        self.told = ""
+        self.reported = ""
         self._seen = 0
         self._news = threading.Condition()
         self._reader = threading.Thread(target=self._read, daemon=True)
@@ -339,9 +339,9 @@ class Terminal:
         """Wait until the text comes, after what was waited for before."""
         deadline = time.monotonic() + patience_s
         with self._news:
-            while (at := self.told.find(text, self._seen)) < 0:
-                assert self._reader.is_alive(), f"no {text!r} in:\n{self.told}"
-                assert time.monotonic() < deadline, f"no {text!r} in:\n{self.told}"
+            while (at := self.reported.find(text, self._seen)) < 0:
+                assert self._reader.is_alive(), f"no {text!r} in:\n{self.reported}"
+                assert time.monotonic() < deadline, f"no {text!r} in:\n{self.reported}"
                 self._news.wait(0.2)
             self._seen = at + len(text)
 
@@ -367,7 +367,7 @@ class Terminal:
         assert self.process.stderr is not None
         for line in self.process.stderr:
             with self._news:
-                self.told += line
+                self.reported += line
                 self._news.notify_all()
 
 
@@ -408,14 +408,14 @@ def test_a_person_continues_with_enter_and_repeats_with_r(rig: Any, terminal: An
     at.wait_for("next: fit, and write the record")
     at.answer("")
     code, stdout = at.finish()
-    assert code == 0, at.told
+    assert code == 0, at.reported
     record = read_calibration(rig.folder / stdout.strip(), LoadCellCalibration)
     assert [reading.load_N for reading in record.readings] == [0.0, 2.0, 5.0, 0.0]
     assert record.sensitivity_V_N.value == pytest.approx(0.1, rel=1e-3)
 
 
 @pytest.mark.parametrize(
-    ("how", "code", "told"),
+    ("how", "code", "reported"),
     [
         ("q", 130, "stopped with q"),
         (signal.SIGINT, 130, "stopped by Ctrl-C"),
@@ -426,7 +426,7 @@ def test_a_person_continues_with_enter_and_repeats_with_r(rig: Any, terminal: An
 )
 @pytest.mark.thorough
 def test_a_person_may_stop_at_a_question_and_nothing_is_written(
-    rig: Any, terminal: Any, how: Any, code: int, told: str
+    rig: Any, terminal: Any, how: Any, code: int, reported: str
 ) -> None:
     at = terminal(*CELL)
     at.wait_for("1/4")
@@ -437,8 +437,8 @@ def test_a_person_may_stop_at_a_question_and_nothing_is_written(
     else:
         at.process.send_signal(how)
     assert at.finish() == (code, "")
-    assert at.told.splitlines()[-1] == f"{told}; nothing was written, the sensor is at rest"
-    assert "Traceback" not in at.told
+    assert at.reported.splitlines()[-1] == f"{reported}; nothing was written, the sensor is at rest"
+    assert "Traceback" not in at.reported
     assert not list(rig.folder.rglob("*.json"))
 
 
@@ -456,8 +456,8 @@ def test_ctrl_c_within_a_reading_ends_the_stream_and_writes_nothing(
     time.sleep(0.1)
     at.process.send_signal(signal.SIGINT)
     code, stdout = at.finish()
-    assert (code, stdout) == (130, ""), at.told
-    assert at.told.splitlines()[-1].startswith("stopped by Ctrl-C; nothing was written")
+    assert (code, stdout) == (130, ""), at.reported
+    assert at.reported.splitlines()[-1].startswith("stopped by Ctrl-C; nothing was written")
     said = [
         (e["device"], e["what"], e["value"])
         for e in map(json.loads, log.read_text().split("\n")[:-1])
@@ -470,7 +470,7 @@ def test_ctrl_c_within_a_reading_ends_the_stream_and_writes_nothing(
 
 
 @pytest.mark.parametrize(
-    ("arguments", "told"),
+    ("arguments", "reported"),
     [
         (("--duration", "0s"), "--duration 0 s: has to be 0.1 to 60 s"),
         (("--settling", "2min"), "--settling 120 s: has to be 0 to 60 s"),
@@ -481,12 +481,12 @@ def test_ctrl_c_within_a_reading_ends_the_stream_and_writes_nothing(
 )
 @pytest.mark.thorough
 def test_options_that_cannot_be_are_refused_before_any_bench_is_started(
-    rig: Any, arguments: tuple[str, ...], told: str
+    rig: Any, arguments: tuple[str, ...], reported: str
 ) -> None:
     ended = rig.run("calibrate", "force", "--yes", *arguments)
     assert ended.code == 2
     (error,) = ended.errors
-    assert told in error
+    assert reported in error
     assert ended.stderr.splitlines() == [error]
 
 

@@ -93,7 +93,7 @@ def nothing(path: Path) -> None:
 
 @pytest.mark.parametrize("command", CODES)
 @pytest.mark.parametrize(
-    ("make", "told"),
+    ("make", "reported"),
     [
         (Path.mkdir, "a folder"),
         (nothing, "an empty file"),
@@ -103,12 +103,12 @@ def nothing(path: Path) -> None:
 )
 @pytest.mark.thorough
 def test_every_command_says_what_kind_of_file_it_was_given(
-    rig: Any, command: str, make: Any, told: str
+    rig: Any, command: str, make: Any, reported: str
 ) -> None:
     make(rig.folder / "given.h5")
     ended = rig.run(command, "given.h5")
     assert ended.code == CODES[command]
-    assert told in ended.stdout + ended.stderr
+    assert reported in ended.stdout + ended.stderr
     assert ended.stderr.splitlines() == ended.errors, "one line, and no traceback"
     for word in ("complete", "closed", "Error", "synchronously"):
         assert word not in ended.stdout + ended.stderr
@@ -164,18 +164,18 @@ def test_a_dry_run_writes_nothing_and_tells_the_true_duration(rig: Any) -> None:
     rehearsed = rig.run("sweep", *SHORT, "--dry-run")
     assert rehearsed.code == 0, rehearsed.stderr
     assert list(rig.folder.iterdir()) == [], "nothing was written"
-    told = rehearsed.object
-    assert told["dry_run"] is True
-    assert told["file"] is None
-    assert told["points_done"] == 2
+    reported = rehearsed.object
+    assert reported["dry_run"] is True
+    assert reported["file"] is None
+    assert reported["points_done"] == 2
     assert "nothing was saved" in rehearsed.stderr
 
     taken = rig.run("sweep", *SHORT)
-    assert taken.object["duration_s"] == told["duration_s"]
-    assert told["duration_s"] > 5, "it homes, approaches and presses the film first"
+    assert taken.object["duration_s"] == reported["duration_s"]
+    assert reported["duration_s"] > 5, "it homes, approaches and presses the film first"
     for ended in (rehearsed, taken):
         (foretold,) = re.findall(r"2 points, about ([\d.]+) s of bench time", ended.stderr)
-        assert float(foretold) == pytest.approx(told["duration_s"], rel=0.25)
+        assert float(foretold) == pytest.approx(reported["duration_s"], rel=0.25)
 
 
 @pytest.mark.thorough
@@ -262,7 +262,7 @@ def test_make_safe_on_a_file_without_instruments_says_that_nothing_was_there(rig
 
 
 @pytest.mark.parametrize(
-    ("arguments", "told"),
+    ("arguments", "reported"),
     [
         (("make-safe", "--bench", "none.toml"), "none.toml"),
         (("sweep", "--bench", "none.toml"), "none.toml"),
@@ -273,10 +273,10 @@ def test_make_safe_on_a_file_without_instruments_says_that_nothing_was_there(rig
 )
 @pytest.mark.thorough
 def test_a_file_that_is_not_there_is_a_usage_error(
-    rig: Any, arguments: tuple[str, ...], told: str
+    rig: Any, arguments: tuple[str, ...], reported: str
 ) -> None:
     ended = rig.run(*arguments)
     assert ended.code == 2, ended.stderr
     (error,) = ended.errors
-    assert told in error
+    assert reported in error
     assert "Traceback" not in ended.stderr

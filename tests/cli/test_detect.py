@@ -124,12 +124,12 @@ def test_a_file_that_fails_is_named_and_the_others_go_on(rig: Any, runs: list[st
     compile_run(recorded_run.write_run(rig.folder / "sweep.rigj"))
     done = rig.run("detect", *HP, "--json", runs[0], "sweep.h5", "none.h5", runs[1])
     assert done.code == 5
-    told = done.object
-    assert (told["exit"], told["outcome"], told["simulated"]) == (5, "failed", True)
-    assert told["summary"] == {"files": 4, "failed": 2, "kept": 0}
-    assert [result["exit"] for result in told["results"]] == [0, 2, 8, 0]
-    assert told["results"][0]["events"]["incipient slip"] == 1
-    assert told["results"][0]["first_slip_trial"] == "trial-001"
+    reported = done.object
+    assert (reported["exit"], reported["outcome"], reported["simulated"]) == (5, "failed", True)
+    assert reported["summary"] == {"files": 4, "failed": 2, "kept": 0}
+    assert [result["exit"] for result in reported["results"]] == [0, 2, 8, 0]
+    assert reported["results"][0]["events"]["incipient slip"] == 1
+    assert reported["results"][0]["first_slip_trial"] == "trial-001"
     assert any("sweep.h5: a sweep, which records no strips" in line for line in done.errors)
     assert any("none.h5: no such file" in line for line in done.errors)
 
@@ -155,7 +155,7 @@ def test_parameters_may_be_given_otherwise(rig: Any, runs: list[str]) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "reported"),
     [
         ("fire = 2.0\n", "fire: unknown key"),
         ("[low_pass]\nstop = 2.0\n", "low_pass.stop: unknown key"),
@@ -168,14 +168,14 @@ def test_parameters_may_be_given_otherwise(rig: Any, runs: list[str]) -> None:
 )
 @pytest.mark.thorough
 def test_parameters_that_are_none_are_refused(
-    rig: Any, runs: list[str], text: str, told: str
+    rig: Any, runs: list[str], text: str, reported: str
 ) -> None:
     (rig.folder / "own.toml").write_text(text)
     done = rig.run("detect", *HP, "--settings", "own.toml", runs[0])
     assert done.code == 2
     (error,) = done.errors
     assert "own.toml" in error
-    assert told in error
+    assert reported in error
     assert not (rig.folder / "processed").exists()
 
 
@@ -347,8 +347,8 @@ def test_a_cluster_that_dies_ends_the_command(
         return
     assert done.code != 0
     assert runs[0] in done.errors[0]
-    told = {"scheduler": "see whether its scheduler", "worker": "no worker for 30 s"}
-    assert told[who] in done.errors[0]
+    reported = {"scheduler": "see whether its scheduler", "worker": "no worker for 30 s"}
+    assert reported[who] in done.errors[0]
 
 
 @pytest.mark.thorough
@@ -370,9 +370,9 @@ def test_without_the_package_a_cluster_is_refused_with_the_remedy(
 def test_the_filter_is_printed_drawn_and_written_as_data(rig: Any) -> None:
     done = rig.run("filter", "--json", "--results", "out")
     assert done.code == 0, done.stderr
-    told = done.object["summary"]
-    assert told["half_power_Hz"] == pytest.approx(28.0, abs=0.01)
-    assert told["lag_deg"] == pytest.approx(9.0, abs=0.001)
+    reported = done.object["summary"]
+    assert reported["half_power_Hz"] == pytest.approx(28.0, abs=0.01)
+    assert reported["lag_deg"] == pytest.approx(9.0, abs=0.001)
     names = [Path(file).name for file in done.object["files"]]
     assert names == [
         "low-pass-paper-1000Hz.png", "low-pass-paper-1000Hz.svg",
@@ -383,12 +383,12 @@ def test_the_filter_is_printed_drawn_and_written_as_data(rig: Any) -> None:
     f = np.array([float(row["frequency_Hz"]) for row in rows])
     gain = np.array([float(row["gain_dB"]) for row in rows])
     assert np.interp(28.0, f, gain) == pytest.approx(-3.0, abs=0.01)
-    assert gain[f > told["stop_Hz"]].max() <= -73.5
+    assert gain[f > reported["stop_Hz"]].max() <= -73.5
     phase = np.array([float(row["phase_deg"]) for row in rows])
     assert np.interp(1.0, f, phase) == pytest.approx(-9.0, abs=0.01)
     with (rig.folder / "out" / names[3]).open() as file:
         step = [float(row["step_response"]) for row in csv.DictReader(file)]
-    assert len(step) == told["taps"]
+    assert len(step) == reported["taps"]
     assert step[-1] == pytest.approx(1.0)
 
 
@@ -399,16 +399,16 @@ def test_a_specification_of_ones_own_takes_units_and_replaces_the_lag(rig: Any) 
         "--attenuation", "40dB", "--rate", "2kHz",
     )  # fmt: skip
     assert done.code == 0, done.stderr
-    told = done.object["summary"]
-    assert told["half_power_Hz"] == pytest.approx(30.0, abs=0.01)
-    assert told["stop_Hz"] <= 80.0
-    assert told["specification"]["stop_dB"] == 40.0
-    assert told["specification"]["lag_deg"] is None
+    reported = done.object["summary"]
+    assert reported["half_power_Hz"] == pytest.approx(30.0, abs=0.01)
+    assert reported["stop_Hz"] <= 80.0
+    assert reported["specification"]["stop_dB"] == 40.0
+    assert reported["specification"]["lag_deg"] is None
     assert done.object["files"] == []
 
 
 @pytest.mark.parametrize(
-    ("options", "told"),
+    ("options", "reported"),
     [
         (("--lag", "2"), "--lag 2 deg at 1 Hz must be at least"),
         (("--lag", "9", "--stop-from", "60"), "--lag 9.0 and --stop-from 60.0: give exactly one"),
@@ -422,12 +422,12 @@ def test_a_specification_of_ones_own_takes_units_and_replaces_the_lag(rig: Any) 
 )
 @pytest.mark.thorough
 def test_specifications_that_cannot_be_met_are_refused(
-    rig: Any, options: tuple[str, ...], told: str
+    rig: Any, options: tuple[str, ...], reported: str
 ) -> None:
     done = rig.run("filter", *options)
     assert done.code == 2
     (error,) = done.errors
-    assert told in error
+    assert reported in error
     assert not rig.results.exists()
 
 

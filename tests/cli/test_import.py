@@ -29,17 +29,19 @@ def test_an_import_can_be_verified_and_shown_like_any_run(rig: Any) -> None:
         *("--channels", "v_1=left, front [mV],v_2=3", "--scale", "v_1=1mV,v_2=-0.5mV"),
     )
     assert ended.code == 0, ended.stderr
-    told = ended.object
-    assert told["imported"]
-    assert told["simulated"] is None
-    assert told["summary"]["samples"] == 300
-    assert told["summary"]["rate_Hz"] == 1000.0
-    assert told["summary"]["scale"] == {"v_1": 1e-3, "v_2": -0.5e-3}
+    reported = ended.object
+    assert reported["imported"]
+    assert reported["simulated"] is None
+    assert reported["summary"]["samples"] == 300
+    assert reported["summary"]["rate_Hz"] == 1000.0
+    assert reported["summary"]["scale"] == {"v_1": 1e-3, "v_2": -0.5e-3}
     assert "v_1: column 2 (left, front [mV]), 0.001 V per unit" in ended.stderr
     assert "text (semicolon, decimal comma), 300 samples at 1000 Hz" in ended.stderr
     file = rig.only("*.h5")
-    assert told["file"] == str(file.relative_to(rig.folder))
-    assert sorted(told["figures"]) == [told["file"].replace(".h5", s) for s in (".png", ".svg")]
+    assert reported["file"] == str(file.relative_to(rig.folder))
+    assert sorted(reported["figures"]) == [
+        reported["file"].replace(".h5", s) for s in (".png", ".svg")
+    ]
 
     verified = rig.run("verify", str(file))
     assert verified.code == 0

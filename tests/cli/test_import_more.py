@@ -201,9 +201,9 @@ def test_a_folder_of_labelled_trials_can_be_scored(rig: Any) -> None:
     done = rig.run(*line, "--labels", "labels.csv", "--json")
     assert done.code == 5, done.stderr
     assert "t3.csv: no rows of two numbers" in done.errors[0]
-    told = json.loads(done.stdout)
-    assert told["summary"] == {"files": 3, "failed": 1}
-    files = [one["file"] for one in told["results"]]
+    reported = json.loads(done.stdout)
+    assert reported["summary"] == {"files": 3, "failed": 1}
+    files = [one["file"] for one in reported["results"]]
     (rig.folder / "list.csv").write_text("file\n" + "\n".join(files) + "\n")
     with RunFile.open(rig.folder / files[1]) as run:
         assert run.readings()[0]["label"] == "slip"

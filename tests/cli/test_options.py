@@ -67,7 +67,7 @@ def test_a_quantity_may_carry_any_unit_that_converts(
 
 
 @pytest.mark.parametrize(
-    ("text", "unit", "told"),
+    ("text", "unit", "reported"),
     [
         ("3V", "N", "'V' does not convert to N"),
         ("3 furlongs/blink", "mm/s", "does not convert to mm/s"),
@@ -82,8 +82,10 @@ def test_a_quantity_may_carry_any_unit_that_converts(
         ("1.2.3", "N", "is not a unit"),
     ],
 )
-def test_anything_else_is_refused_with_the_reason(text: str, unit: str | None, told: str) -> None:
-    with pytest.raises(ValueError, match=told):
+def test_anything_else_is_refused_with_the_reason(
+    text: str, unit: str | None, reported: str
+) -> None:
+    with pytest.raises(ValueError, match=reported):
         quantity(text, unit)
 
 
@@ -134,7 +136,7 @@ def test_given_texts_become_settings() -> None:
 
 
 @pytest.mark.parametrize(
-    ("given", "told"),
+    ("given", "reported"),
     [
         ({"normal_force_N": "4V"}, ["--normal-force 4V: 'V' does not convert to N"]),
         ({"speeds_mm_s": "1,two"}, ["--speeds 1,two"]),
@@ -152,12 +154,12 @@ def test_given_texts_become_settings() -> None:
     ],
 )
 def test_all_wrong_options_are_reported_by_their_own_names(
-    given: dict[str, str], told: list[str]
+    given: dict[str, str], reported: list[str]
 ) -> None:
     with pytest.raises(ConfigurationError) as caught:
         settings_from(Example, given)
     line = caught.value.one_line()
-    for words in told:
+    for words in reported:
         assert words in line
     assert "--help" in line
     assert caught.value.code == ExitCode.USAGE
@@ -189,7 +191,7 @@ def test_an_option_without_effect_is_refused_with_what_it_needs() -> None:
 
 
 @pytest.mark.parametrize(
-    ("procedure", "given", "told"),
+    ("procedure", "given", "reported"),
     [
         ("sweep", "--gain-bound 0.2", "--gain-bound 0.2 has an effect only with --loads"),
         (
@@ -216,10 +218,10 @@ def test_an_option_without_effect_is_refused_with_what_it_needs() -> None:
         ),
     ],
 )
-def test_what_has_no_effect_in_the_given_mode_is_refused(rig, procedure, given, told) -> None:
+def test_what_has_no_effect_in_the_given_mode_is_refused(rig, procedure, given, reported) -> None:
     ended = rig.run(procedure, "--dry-run", *given.split())
     assert ended.code == ExitCode.USAGE
-    assert told in ended.stderr
+    assert reported in ended.stderr
 
 
 def test_a_list_may_be_given_in_parts_and_of_anything_else_the_last_holds() -> None:

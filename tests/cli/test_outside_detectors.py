@@ -230,11 +230,11 @@ import json, sys
 from pathlib import Path
 from rig.detector.registered import chosen_detector
 from rig.processing.detection import DetectionJob, DetectionResult, detect_file
-told = []
+stated = []
 for name in sys.argv[2:]:
     found = detect_file(DetectionJob(Path(sys.argv[1]), chosen_detector(name), Path(name)))
-    told.append("" if isinstance(found, DetectionResult) else found.message)
-print(json.dumps(told))
+    stated.append("" if isinstance(found, DetectionResult) else found.message)
+print(json.dumps(stated))
 """
 
 
@@ -251,15 +251,15 @@ def test_every_kind_of_nonsense_is_refused_and_leaves_nothing(rig: Any) -> None:
         [sys.executable, "-c", DETECT_WITH_EACH, str(recorded(rig)), *names],
         cwd=rig.folder, env=rig.env, capture_output=True, text=True, check=True,
     )  # fmt: skip
-    for name, told, (_, _, expected) in zip(
+    for name, stated, (_, _, expected) in zip(
         names, json.loads(done.stdout), NONSENSE.values(), strict=True
     ):
         if not expected:
             with ProcessedFile.open(next((rig.folder / name).glob("*.h5"))) as processed:
                 assert abs(processed.trials()[0].v_d).max() > 0.01
             continue
-        assert f"detector '{name}' of the package {name}" in told
-        assert re.search(expected, told), told
+        assert f"detector '{name}' of the package {name}" in stated
+        assert re.search(expected, stated), stated
         assert not (rig.folder / name).exists()
 
 

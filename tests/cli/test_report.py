@@ -123,19 +123,19 @@ def test_figures_are_listed_and_one_that_fails_is_a_warning(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     drawing = Drawing()
-    answer, told = closing(capsys, 2, drawing)
+    answer, reported = closing(capsys, 2, drawing)
     assert drawing.files == [Path("r.h5")]
     assert (answer["figures"], answer["exit"]) == (["r.png"], 0)
     assert answer["warnings"] == ["the figure x of y could not be drawn: z"]
-    assert "warning: the figure x of y could not be drawn: z\n" in told
-    assert "Saved: r.h5 and 1 figure (PNG and SVG)\n" in told
+    assert "warning: the figure x of y could not be drawn: z\n" in reported
+    assert "Saved: r.h5 and 1 figure (PNG and SVG)\n" in reported
 
 
 @pytest.mark.parametrize(("done", "drawing"), [(0, Drawing()), (2, None)])
 def test_without_a_completed_point_nothing_is_drawn_and_nothing_is_said(
     capsys: pytest.CaptureFixture[str], done: int, drawing: Drawing | None
 ) -> None:
-    answer, told = closing(capsys, done, drawing)
+    answer, reported = closing(capsys, done, drawing)
     assert drawing is None or drawing.files == []
     assert (answer["figures"], answer["warnings"]) == ([], [])
-    assert "figure" not in told
+    assert "figure" not in reported

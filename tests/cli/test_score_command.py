@@ -113,9 +113,11 @@ def test_parameters_that_differ_are_those_of_one_detector_and_named_in_the_table
     deaf = tmp_path / "deaf.toml"
     deaf.write_text("fire_mV = 100.0\n")
     given = ("--files", tmp_path / "list.csv", "--no-roc", "--settings", deaf)
-    told = json.loads(run(*given, "--detector", "paper-hp", "--json", "--out", tmp_path / "out"))
-    assert [one["name"] for one in told["detectors"]] == ["paper-hp with deaf"]
-    assert values(told)["found"] == 0.0
+    reported = json.loads(
+        run(*given, "--detector", "paper-hp", "--json", "--out", tmp_path / "out")
+    )
+    assert [one["name"] for one in reported["detectors"]] == ["paper-hp with deaf"]
+    assert values(reported)["found"] == 0.0
     line = refused(*given, "--detector", "paper-hp", "--detector", "rig", "--out", tmp_path / "no")
     assert "unclear which of the 2 detectors it changes" in line
 
@@ -155,18 +157,18 @@ def test_trials_are_scored_the_same_by_one_process_and_by_two(tmp_path, populati
     rows = table(tmp_path / "one" / "score.csv")
     assert {row["use"] for row in rows} == {"reporting seeds 1000000:1000003"}
     detectors = ["paper-hp", "band power", "wavelet", "cusum", "single channel"]
-    told = list(dict.fromkeys(row["detector"] for row in rows))
-    assert told[:5] == detectors
-    assert (told[5], told[-2:], len(told)) == ("blind 50 ms", ["always", "possible"], 9)
+    reported = list(dict.fromkeys(row["detector"] for row in rows))
+    assert reported[:5] == detectors
+    assert (reported[5], reported[-2:], len(reported)) == ("blind 50 ms", ["always", "possible"], 9)
     trials = table(tmp_path / "one" / "trials.csv")
     assert len(trials) == 12 * 9
     slips = [row for row in trials if row["label"] in ("slip", "slip in a slide")]
     found = [row["found"] for row in slips if row["detector"] == "cusum"]
-    (told,) = [
+    (reported,) = [
         r for r in rows if (r["detector"], r["trait"], r["quantity"]) == ("cusum", "", "found")
     ]
-    assert float(told["value"]) == pytest.approx(found.count("1") / len(found))
-    assert int(told["of"]) == len(found) >= 3
+    assert float(reported["value"]) == pytest.approx(found.count("1") / len(found))
+    assert int(reported["of"]) == len(found) >= 3
     for stem in ("score-roc", "score-found", "score-delays"):
         assert (tmp_path / "one" / f"{stem}.png").read_bytes().startswith(b"\x89PNG")
 
@@ -175,16 +177,16 @@ def test_tuned_thresholds_are_written_with_their_seeds_and_every_table_says_tuni
     tmp_path, population
 ):
     tuned = tmp_path / "tuned.json"
-    told = json.loads(
+    reported = json.loads(
         run("--tuning", "--seeds", "0:3", "--population", population, "--tune", tuned, "--no-roc",
             "--detector", "paper-literal", "--kinds", "slide,roll", "--json",
             "--out", tmp_path / "out")
     )  # fmt: skip
-    assert told["simulated"] is True
-    assert told["use"] == "TUNING seeds 0:3"
-    assert {row["use"] for row in told["results"]} == {"TUNING seeds 0:3"}
-    rolls = [r for r in told["results"] if r["quantity"] == "roll_alarms" and not r["trait"]]
-    others = {one["name"] for one in told["trivial_answers"]} | {"paper-literal"}
+    assert reported["simulated"] is True
+    assert reported["use"] == "TUNING seeds 0:3"
+    assert {row["use"] for row in reported["results"]} == {"TUNING seeds 0:3"}
+    rolls = [r for r in reported["results"] if r["quantity"] == "roll_alarms" and not r["trait"]]
+    others = {one["name"] for one in reported["trivial_answers"]} | {"paper-literal"}
     assert [r["value"] for r in rolls if r["detector"] not in others] == [0.0] * 4
     written = json.loads(tuned.read_text())["baselines"]
     assert [one["tuned_on"] for one in written] == [{"first": 0, "end": 3}] * 4
@@ -198,19 +200,19 @@ def scored(folder: Path, listing: str, out: str) -> dict:
     )
 
 
-def values(told: dict) -> dict[str, float]:
+def values(reported: dict) -> dict[str, float]:
     """The values of the one detector that was scored."""
-    (detector,) = told["detectors"]
-    rows = [row for row in told["results"] if row["detector"] == detector["name"]]
+    (detector,) = reported["detectors"]
+    rows = [row for row in reported["results"] if row["detector"] == detector["name"]]
     return {row["quantity"]: row["value"] for row in rows if not row["trait"]}
 
 
 def test_labelled_files_are_scored_by_their_list_or_by_what_a_simulated_bench_knows(tmp_path):
     slip_file(tmp_path)
-    told = scored(tmp_path, "file\nslip.h5\n", "own")
-    assert [one["name"] for one in told["detectors"]] == ["paper-hp"], "the default"
-    assert told["simulated"] is True
-    found = values(told)
+    reported = scored(tmp_path, "file\nslip.h5\n", "own")
+    assert [one["name"] for one in reported["detectors"]] == ["paper-hp"], "the default"
+    assert reported["simulated"] is True
+    found = values(reported)
     assert found["found"] == 1.0
     assert 0 < found["after_ridge_50"] < 12
     assert found["after_node_50"] == pytest.approx(found["after_ridge_50"] + 100, rel=1e-4)
@@ -219,10 +221,10 @@ def test_labelled_files_are_scored_by_their_list_or_by_what_a_simulated_bench_kn
         "slip.h5,trial-001,slip,1.1,1.7,1.8,0.1\n"
         "slip.h5,,tap,1.1,,,0.1\n"
     )
-    told = scored(tmp_path, listed, "listed")
-    found = values(told)
+    reported = scored(tmp_path, listed, "listed")
+    found = values(reported)
     assert (found["found"], found["early"], found["tap_alarms"]) == (0.0, 1.0, 1.0)
-    assert ("noise_mV", "below 0.2") in {(row["trait"], row["bin"]) for row in told["results"]}
+    assert ("noise_mV", "below 0.2") in {(row["trait"], row["bin"]) for row in reported["results"]}
 
 
 @pytest.mark.parametrize(
@@ -251,9 +253,9 @@ def test_a_list_that_cannot_be_used_is_refused_with_its_line(listing, words, tmp
 def test_trials_are_made_on_the_whole_simulated_bench_once(tmp_path):
     given = ("--wire", "--seeds", "1000000:1000001", "--kinds", "hold", "--detector", "paper-hp",
              "--no-roc")  # fmt: skip
-    told = json.loads(run(*given, "--json", "--out", tmp_path / "one"))
-    assert told["failed"] == {}
-    assert told["use"] == "on the simulated bench, reporting seeds 1000000:1000001"
+    reported = json.loads(run(*given, "--json", "--out", tmp_path / "one"))
+    assert reported["failed"] == {}
+    assert reported["use"] == "on the simulated bench, reporting seeds 1000000:1000001"
     (trial,) = [
         row for row in table(tmp_path / "one" / "trials.csv") if row["detector"] == "paper-hp"
     ]

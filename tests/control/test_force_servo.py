@@ -34,21 +34,21 @@ def on_a_spring(
 ) -> np.ndarray:
     """Force at each tick on a spring `truth` times as stiff as the servo thinks; the axis is there
     at once and is seen a whole number of ticks later: a delay of half a tick less. The servo steps
-    at no tick that is `left_out`, which it is told with the next."""
+    at no tick that is `left_out`, which it learns with the next."""
     late = 1 if tick_s > 0.005 else 3
     servo = ForceServo(settings_from(TARGET_N, STIFFNESS_N_mm, tick_s, (late - 0.5) * tick_s, 1e6))
-    told = [0.0] * late
+    reported = [0.0] * late
     forces = []
     missed = 0
     for k in range(ticks):
-        force = TARGET_N + disturbance_N(k * tick_s) + truth * STIFFNESS_N_mm * told[-late]
+        force = TARGET_N + disturbance_N(k * tick_s) + truth * STIFFNESS_N_mm * reported[-late]
         forces.append(force)
         if k in left_out:
             missed += told_of_it
         else:
             servo.step(force, 1 + missed)
             missed = 0
-        told.append(servo.commanded_mm)
+        reported.append(servo.commanded_mm)
     return np.array(forces)
 
 
@@ -68,8 +68,8 @@ def test_a_step_and_a_ramp_leave_no_error(tick_s: float, truth: float) -> None:
 def test_a_servo_that_was_left_alone_takes_a_ramp_up_where_it_is(
     tick_s: float, truth: float
 ) -> None:
-    """Over 20 ticks, in which nobody holds the force; one that is not told of them takes what has
-    come meanwhile for a steeper ramp, and overshoots."""
+    """Over 20 ticks, in which nobody holds the force; one that does not know of them takes what
+    has come meanwhile for a steeper ramp, and overshoots."""
     alone = range(200, 220)
 
     def after(told_of_it: bool) -> np.ndarray:
@@ -79,7 +79,7 @@ def test_a_servo_that_was_left_alone_takes_a_ramp_up_where_it_is(
         assert forces[219] - TARGET_N > 0.8 * 5.0 * 20 * tick_s
         return forces[225:] - TARGET_N
 
-    overshoot = [-after(told).min() / (5.0 * 20 * tick_s) for told in (True, False)]
+    overshoot = [-after(reported).min() / (5.0 * 20 * tick_s) for reported in (True, False)]
     assert overshoot[0] < 0.7 * overshoot[1]
     assert np.abs(after(True)[-100:]).max() < 0.51 * 5.0 * tick_s
 
@@ -125,12 +125,12 @@ def on_busy_links(told_of_it: bool, seed: int) -> np.ndarray:
 
 def test_a_servo_that_knows_how_late_its_links_are_holds_the_force() -> None:
     """One that is not rings: a target comes after the force that it answers to has changed."""
-    told, untold = (
+    reported, untold = (
         np.sqrt(np.mean([on_busy_links(told_of_it, seed) ** 2 for seed in range(8)]))
         for told_of_it in (True, False)
     )
-    assert told < 0.015 * TARGET_N
-    assert untold > 3 * told
+    assert reported < 0.015 * TARGET_N
+    assert untold > 3 * reported
 
 
 def test_a_servo_whose_first_force_is_old_begins_with_it() -> None:
@@ -149,17 +149,17 @@ def test_one_step_never_asks_for_more_than_the_axis_may_do() -> None:
 
 
 def test_counts_of_the_axis_do_not_add_up() -> None:
-    """A servo that is told what the axis made of its command keeps the force within a count."""
+    """A servo that knows what the axis made of its command keeps the force within a count."""
     unit_mm, k = 1e-3, STIFFNESS_N_mm
     servo = ForceServo(settings_from(TARGET_N, k, 0.01, 0.005, 1e6))
-    told, forces = 0.0, []
+    reported, forces = 0.0, []
     for _ in range(500):
-        forces.append(TARGET_N + 0.213 + k * told)
+        forces.append(TARGET_N + 0.213 + k * reported)
         move = servo.step(forces[-1])
-        counted = round((told + move.increment_mm) / unit_mm) * unit_mm
-        servo.correct(counted - told - move.increment_mm)
-        told = counted
-        assert servo.commanded_mm == pytest.approx(told, abs=1e-12)
+        counted = round((reported + move.increment_mm) / unit_mm) * unit_mm
+        servo.correct(counted - reported - move.increment_mm)
+        reported = counted
+        assert servo.commanded_mm == pytest.approx(reported, abs=1e-12)
     assert np.abs(np.array(forces[-100:]) - TARGET_N).max() <= 0.51 * unit_mm * k
 
 

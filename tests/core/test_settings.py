@@ -69,7 +69,7 @@ def test_no_suffix_hides_behind_a_shorter_one(suffix: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("values", "told"),
+    ("values", "reported"),
     [
         ({"colour": "red"}, "colour"),
         ({"inner": {"speed_mm_s": 1, "sped_mm_s": 2}}, "sped_mm_s"),
@@ -79,8 +79,8 @@ def test_no_suffix_hides_behind_a_shorter_one(suffix: str) -> None:
         ({"inner": {"speed_mm_s": 0}}, "speed_mm_s"),
     ],
 )
-def test_what_cannot_be_meant_is_refused(values: dict[str, object], told: str) -> None:
-    with pytest.raises(ValidationError, match=told):
+def test_what_cannot_be_meant_is_refused(values: dict[str, object], reported: str) -> None:
+    with pytest.raises(ValidationError, match=reported):
         Outer.model_validate(values)
 
 

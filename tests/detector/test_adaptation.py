@@ -51,7 +51,7 @@ def pressed_and_sheared(seed: int = 0, noise_mV: float = 0.1) -> np.ndarray:
     return 1e-3 * (np.column_stack([press + v_d / 2, press - v_d / 2]) + noise)
 
 
-def told(volts: np.ndarray, chosen: DetectorSettings | None = None) -> list[SlipEvent]:
+def reported(volts: np.ndarray, chosen: DetectorSettings | None = None) -> list[SlipEvent]:
     detector = IncipientSlipDetector(chosen or by_hand(), RATE_Hz)
     return detector.add(volts) + detector.finish()
 
@@ -86,7 +86,7 @@ def test_a_recording_that_is_never_quiet_is_judged(spoilt):
     paper = IncipientSlipDetector(DetectorSettings(logic="paper-hp"), RATE_Hz)
     begin = [event.kind for event in paper.add(volts[:1100])]
     assert "cannot judge" in begin or spoilt is not bursting
-    events = told(volts)
+    events = reported(volts)
     assert unjudged_s(events, 2.2) == ()
     (slip,) = samples(events)
     assert 1498 <= slip <= 1504
@@ -95,7 +95,7 @@ def test_a_recording_that_is_never_quiet_is_judged(spoilt):
 @pytest.mark.parametrize("gain", [0.2, 0.25, 0.5, 3.0])
 def test_the_gain_of_the_amplifiers_makes_no_difference(gain: float):
     volts = pressed_and_sheared(1)
-    assert samples(told(gain * volts)) == samples(told(volts)) != []
+    assert samples(reported(gain * volts)) == samples(reported(volts)) != []
     looks = IncipientSlipDetector(by_hand(), RATE_Hz).network_inputs(volts)
     changed = IncipientSlipDetector(by_hand(), RATE_Hz).network_inputs(gain * volts)
     rows = np.intersect1d(looks.rows, changed.rows)
@@ -214,9 +214,9 @@ def test_a_slip_that_follows_another_is_reported_once_the_first_is_over():
         pulse = 15e-3 * np.exp(-(((rows - later) / 1.2) ** 2))
         volts += np.column_stack([-pulse, pulse])
     silent = RigSettings(network=by_hand().network)
-    (only,) = samples(told(volts, silent))
+    (only,) = samples(reported(volts, silent))
     assert only == pytest.approx(1500, abs=8)
-    found = samples(told(volts, silent.model_copy(update={"over_probability": 0.2})))
+    found = samples(reported(volts, silent.model_copy(update={"over_probability": 0.2})))
     assert found == pytest.approx([1500, 1560], abs=8), "40 ms pass at least"
 
 
@@ -235,7 +235,7 @@ def test_events_do_not_know_how_the_rows_came(cuts: list[int]):
     events = [
         event for block in np.split(volts, sorted(set(cuts))) for event in detector.add(block)
     ]
-    assert events + detector.finish() == told(volts)
+    assert events + detector.finish() == reported(volts)
 
 
 def test_bursts_and_motion_do_not_raise_the_noise():
@@ -252,7 +252,7 @@ def test_noise_that_hides_slips_is_said_and_not_judged():
     volts[900:] += 20e-3 * np.random.default_rng(4).standard_normal((1300, 2))
     # The least of the latest pieces decides, so that the noise has to last.
     hidden = 20e-3 * np.random.default_rng(5).standard_normal((6000, 2))
-    events = told(np.concatenate([volts, hidden, hidden]))
+    events = reported(np.concatenate([volts, hidden, hidden]))
     (cannot,) = [event for event in events if event.kind == "cannot judge"]
     assert cannot.reason.startswith("too noisy")
     assert not [slip for slip in samples(events) if slip > cannot.sample]
@@ -291,7 +291,7 @@ def test_a_light_touch_is_replaced_by_one_that_is_not():
     detector = IncipientSlipDetector(by_hand(), RATE_Hz)
     events = detector.add(np.concatenate([light, pressed_and_sheared(9)]))
     (slip,) = samples(events)
-    assert slip == pytest.approx(1150 + samples(told(pressed_and_sheared(9)))[0], abs=1)
+    assert slip == pytest.approx(1150 + samples(reported(pressed_and_sheared(9)))[0], abs=1)
     assert detector._state["unit"][0] == pytest.approx(1.0, rel=0.1)
 
 
@@ -299,12 +299,12 @@ def test_touch_downs_and_taps_are_no_rolls():
     """A network that calls everything a roll is believed only in a motion under load."""
     rolls = by_hand(roll_odds=50.0)
     volts = pressed_and_sheared(5)
-    assert samples(told(volts[:1150], rolls), "roll") == []
+    assert samples(reported(volts[:1150], rolls), "roll") == []
     tapped = volts[:1150].copy()
     tap = -12e-3 * np.sin(np.pi * np.arange(40) / 40)
     tapped[1000:1040] += np.column_stack([1.2 * tap, 0.8 * tap])
-    assert samples(told(tapped, rolls), "roll") == []
-    (roll,) = samples(told(volts, rolls), "roll")
+    assert samples(reported(tapped, rolls), "roll") == []
+    (roll,) = samples(reported(volts, rolls), "roll")
     assert roll >= 1300
 
 
@@ -316,7 +316,7 @@ def test_a_network_of_earlier_inputs_still_works():
     network = earlier.model_copy(
         update={"inputs": inputs, "hidden": ((*hidden[: len(inputs)], hidden[-1]),)}
     )
-    events = told(pressed_and_sheared(6), DetectorSettings(network=network))
+    events = reported(pressed_and_sheared(6), DetectorSettings(network=network))
     assert samples(events)
 
 
@@ -341,7 +341,7 @@ def test_whatever_comes_the_inputs_are_finite_and_cannot_judge_takes_turns_with_
 ):
     looks = IncipientSlipDetector(by_hand(), RATE_Hz).network_inputs(rubbish(kind))
     assert np.isfinite(looks.inputs).all()
-    events = told(rubbish(kind))
+    events = reported(rubbish(kind))
     turns = [event.kind for event in events if "judge" in event.kind]
     expected = itertools.cycle(("cannot judge", "judges again"))
     assert turns == list(itertools.islice(expected, len(turns)))

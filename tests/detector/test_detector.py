@@ -1,4 +1,4 @@
-"""The streaming detectors: the same events for any blocks, what is refused, what is told."""
+"""The streaming detectors: the same events for any blocks, what is refused, what is reported."""
 
 import math
 from dataclasses import replace
@@ -42,7 +42,7 @@ def bench_like(seed: int = 0, noise_mV: float = 0.2, press_mV: float = 12.0) -> 
     return 1e-3 * (clean + noise_mV * chance.standard_normal((1400, 2)))
 
 
-def told(volts: np.ndarray, name: str = "rig", **changes: object) -> list[SlipEvent]:
+def reported(volts: np.ndarray, name: str = "rig", **changes: object) -> list[SlipEvent]:
     """Events of a whole recording."""
     parameters = named_detectors()[name].model_copy(update=changes)
     detector = IncipientSlipDetector(parameters, RATE_Hz)
@@ -55,7 +55,7 @@ def kinds(events: list[SlipEvent]) -> list[str]:
 
 @pytest.mark.parametrize("name", NAMES)
 def test_the_impulse_while_armed_is_reported_once_and_at_once(name: str):
-    events = told(bench_like(press_mV=LIGHT_mV), name)
+    events = reported(bench_like(press_mV=LIGHT_mV), name)
     slips = [event for event in events if event.kind == "incipient slip"]
     assert [1095 <= event.sample <= 1110 for event in slips if event.sample > 1090] == [True]
     armed = [event.sample for event in events if event.kind == "predictive"]
@@ -71,7 +71,7 @@ def test_events_do_not_know_how_the_rows_came(name: str, cuts: list[int]):
     events = []
     for block in np.split(volts, sorted(set(cuts))):
         events += detector.add(block)
-    assert events + detector.finish() == told(volts, name)
+    assert events + detector.finish() == reported(volts, name)
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -79,7 +79,7 @@ def test_row_by_row_is_the_same_to_the_last_bit(name: str):
     volts = bench_like(4, noise_mV=0.7)
     detector = IncipientSlipDetector(named_detectors()[name], RATE_Hz)
     events = [event for row in volts for event in detector.add(row[None, :])]
-    assert events + detector.finish() == told(volts, name)
+    assert events + detector.finish() == reported(volts, name)
     assert events
 
 
@@ -89,7 +89,7 @@ def test_blocks_longer_than_the_inner_slice_are_no_different():
     events = [
         event for k in range(0, len(volts), 777) for event in detector.add(volts[k : k + 777])
     ]
-    assert events == told(volts)
+    assert events == reported(volts)
 
 
 def test_the_low_pass_is_the_designed_filter():
@@ -111,29 +111,35 @@ def test_the_low_pass_is_the_designed_filter():
 @pytest.mark.parametrize("name", NAMES)
 def test_swapped_channels_change_nothing(name: str):
     volts = bench_like(6)
-    swapped = told(volts[:, ::-1], name)
-    assert [(e.kind, e.sample) for e in swapped] == [(e.kind, e.sample) for e in told(volts, name)]
+    swapped = reported(volts[:, ::-1], name)
+    assert [(e.kind, e.sample) for e in swapped] == [
+        (e.kind, e.sample) for e in reported(volts, name)
+    ]
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_inverted_polarity_changes_nothing(name: str):
     volts = bench_like(7)
-    inverted = told(-volts, name)
-    assert [(e.kind, e.sample) for e in inverted] == [(e.kind, e.sample) for e in told(volts, name)]
+    inverted = reported(-volts, name)
+    assert [(e.kind, e.sample) for e in inverted] == [
+        (e.kind, e.sample) for e in reported(volts, name)
+    ]
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_an_offset_changes_nothing_but_the_last_bits(name: str):
     volts = bench_like(8)
-    moved = told(volts + np.array([0.3, -0.2]), name)
-    assert [(e.kind, e.sample) for e in moved] == [(e.kind, e.sample) for e in told(volts, name)]
+    moved = reported(volts + np.array([0.3, -0.2]), name)
+    assert [(e.kind, e.sample) for e in moved] == [
+        (e.kind, e.sample) for e in reported(volts, name)
+    ]
 
 
 def test_an_impulse_without_a_predictive_signal_is_rejected_with_the_reason():
     volts = bench_like(9)
     volts[:, :] = 1e-3 * 0.2 * np.random.default_rng(9).standard_normal(volts.shape)
     volts[700] += (0.02, -0.02)
-    events = told(volts, "paper-hp")
+    events = reported(volts, "paper-hp")
     assert kinds(events) == ["rejected", "predictive"]  # its own low part comes after it
     assert events[0].reason == "not armed: no motion under load preceded it"
     assert events[0].sample == 700
@@ -142,19 +148,19 @@ def test_an_impulse_without_a_predictive_signal_is_rejected_with_the_reason():
 @pytest.mark.parametrize("name", NAMES)
 def test_noise_alone_says_nothing(name: str):
     noise = 1e-3 * np.random.default_rng(10).standard_normal((60_000, 2))
-    assert not [e for e in told(noise, name) if e.kind in ("incipient slip", "roll")]
+    assert not [e for e in reported(noise, name) if e.kind in ("incipient slip", "roll")]
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_silence_without_any_noise_says_nothing(name: str):
-    assert told(np.zeros((2000, 2)), name) == []
+    assert reported(np.zeros((2000, 2)), name) == []
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_saturation_is_reported_and_nothing_is_judged_meanwhile(name: str):
     volts = bench_like(11)
     volts[1095:1105, 0] = 10.0
-    events = told(volts, name)
+    events = reported(volts, name)
     judging = [(e.kind, e.reason, e.sample) for e in events if "judge" in e.kind]
     assert judging == [
         ("cannot judge", "saturated", 1095), ("judges again", "saturated", 1155)
@@ -168,7 +174,7 @@ def test_saturation_is_reported_and_nothing_is_judged_meanwhile(name: str):
 def test_a_dead_channel_is_reported_by_name_and_nothing_is_judged_after(name: str, channel: int):
     volts = bench_like(14)
     volts[:, channel] = 0.01
-    events = told(volts, name)
+    events = reported(volts, name)
     (dead,) = [e.sample for e in events if e.reason.startswith(f"v_{channel + 1} is dead")]
     assert unjudged_s(events, 1.4) == ((0.0, 1.4),)
     assert dead <= 500
@@ -179,7 +185,7 @@ def test_a_dead_channel_is_reported_by_name_and_nothing_is_judged_after(name: st
 def test_a_channel_that_dies_on_the_way_is_reported(name: str):
     volts = bench_like(15)
     volts[250:, 1] = volts[250, 1]
-    events = told(volts, name)
+    events = reported(volts, name)
     told_of = [event for event in events if "v_2 is dead" in event.reason]
     assert [(event.kind, event.sample) for event in told_of] == [("cannot judge", 750)]
     assert unjudged_s(events, 1.4) == ((0.25, 1.4),)
@@ -190,7 +196,7 @@ def test_a_channel_that_dies_on_the_way_is_reported(name: str):
 def test_one_inverted_channel_is_reported(name: str, channel: int):
     volts = bench_like(16)
     volts[:, channel] *= -1
-    assert "one is inverted" in " ".join(event.reason for event in told(volts, name))
+    assert "one is inverted" in " ".join(event.reason for event in reported(volts, name))
 
 
 @pytest.mark.parametrize("mains_Hz", [50.0, 60.0])
@@ -198,27 +204,27 @@ def test_mains_hum_is_reported_and_no_slip(mains_Hz: float):
     hum = 4e-3 * np.sin(2 * np.pi * mains_Hz * np.arange(5000) / RATE_Hz)
     noise = 1e-4 * np.random.default_rng(17).standard_normal((5000, 2))
     for name in NAMES:
-        events = told(noise + np.column_stack([1.05 * hum, hum]), name)
+        events = reported(noise + np.column_stack([1.05 * hum, hum]), name)
         assert [event.reason.split(":")[0] for event in events] == ["mains hum"]
 
 
 def test_a_good_recording_raises_no_doubts():
     for seed in range(20, 24):
-        reasons = {event.reason for event in told(bench_like(seed))}
+        reasons = {event.reason for event in reported(bench_like(seed))}
         assert not [one for one in reasons if one and not one.startswith(("not armed", "roll"))]
 
 
 def test_what_is_never_quiet_is_reported_and_not_judged():
     time = np.arange(3000) / RATE_Hz
     swinging = 5e-3 * np.sin(2 * np.pi * 3 * time)
-    events = told(np.column_stack([swinging, -swinging]), "paper-hp")
+    events = reported(np.column_stack([swinging, -swinging]), "paper-hp")
     assert kinds(events) == ["cannot judge"]
     assert events[0].reason.startswith("not quiet")
     assert unjudged_s(events, 3.0) == ((0.0, 3.0),)
 
 
 def test_what_is_too_short_to_be_quiet_is_reported_at_its_end():
-    events = told(np.zeros((200, 2)), "paper-hp")
+    events = reported(np.zeros((200, 2)), "paper-hp")
     assert [(event.kind, event.sample) for event in events] == [("cannot judge", 199)]
     assert unjudged_s(events, 0.2) == ((pytest.approx(0.0, abs=0.001), 0.2),)
 
@@ -227,7 +233,7 @@ def test_what_is_too_short_to_be_quiet_is_reported_at_its_end():
 def test_what_becomes_quiet_late_is_judged_from_then_on_and_said_so(name: str):
     swinging = 5e-3 * np.sin(2 * np.pi * 3 * np.arange(1500) / RATE_Hz)
     volts = np.concatenate([np.column_stack([swinging, -swinging]), bench_like(18)])
-    events = told(volts, name)
+    events = reported(volts, name)
     judging = [(event.kind, event.sample) for event in events if "judge" in event.kind]
     assert judging == [("cannot judge", 999), ("judges again", 1749)]
     assert unjudged_s(events, 2.9) == ((0.0, 1.749),)
@@ -361,7 +367,7 @@ def test_the_kernels_median_is_numpys(values: list[float]):
 
 
 def test_an_event_is_plain_data():
-    event = told(bench_like(), "paper-hp")[0]
+    event = reported(bench_like(), "paper-hp")[0]
     assert replace(event) == event
     assert set(event.features) == set(kernel.EVENT_FEATURES)
     assert event.time_s == event.sample / RATE_Hz

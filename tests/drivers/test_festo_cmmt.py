@@ -34,7 +34,7 @@ def test_a_servo_follows_a_moving_target_without_ever_stopping() -> None:
             axis.start_move(5 + 0.05 * tick, 20.0)
             it.clock.sleep(0.01)
             speeds.append(it.speed)
-        assert it.bench.told("move") == [{"target_mm": 5.0, "speed_mm_s": 20.0}]
+        assert it.bench.reported("move") == [{"target_mm": 5.0, "speed_mm_s": 20.0}]
         assert it.truth_mm == pytest.approx(5 + 0.05 * 299, abs=0.5)
         assert max(speeds) <= 20.0 + 1e-9
 
@@ -233,7 +233,7 @@ def test_a_new_motion_is_not_ended_by_the_last_ones_fixed_stop() -> None:
 
 
 @pytest.mark.parametrize(
-    ("kind", "own", "told"),
+    ("kind", "own", "reported"),
     [
         ("limit-switch", {}, "115 .*positive limit switch"),
         ("reference-lost", {}, "lost its reference"),
@@ -243,19 +243,19 @@ def test_a_new_motion_is_not_ended_by_the_last_ones_fixed_stop() -> None:
 )
 @pytest.mark.parametrize("way", ["move", "servo", "wait"])
 def test_a_disturbed_motion_is_one_error_however_it_is_watched(
-    kind: Any, own: dict[str, Any], told: str, way: str
+    kind: Any, own: dict[str, Any], reported: str, way: str
 ) -> None:
     fault = AxisFault(device="stage_z", kind=kind, move=2, after_s=0.5)
     with service(drive={"faults": (fault,)}, **own) as it:
         axis = it.homed()
         axis.move_to(5.0, 20.0)
         begun = it.clock.now()
-        with pytest.raises(InstrumentError, match=told) as caught:
+        with pytest.raises(InstrumentError, match=reported) as caught:
             WAYS[way](axis, it.clock)
         assert caught.value.device == "stage_z"
         assert caught.value.hint
         assert it.clock.now() - begun < 1.0, "at once"
-        it.clock.sleep(0.5)  # told once
+        it.clock.sleep(0.5)  # reported once
         axis.make_safe()
         axis.stop()
         assert it.speed == 0

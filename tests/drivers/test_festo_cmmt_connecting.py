@@ -76,8 +76,8 @@ def test_a_limit_that_the_drive_does_not_keep_ends_the_connection(number: int) -
                 it.drive._parameters[number] = other
 
         it.wire.write = keep_another  # type: ignore[method-assign]
-        told = rf"write parameter {number}: set to \w+ but reads back {other.hex()}"
-        with pytest.raises(InstrumentError, match=told) as caught:
+        reported = rf"write parameter {number}: set to \w+ but reads back {other.hex()}"
+        with pytest.raises(InstrumentError, match=reported) as caught:
             it.connect()
         assert caught.value.hint
 
@@ -91,7 +91,7 @@ def test_connecting_stops_what_an_earlier_run_left_moving() -> None:
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "reported"),
     [
         ({"low_limit_mm": 90}, "below high_limit_mm"),
         ({"acceleration_mm_s2": 2000}, "cannot exceed"),
@@ -104,6 +104,6 @@ def test_connecting_stops_what_an_earlier_run_left_moving() -> None:
         ({"resource": "here"}, "resource"),
     ],
 )
-def test_settings_that_are_refused(change: dict[str, Any], told: str) -> None:
-    with pytest.raises(ValidationError, match=told):
+def test_settings_that_are_refused(change: dict[str, Any], reported: str) -> None:
+    with pytest.raises(ValidationError, match=reported):
         FestoCmmtSettings(**{**OWN, **change})

@@ -203,8 +203,8 @@ def test_a_new_connection_whose_time_out_cannot_be_set_is_none() -> None:
 
 def test_silence_is_reported_and_charged_to_the_clock() -> None:
     with service({"kind": "silence", "count": 0}) as it:
-        told = f"no answer within {TIMEOUT_S:g} s"
-        with pytest.raises(InstrumentTimeoutError, match=told) as caught:
+        reported = f"no answer within {TIMEOUT_S:g} s"
+        with pytest.raises(InstrumentTimeoutError, match=reported) as caught:
             it.connect()
         assert f"127.0.0.1:{it.server.port}" in str(caught.value.hint)
         assert it.clock.now() == pytest.approx(TIMEOUT_S)

@@ -123,7 +123,7 @@ def test_several_errors_are_reported_together_and_do_not_blame_the_next_command(
 
 
 @pytest.mark.parametrize(
-    ("reply", "told"),
+    ("reply", "reported"),
     [
         (f"+2.0E+02;+1.4E+00;{NO_ERROR}", "SOUR1:VOLT: set to 1.5 but reads back 1.4"),
         (f"+1.9E+02;+1.5E+00;{NO_ERROR}", "SOUR1:FREQ: set to 200 but reads back 190"),
@@ -133,13 +133,13 @@ def test_several_errors_are_reported_together_and_do_not_blame_the_next_command(
         ("+2.0E+02;+1.5E+00;fine", "'fine' is not an error-queue entry"),
     ],
 )
-def test_a_reply_that_is_not_what_was_set_is_refused(reply: str, told: str) -> None:
+def test_a_reply_that_is_not_what_was_set_is_refused(reply: str, reported: str) -> None:
     with playing("socket", *CONNECT, (SINE, reply)) as resource:
         generator = connected(resource)
         with pytest.raises(InstrumentError) as caught:
             generator.sine(200, 0.75)
         generator.close()
-    assert told in caught.value.one_line()
+    assert reported in caught.value.one_line()
 
 
 @pytest.mark.parametrize(

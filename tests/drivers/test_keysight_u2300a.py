@@ -138,7 +138,7 @@ def test_the_rate_is_the_one_the_unit_reports() -> None:
 
 
 @pytest.mark.parametrize(
-    ("reply", "told"),
+    ("reply", "reported"),
     [
         (f"1000;2;{NO_ERROR}", "ACQ:POIN: set to 3 but reads back 2"),
         (f"0;3;{NO_ERROR}", "ACQ:SRAT: set to 1000 but reads back 0"),
@@ -146,13 +146,13 @@ def test_the_rate_is_the_one_the_unit_reports() -> None:
         (f"3;{NO_ERROR}", "is not 3 answers"),
     ],
 )
-def test_a_set_up_that_does_not_read_back_is_refused(reply: str, told: str) -> None:
+def test_a_set_up_that_does_not_read_back_is_refused(reply: str, reported: str) -> None:
     with playing("hislip", *hello("U2331A"), (SINGLE_SHOT, reply)) as resource:
         daq = connected(resource)
         with pytest.raises(InstrumentError) as caught:
             daq.acquire(THREE_ROWS)
         daq.close()
-    assert told in caught.value.message
+    assert reported in caught.value.message
     assert caught.value.hint, "what to do is said, too"
 
 
@@ -289,7 +289,7 @@ def change(**values: object) -> Callable[[], Acquisition]:
 
 
 @pytest.mark.parametrize(
-    ("wanted", "told"),
+    ("wanted", "reported"),
     [
         (change(rate_S_s=500_001.0), "500001 S/s a channel for 2 channels is outside 3 to 500000"),
         (change(rate_S_s=2.0), "outside 3 to 500000"),
@@ -303,7 +303,7 @@ def change(**values: object) -> Callable[[], Acquisition]:
     ],
 )
 def test_what_the_unit_cannot_do_is_refused_before_anything_is_sent(
-    wanted: Callable[[], Acquisition], told: str
+    wanted: Callable[[], Acquisition], reported: str
 ) -> None:
     with playing("hislip", *hello("U2331A")) as resource:
         daq = connected(resource)
@@ -311,7 +311,7 @@ def test_what_the_unit_cannot_do_is_refused_before_anything_is_sent(
             with pytest.raises(LimitError) as caught:
                 act(wanted())
             assert "daq U2331A" in caught.value.message
-            assert told in caught.value.message
+            assert reported in caught.value.message
         daq.close()
 
 
@@ -340,15 +340,15 @@ def test_another_unit_is_refused_untouched(model: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("channels", "told"),
+    ("channels", "reported"),
     [
         ({}, "at least 1"),
         ({"film": 99}, "film = 99 is not a terminal"),
         ({"film": 102, "load_cell": 102}, "wired to one terminal"),
     ],
 )
-def test_wiring_that_cannot_be_is_refused(channels: dict[str, int], told: str) -> None:
-    with pytest.raises(ValidationError, match=told):
+def test_wiring_that_cannot_be_is_refused(channels: dict[str, int], reported: str) -> None:
+    with pytest.raises(ValidationError, match=reported):
         settings("USB0::0x0957::0x1518::TW1::INSTR", channels=channels)
 
 

@@ -44,9 +44,9 @@ def test_an_answer_that_an_earlier_program_left_is_not_taken_for_the_first_one(
 def test_an_instrument_that_answers_otherwise_is_shown_with_its_answer(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    with pytest.raises(InstrumentError, match="the answer 'WHAT' is not what was expected") as told:
+    with pytest.raises(InstrumentError, match="the answer 'WHAT' is not what was expected") as seen:
         link_on(monkeypatch, Line(b"", b"WHAT\n")).ask("ID?", r"ACME (\S+)")
-    assert not isinstance(told.value, InstrumentTimeoutError)
+    assert not isinstance(seen.value, InstrumentTimeoutError)
 
 
 def test_a_stop_is_the_first_thing_that_is_sent_on_a_line_that_is_opened_for_it(

@@ -182,8 +182,8 @@ def test_a_setting_that_does_not_stick_is_an_error() -> None:
         ("AA 93 4A 00 00 03 85", OK),
         ("AA 91 49 00 85", "AA 52 00 00 08 85"),
     )
-    told = "set to 00 03 but reads back 00 08"
-    with playing(*exchanges) as port, pytest.raises(InstrumentError, match=told):
+    reported = "set to 00 03 but reads back 00 08"
+    with playing(*exchanges) as port, pytest.raises(InstrumentError, match=reported):
         connected(port)
 
 
@@ -240,7 +240,7 @@ def test_measurements_between_request_and_response_are_kept_and_those_before_dro
 
 
 @pytest.mark.parametrize(
-    ("wire", "told"),
+    ("wire", "reported"),
     [
         ("00 FF", "2 bytes came that are not a frame: 00 ff"),
         ("AA 11 B0 00000000 00000000 85", "12 bytes came that are not a frame: aa 11 b0"),
@@ -248,7 +248,7 @@ def test_measurements_between_request_and_response_are_kept_and_those_before_dro
     ],
 )
 def test_bytes_that_are_no_frame_end_the_stream_until_it_is_started_again(
-    wire: str, told: str
+    wire: str, reported: str
 ) -> None:
     exchanges = (
         *OLD,
@@ -262,7 +262,7 @@ def test_bytes_that_are_no_frame_end_the_stream_until_it_is_started_again(
         amplifier = connected(port)
         amplifier.start(1000)
         for _ in range(2):
-            with pytest.raises(InstrumentError, match=told):
+            with pytest.raises(InstrumentError, match=reported):
                 read_frames(amplifier, 3)
         amplifier.stop()
         amplifier.start(1000)
@@ -276,8 +276,8 @@ def test_a_late_answer_is_never_taken_for_the_next_one() -> None:
     lost, token = (RATE_IS_1000[0], ""), (SERIAL[0], late + SERIAL[1])
     with playing(*OLD, lost, token, RATE_IS_1000, (START, OK)) as port:
         amplifier = connected(port)
-        told = f"ReadDataRate: no answer within {TIMEOUT_S:g} s"
-        with pytest.raises(InstrumentTimeoutError, match=told):
+        reported = f"ReadDataRate: no answer within {TIMEOUT_S:g} s"
+        with pytest.raises(InstrumentTimeoutError, match=reported):
             amplifier.start(1000)
         assert amplifier.start(1000) == 1000
         amplifier.close()
@@ -299,7 +299,7 @@ def test_a_port_that_another_program_has_is_refused() -> None:
 
 
 @pytest.mark.parametrize(
-    ("wrong", "told"),
+    ("wrong", "reported"),
     [
         ({"port": ""}, "port"),
         ({"rate_S_s": 13_000}, "rate_S_s"),
@@ -309,8 +309,8 @@ def test_a_port_that_another_program_has_is_refused() -> None:
         ({"baud": 9600}, "baud"),
     ],
 )
-def test_settings_that_cannot_be(wrong: dict[str, object], told: str) -> None:
-    with pytest.raises(ValidationError, match=told):
+def test_settings_that_cannot_be(wrong: dict[str, object], reported: str) -> None:
+    with pytest.raises(ValidationError, match=reported):
         Settings.model_validate({"port": "/dev/ttyACM0", **wrong})
 
 

@@ -46,7 +46,7 @@ def test_a_move_is_one_write_of_everything_and_a_change_of_it_another() -> None:
             [whole.format(first), without_number.format(second)],
             [without_number.format(first), whole.format(second)],
         )
-        assert bench.bench.told("move") == [{"target_mm": 25.0, "speed_mm_s": 10.0}], (
+        assert bench.bench.reported("move") == [{"target_mm": 25.0, "speed_mm_s": 10.0}], (
             "the second changed the first"
         )
 
@@ -133,7 +133,7 @@ def test_a_value_that_is_not_kept_ends_the_connection(register: int, what: str) 
 
 
 def test_the_torque_limit_goes_with_every_motion_and_ends_one_into_something() -> None:
-    """30 N against 100 N/mm: held 0.3 mm into the wall, and told before the drive's own alarm."""
+    """30 N against 100 N/mm: held 0.3 mm into the wall, and reported before the drive's alarm."""
     with service() as bench:
         axis = bench.homed()
         bench.bench.wall_mm = 30.0
@@ -157,8 +157,8 @@ def test_an_operating_current_that_the_drive_does_not_keep_ends_the_first_motion
             operate(by)
 
         bench.z._operate = at_full_current  # type: ignore[method-assign]
-        told = "its operating current is 100 % where torque_limit_percent asks for 30 %"
-        with pytest.raises(InstrumentError, match=told):
+        reported = "its operating current is 100 % where torque_limit_percent asks for 30 %"
+        with pytest.raises(InstrumentError, match=reported):
             axis.start_move(40.0, 5.0)
         bench.run_dry(0.2)
         assert bench.speed(bench.z) == 0
@@ -185,9 +185,9 @@ def test_an_alarm_is_told_by_number_and_meaning_before_anything_resets_it() -> N
         axis = bench.connect("z")
         assert axis.fault() is None
         bench.z._fail(0x30, bench.z._port.now_us)
-        told = axis.fault()
-        assert told is not None
-        assert told.startswith("30h (overload")
+        reported = axis.fault()
+        assert reported is not None
+        assert reported.startswith("30h (overload")
         assert bench.z.alarm == 0x30
 
 
@@ -295,7 +295,7 @@ def test_a_time_out_of_another_instrument_met_while_waiting_for_the_line_starves
         unregister = bench.clock.each_slice(time_out)
         axis.stop()
         axis.move_to(20.0, 10.0)
-        assert bench.bench.told("fault") == []
+        assert bench.bench.reported("fault") == []
 
 
 def test_a_stop_goes_out_although_the_drive_owes_an_answer() -> None:
@@ -337,7 +337,7 @@ def test_an_alarm_is_reported_with_its_meaning_and_remedy(what: str) -> None:
             axis.start_move(20.0, 10.0)
         axis.stop()
         assert bench.speed(bench.z) == 0
-        bench.clock.sleep(1.0)  # told once: other waits go on
+        bench.clock.sleep(1.0)  # reported once: other waits go on
 
 
 def test_an_alarm_of_before_is_reset_at_the_first_motion() -> None:
@@ -351,7 +351,7 @@ def test_an_alarm_of_before_is_reset_at_the_first_motion() -> None:
         assert bench.z.alarm == 0x85
         axis = bench.connect()
         axis.move_to(20.0, 40.0)
-        assert bench.bench.told("acknowledged") == [0x85]
+        assert bench.bench.reported("acknowledged") == [0x85]
 
 
 @pytest.mark.parametrize(

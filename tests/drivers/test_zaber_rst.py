@@ -25,7 +25,7 @@ TURNED_deg = 0.02
 
 
 @pytest.mark.parametrize(
-    ("sent", "told"),
+    ("sent", "reported"),
     [
         ((0, 0, 1, ""), b"/0 0 01:FF\n"),
         ((1, 1, 0, "get pos"), b"/1 1 00 get pos:2C\n"),
@@ -34,15 +34,20 @@ TURNED_deg = 0.02
         ((1, 1, 8, "move abs 6000 1000 100"), b"/1 1 08 move abs 6000 1000 100:51\n"),
     ],
 )
-def test_commands_are_those_of_the_vendors_client(sent: Any, told: bytes) -> None:
-    assert command(*sent) == told
+def test_commands_are_those_of_the_vendors_client(sent: Any, reported: bytes) -> None:
+    assert command(*sent) == reported
 
 
 def test_a_reply_tells_status_flag_and_data() -> None:
-    told = reply(signed(b"@01 1 07 OK BUSY NI 22400"))
-    assert told is not None
-    assert (told.device, told.axis, told.message_id) == (1, 1, 7)
-    assert (told.accepted, told.busy, told.flag, told.data) == (True, True, "NI", "22400")
+    reported = reply(signed(b"@01 1 07 OK BUSY NI 22400"))
+    assert reported is not None
+    assert (reported.device, reported.axis, reported.message_id) == (1, 1, 7)
+    assert (reported.accepted, reported.busy, reported.flag, reported.data) == (
+        True,
+        True,
+        "NI",
+        "22400",
+    )
 
 
 @pytest.mark.parametrize("line", [b"#01 1 07 some words", b"!01 1 IDLE --"])
@@ -68,9 +73,9 @@ def test_a_message_that_is_not_sound_is_reported(line: bytes) -> None:
 
 
 def test_the_rest_of_a_message_that_was_cut_short_does_not_spoil_the_next() -> None:
-    told = reply(b"@01 1 06 OK ID" + signed(b"@01 1 07 OK IDLE -- 5"))
-    assert told is not None
-    assert (told.message_id, told.data) == (7, "5")
+    reported = reply(b"@01 1 06 OK ID" + signed(b"@01 1 07 OK IDLE -- 5"))
+    assert reported is not None
+    assert (reported.message_id, reported.data) == (7, "5")
 
 
 # --- connecting ------------------------------------------------------------------------------
@@ -286,7 +291,7 @@ def test_a_knob_that_was_turned_is_reported_once_and_has_to_be_acknowledged() ->
         axis.turn_to(10.0, 20.0, 100.0)
         with pytest.raises(InstrumentError, match="reports NC: its knob has been turned by hand"):
             it.clock.sleep(6.0)
-        it.clock.sleep(1.0)  # told once
+        it.clock.sleep(1.0)  # reported once
         assert it.angle == pytest.approx(11.0, abs=0.001)
         assert not axis.homed()
         it.wire.heard()
@@ -401,8 +406,8 @@ def test_homing_that_takes_too_long_is_reported() -> None:
 def other(place: int, text: bytes) -> Callable[[bytes], bytes]:
     """A reply with another text at a place, its check made to fit."""
 
-    def forge(told: bytes) -> bytes:
-        body = told.split(b":")[0]
+    def forge(reported: bytes) -> bytes:
+        body = reported.split(b":")[0]
         return signed(body[:place] + text + body[place + len(text) :])
 
     return forge

@@ -35,9 +35,9 @@ def judged(truth: Truth, alarms: list[float], armings: list[float] | None = None
 def test_a_slip_is_found_from_10_ms_before_to_30_ms_after_its_whole_ridge(
     alarms, found, early, late
 ):
-    told = judged(SLIP, alarms)
-    assert (told.found, told.early, told.late) == (found, early, late)
-    assert told.found_first == (found and not early)
+    reported = judged(SLIP, alarms)
+    assert (reported.found, reported.early, reported.late) == (found, early, late)
+    assert reported.found_first == (found and not early)
 
 
 def test_a_slip_is_not_found_by_an_alarm_when_its_first_node_slips():
@@ -45,47 +45,47 @@ def test_a_slip_is_not_found_by_an_alarm_when_its_first_node_slips():
 
 
 def test_delays_are_those_of_the_first_alarm_that_finds_and_of_the_first_early_one():
-    told = judged(SLIP, [0.6, 0.7, 0.995, 1.01])
-    assert told.after_node_s == pytest.approx(0.195)
-    assert told.after_ridge_s == pytest.approx(-0.005)
-    assert told.before_gross_s == pytest.approx(0.205)
-    assert told.early_by_s == pytest.approx(0.4)
+    reported = judged(SLIP, [0.6, 0.7, 0.995, 1.01])
+    assert reported.after_node_s == pytest.approx(0.195)
+    assert reported.after_ridge_s == pytest.approx(-0.005)
+    assert reported.before_gross_s == pytest.approx(0.205)
+    assert reported.early_by_s == pytest.approx(0.4)
     assert math.isnan(judged(SLIP, [0.6]).after_ridge_s)
 
 
 def test_every_alarm_without_a_slip_is_false_and_those_of_pressing_on_are_distinguished():
     roll = Truth(label="roll", motion_s=0.5, record_s=1.0)
     assert not judged(roll, []).alarmed
-    told = judged(roll, [0.7])
-    assert told.alarmed
-    assert told.alarmed_moving
-    assert not told.alarmed_pressing
-    assert not told.found
+    reported = judged(roll, [0.7])
+    assert reported.alarmed
+    assert reported.alarmed_moving
+    assert not reported.alarmed_pressing
+    assert not reported.found
     pressing = judged(roll, [0.4])
     assert pressing.alarmed_pressing
     assert not pressing.alarmed_moving
 
 
 def test_false_alarms_and_the_time_in_which_they_can_occur_end_where_a_slip_is_found():
-    told = judged(SLIP, [0.2, 0.7, 0.995, 1.5])
-    assert told.false_alarms == 2
-    assert told.without_slip_s == pytest.approx(0.99)
+    reported = judged(SLIP, [0.2, 0.7, 0.995, 1.5])
+    assert reported.false_alarms == 2
+    assert reported.without_slip_s == pytest.approx(0.99)
     hold = judged(Truth(label="hold", motion_s=0.5, record_s=2.0), [0.2, 0.7, 1.5])
     assert (hold.false_alarms, hold.without_slip_s) == (3, 2.0)
 
 
 def test_alarms_of_quiet_are_those_in_its_intervals():
     truth = Truth("hold", 0.5, record_s=2.0, quiet_s=((0.2, 0.5), (1.0, 2.0)))
-    told = judged(truth, [0.1, 0.3, 0.7, 1.5, 1.9])
-    assert told.quiet_alarms == 3
-    assert told.quiet_s == pytest.approx(1.3)
+    reported = judged(truth, [0.1, 0.3, 0.7, 1.5, 1.9])
+    assert reported.quiet_alarms == 3
+    assert reported.quiet_s == pytest.approx(1.3)
 
 
 def test_phases_within_the_tick_are_those_of_early_and_false_alarms_in_the_motion():
     ticked = {"record_s": 2.0, "tick_s": 0.01, "tick_from_s": 0.5}
     slip = Truth("slip", 0.5, 0.8, 1.0, **ticked)
-    told = judged(slip, [0.403, 0.605, 0.707, 1.0])
-    assert told.tick_phases == pytest.approx((0.5, 0.7))
+    reported = judged(slip, [0.403, 0.605, 0.707, 1.0])
+    assert reported.tick_phases == pytest.approx((0.5, 0.7))
     assert judged(Truth("hold", 0.5, **ticked), [0.608]).tick_phases == pytest.approx((0.8,))
     assert judged(Truth("hold", 0.5, **ticked | {"tick_s": 0.002}), [0.608]).tick_phases == ()
 
@@ -98,23 +98,23 @@ def test_where_the_ridge_lifts_off_the_alarms_before_count_apart():
 
 
 def test_a_slip_is_predicted_by_armings_between_the_motion_and_its_whole_ridge():
-    told = judged(SLIP, [], [0.3, 0.6, 0.9, 1.1])
-    assert told.armed
-    assert told.arming_lead_s == pytest.approx(0.1)
-    assert (told.followed, told.in_vain) == (2, 0)
+    reported = judged(SLIP, [], [0.3, 0.6, 0.9, 1.1])
+    assert reported.armed
+    assert reported.arming_lead_s == pytest.approx(0.1)
+    assert (reported.followed, reported.in_vain) == (2, 0)
     assert not judged(SLIP, [], [0.3, 1.1]).armed
 
 
 def test_armings_that_no_slip_followed_are_counted_from_the_motion_on():
     hold = Truth(label="hold", motion_s=0.5)
-    told = judged(hold, [], [0.3, 0.6, 0.9])
-    assert (told.followed, told.in_vain, told.armed) == (0, 2, False)
+    reported = judged(hold, [], [0.3, 0.6, 0.9])
+    assert (reported.followed, reported.in_vain, reported.armed) == (0, 2, False)
 
 
 def test_a_slip_in_time_that_is_not_judged_is_missed_and_said_to_be_unjudged():
-    told = judge(SLIP, DetectorReport(unjudged_s=((0.0, 0.1), (0.9, 1.2))), {})
-    assert (told.found, told.slip_unjudged, told.cannot_judge) == (False, True, True)
-    assert (told.unjudged_s, told.record_s) == (pytest.approx(0.4), 2.0)
+    reported = judge(SLIP, DetectorReport(unjudged_s=((0.0, 0.1), (0.9, 1.2))), {})
+    assert (reported.found, reported.slip_unjudged, reported.cannot_judge) == (False, True, True)
+    assert (reported.unjudged_s, reported.record_s) == (pytest.approx(0.4), 2.0)
     partly = judge(SLIP, DetectorReport(unjudged_s=((1.0, 1.2),)), {})
     assert (partly.slip_unjudged, partly.cannot_judge) == (False, True)
     hold = judge(Truth("hold", 0.5, record_s=2.0), DetectorReport(unjudged_s=((0.0, 2.0),)), {})
@@ -123,11 +123,11 @@ def test_a_slip_in_time_that_is_not_judged_is_missed_and_said_to_be_unjudged():
 
 def test_a_detector_that_never_judges_finds_nothing_and_is_not_credited_for_it():
     silent = judge(SLIP, DetectorReport(unjudged_s=((0.0, 2.0),)), {})
-    told = score([silent, judged(SLIP, [1.001])])
-    assert (told["found"].value, told["found"].of) == (0.5, 2)
-    assert (told["found_of_judged"].value, told["found_of_judged"].of) == (1.0, 1)
-    assert told["slips_unjudged"].value == 0.5
-    assert told["unjudged_time"].value == pytest.approx(50.0)
+    reported = score([silent, judged(SLIP, [1.001])])
+    assert (reported["found"].value, reported["found"].of) == (0.5, 2)
+    assert (reported["found_of_judged"].value, reported["found_of_judged"].of) == (1.0, 1)
+    assert reported["slips_unjudged"].value == 0.5
+    assert reported["unjudged_time"].value == pytest.approx(50.0)
     assert math.isnan(score([silent])["found_of_judged"].value)
 
 

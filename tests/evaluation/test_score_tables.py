@@ -75,8 +75,8 @@ OUTCOMES = [
 
 
 def test_a_score_tells_every_kind_of_right_and_wrong():
-    told = score(OUTCOMES)
-    shares = {name: (one.value, one.of) for name, one in told.items() if one.unit == "1"}
+    reported = score(OUTCOMES)
+    shares = {name: (one.value, one.of) for name, one in reported.items() if one.unit == "1"}
     assert shares == {
         "found": (pytest.approx(2 / 3), 3),
         "found_of_judged": (pytest.approx(2 / 3), 3),
@@ -112,20 +112,20 @@ def test_a_score_tells_every_kind_of_right_and_wrong():
         "partial_slip_armed": (0.0, 1),
         "tap_armed": (0.0, 1),
     }
-    assert told["after_ridge_50"].value == pytest.approx(2.5)
-    assert told["early_by_50"].value == pytest.approx(400.0)
-    assert told["arming_lead_50"].value == pytest.approx(250.0)
-    assert told["before_gross_95"].unit == "ms"
+    assert reported["after_ridge_50"].value == pytest.approx(2.5)
+    assert reported["early_by_50"].value == pytest.approx(400.0)
+    assert reported["arming_lead_50"].value == pytest.approx(250.0)
+    assert reported["before_gross_95"].unit == "ms"
 
 
 def test_alarms_per_hour_are_those_of_the_time_without_a_slip_and_of_quiet():
-    told = score(OUTCOMES)
+    reported = score(OUTCOMES)
     # Alarms: 0.6 s of a slip, one of a roll, a partial slip and a tap; 4 slips have 0.99 s each.
     without_s = 4 * 0.99 + 5 * 2.0
-    assert told["false_per_hour"].value == pytest.approx(4 / without_s * 3600)
-    assert told["false_per_hour_of"].value == pytest.approx(without_s / 3600)
-    assert told["quiet_per_hour"].value == pytest.approx(1 / (9 * 0.3) * 3600)
-    assert (told["quiet_per_hour"].unit, told["quiet_per_hour"].of) == ("1/h", 9)
+    assert reported["false_per_hour"].value == pytest.approx(4 / without_s * 3600)
+    assert reported["false_per_hour_of"].value == pytest.approx(without_s / 3600)
+    assert reported["quiet_per_hour"].value == pytest.approx(1 / (9 * 0.3) * 3600)
+    assert (reported["quiet_per_hour"].unit, reported["quiet_per_hour"].of) == ("1/h", 9)
 
 
 @pytest.mark.parametrize(

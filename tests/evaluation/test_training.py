@@ -20,7 +20,7 @@ NONE = np.zeros((0, 2))
 
 
 def lesson(**changes: object) -> TrainingTrial:
-    """A row every millisecond for a second; a slide that slips at 0.8 s unless told otherwise."""
+    """A row every millisecond for a second; a slide that slips at 0.8 s unless another is given."""
     values = {
         "inputs": np.zeros((1000, 3)),
         "time_s": np.arange(1000) / 1000,

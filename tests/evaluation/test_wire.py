@@ -115,7 +115,7 @@ def _record() -> WireRecord:
 
 @pytest.fixture
 def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A command `rig` that writes down its arguments, sleeps as told and answers as told."""
+    """A command `rig` that writes down its arguments, sleeps and answers as its files say."""
     command = tmp_path / "rig"
     command.write_text(
         "#!/bin/sh\n"

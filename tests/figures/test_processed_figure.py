@@ -45,9 +45,9 @@ def test_events_are_marked_where_they_were_decided_and_counted():
     assert marked == [1.2, 1.3, 1.6]
     assert [line.get_ydata().tolist() for line in confidence.get_lines()] == [[0.75], [0.75, 0.75]]
     assert signal.get_xlim() == pytest.approx((0.7, 2.1))
-    told = figure.get_suptitle()
-    assert told.startswith("SIMULATED")
-    assert "first slip at 1.300 s" in told
+    reported = figure.get_suptitle()
+    assert reported.startswith("SIMULATED")
+    assert "first slip at 1.300 s" in reported
 
 
 def test_a_trial_without_events_is_shown_whole():

@@ -1,4 +1,4 @@
-"""When a trial slipped, by three accounts that are told apart."""
+"""When a trial slipped, by three accounts that are distinguished."""
 
 from __future__ import annotations
 

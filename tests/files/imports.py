@@ -32,8 +32,8 @@ def read(
     """The recording in a file of that content."""
     path = folder / "given.dat"
     path.write_bytes(content.encode() if isinstance(content, str) else content)
-    told = ChannelMap(columns or BY_NUMBER, scale or {}, rate_Hz)
-    return recording_of(read_foreign(path, **options).source, told, path.name)
+    reported = ChannelMap(columns or BY_NUMBER, scale or {}, rate_Hz)
+    return recording_of(read_foreign(path, **options).source, reported, path.name)
 
 
 @contextmanager

@@ -67,8 +67,8 @@ def test_a_damaged_journal_is_reported_by_verify_and_refused_before_any_bench(ri
 def test_many_warnings_leave_the_rest_of_a_run_on_the_screen(rig: Any) -> None:
     with JournalWriter.create(rig.folder / "run.rigj", run.header()) as writer:
         run.take_point(writer, 0)
-        told = [f"1 record at {n} Hz taken again" for n in range(1, 36)]
-        writer.end(run.end("stopped", 1, warnings=told))
+        reported = [f"1 record at {n} Hz taken again" for n in range(1, 36)]
+        writer.end(run.end("stopped", 1, warnings=reported))
     short = rig.run("show", "run.rigj")
     assert 3 <= (named := short.stdout.count("taken again")) <= 12
     assert f"... and {35 - named} more; --all shows them" in short.stdout

@@ -70,7 +70,7 @@ def test_a_journal_of_a_stranger(tmp_path_factory: pytest.TempPathFactory, journ
 
 
 @pytest.mark.parametrize(
-    ("changes", "told"),
+    ("changes", "reported"),
     [
         ({"settings": {str(k): 0 for k in range(20_000)}}, "more than 10000 keys"),
         ({"instruments": HEADER["instruments"] * 100}, "instruments"),
@@ -82,11 +82,11 @@ def test_a_journal_of_a_stranger(tmp_path_factory: pytest.TempPathFactory, journ
     ],
 )
 def test_a_header_beyond_sense_is_refused_before_anything_is_made_of_it(
-    tmp_path: Path, changes: dict[str, Any], told: str
+    tmp_path: Path, changes: dict[str, Any], reported: str
 ) -> None:
     path = tmp_path / "a.rigj"
     path.write_bytes(MAGIC + json_record(RecordKind.HEADER, HEADER | changes))
-    with pytest.raises(RigError, match=told) as caught:
+    with pytest.raises(RigError, match=reported) as caught:
         recover(path)
     assert len(caught.value.one_line()) < 3000
 
@@ -225,9 +225,9 @@ def test_a_damaged_run_file_is_found_damaged(
     file = tmp_path_factory.mktemp("damaged") / "a.h5"
     file.write_bytes(data.draw(damaged(sound)))
     file.with_name("a.h5.sha256").write_text(f"{'0' * 64}  a.h5\n")
-    told = "; ".join(findings_or_death(file))
-    assert told
-    assert "(error" not in told, "the program itself has died, not HDF5"
+    reported = "; ".join(findings_or_death(file))
+    assert reported
+    assert "(error" not in reported, "the program itself has died, not HDF5"
 
 
 def findings_or_death(file: Path) -> list[str]:

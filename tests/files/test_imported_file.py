@@ -50,8 +50,8 @@ def imported(
     path = folder / name
     forced = files.signals() | {"F_n": np.linspace(1, 2, 40)}
     path.write_text(files.text(forced, header="t,S1,S2,Fn"))
-    told = ChannelMap(columns, {"v_2": -1e-3})
-    return write_import(read_foreign(path), told, about, folder / "results", PROGRAM)[0]
+    reported = ChannelMap(columns, {"v_2": -1e-3})
+    return write_import(read_foreign(path), reported, about, folder / "results", PROGRAM)[0]
 
 
 @pytest.fixture(scope="module")
@@ -71,8 +71,10 @@ def test_the_file_says_where_it_comes_from_and_claims_nothing_else(file: Path) -
             assert unknown not in entry
         origin = entry["origin"]
         foreign = file.parents[2] / "s.csv"
-        told = subprocess.run(["sha256sum", foreign], capture_output=True, text=True, check=True)
-        assert origin["sha256"][()].decode() == told.stdout.split()[0]
+        reported = subprocess.run(
+            ["sha256sum", foreign], capture_output=True, text=True, check=True
+        )
+        assert origin["sha256"][()].decode() == reported.stdout.split()[0]
         assert origin["bytes"][()] == foreign.stat().st_size
         assert origin["file_name"][()] == b"s.csv"
         assert origin["format"][()] == b"text"

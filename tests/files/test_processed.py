@@ -255,17 +255,17 @@ def test_files_of_other_kinds_are_refused_by_name(own_run: Path, tmp_path: Path)
 
 
 @pytest.mark.parametrize(
-    ("given", "told"),
+    ("given", "reported"),
     [
         ({"rate_Hz": 50.0}, "rate 50 Hz must be between"),
         ({"units": "mV"}, "v_1 and v_2 are in 'mV', not in V"),
     ],
 )
 def test_a_trial_that_no_detector_can_take_is_named(
-    tmp_path: Path, given: dict[str, object], told: str
+    tmp_path: Path, given: dict[str, object], reported: str
 ) -> None:
     run_file = trials.write_trials(tmp_path / "a.rigj", TRIALS, **given)  # type: ignore[arg-type]
-    assert f"trial trial-001: {told}" in refused(run_file).message
+    assert f"trial trial-001: {reported}" in refused(run_file).message
 
 
 def test_a_value_that_is_no_number_is_named(tmp_path: Path) -> None:
@@ -441,7 +441,7 @@ def of_another_run(entry: h5py.Group) -> None:
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "reported"),
     [
         (without_mark, "title does not say SIMULATED"),
         (at_another_time, "an event's time is not its row's"),
@@ -450,11 +450,11 @@ def of_another_run(entry: h5py.Group) -> None:
         (of_another_run, "its name is not that of its run"),
     ],
 )
-def test_verify_finds_what_was_changed(own_run: Path, change: object, told: str) -> None:
+def test_verify_finds_what_was_changed(own_run: Path, change: object, reported: str) -> None:
     file = detected(own_run).file
     file.chmod(0o644)
     with h5py.File(file, "a") as opened:
         change(opened["entry"])  # type: ignore[operator]
     findings = verify(file)
     assert any("not the one that was written" in finding for finding in findings)
-    assert any(told in finding for finding in findings), findings
+    assert any(reported in finding for finding in findings), findings

@@ -246,7 +246,7 @@ def test_show_says_beside_the_stored_value_what_this_version_finds(rig: Any) -> 
     shown = rig.run("show", str(file))
     assert shown.code == 0, shown.stderr
     assert "results_by: tactile-rig 0.9.1 (abc)" in shown.stdout
-    told = rig.run("show", "--json", str(file)).object
-    assert told["results"] == stored
-    assert told["results_by"]["version"] == "0.9.1"
-    assert told["results_method"] == "least squares"
+    reported = rig.run("show", "--json", str(file)).object
+    assert reported["results"] == stored
+    assert reported["results_by"]["version"] == "0.9.1"
+    assert reported["results_method"] == "least squares"

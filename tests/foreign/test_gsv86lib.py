@@ -46,7 +46,7 @@ class RealTimeWorld:
     began_ns: int = field(default_factory=time.monotonic_ns)
     noise_key: tuple[int, ...] = (1, 0, 0)
     asked_us: int = 0
-    """What the simulator was told when it last asked: its own time for what it does next, however
+    """What the simulator was given when it last asked: its own time for what it does next, however
     late the machine lets it get there."""
     spans_us: list[int] = field(default_factory=list)
 

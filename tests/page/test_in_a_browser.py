@@ -178,11 +178,11 @@ def test_a_run_that_hangs_is_told_as_hanging_and_its_guard_has_the_last_word(rig
     running.wait_for("^1/5 ")
     os.kill(running.process.pid, signal.SIGSTOP)
     browser.find_element("id", "stop").click()
-    told = course(browser, "hanging")
-    assert "kills it after 5 s" in told
+    stated = course(browser, "hanging")
+    assert "kills it after 5 s" in stated
     assert colour(browser, "#course") == RED
-    told = wait_for(browser, "#course", lambda text: "had to act" in text)
-    assert "no sign of life" in told
+    stated = wait_for(browser, "#course", lambda text: "had to act" in text)
+    assert "no sign of life" in stated
     assert running.finish().code == -signal.SIGKILL
 
 
@@ -280,8 +280,8 @@ def test_a_stop_whose_run_is_then_killed_is_red_until_the_guards_report(rig, bro
     browser.find_element("id", "stop").click()
     course(browser, "asked", "hanging")
     running.send(signal.SIGKILL)
-    told = wait_for(browser, "#course", lambda text: text.startswith("guard"))
-    if "no report yet" in told:
+    stated = wait_for(browser, "#course", lambda text: text.startswith("guard"))
+    if "no report yet" in stated:
         assert colour(browser, "#course") == RED
     wait_for(browser, "#course", lambda text: "had to act" in text)
     assert running.finish().code == -signal.SIGKILL
@@ -295,8 +295,8 @@ def test_stop_after_kill_9_sends_nothing_and_says_who_makes_the_bench_safe(rig, 
     running.send(signal.SIGKILL)
     assert running.finish().code == -signal.SIGKILL
     browser.find_element("id", "stop").click()
-    told = wait_for(browser, "#notice", lambda text: text != "")
-    assert "its guard has not reported yet" in told or "no run holds the bench" in told
+    stated = wait_for(browser, "#notice", lambda text: text != "")
+    assert "its guard has not reported yet" in stated or "no run holds the bench" in stated
     word(browser, "safe")
     assert "its guard reported" in browser.find_element("id", "word").text
 

@@ -66,7 +66,7 @@ def test_the_commands_of_a_record_are_those_that_the_detector_knew_and_find_the_
     live.command(XMove(100, 0.5, 900))
     live.command(HeldForce(350, 4.0))
     live.judge(volts[:400])
-    live.command(XMove(380, 0.1, 4000))  # told 20 rows too late
+    live.command(XMove(380, 0.1, 4000))  # reported 20 rows too late
     live.command(HeldForce(390, 3.5))
     live.judge(volts[400:])
     live.command(XMove(len(volts) + 5, 0.0, 0))
@@ -107,8 +107,8 @@ class Moves:
 def x_by_commands(*commands: tuple[float, float, float]) -> list[tuple[int, float, int]]:
     """What the detector receives where x is commanded, at times in s of the record that begins with
     x at 10 mm, to go to a position in mm at a speed in mm/s."""
-    clock, told, record = Wall(), Moves(), TrialRecord(1, 100.0, 1000.0, 4.0)
-    x = CommandedX(clock, record, told)  # type: ignore[arg-type]
+    clock, reported, record = Wall(), Moves(), TrialRecord(1, 100.0, 1000.0, 4.0)
+    x = CommandedX(clock, record, reported)  # type: ignore[arg-type]
     x.command(10.0, 1.0)  # before the record
     record.begun_s = clock.now_s
     x.begin(10.0)
@@ -117,7 +117,7 @@ def x_by_commands(*commands: tuple[float, float, float]) -> list[tuple[int, floa
         x.command(to_mm, speed_mm_s)
     x.end()
     x.command(0.0, 1.0)  # after it
-    return [(move.sample, move.speed_mm_s, move.until) for move in told.moves]
+    return [(move.sample, move.speed_mm_s, move.until) for move in reported.moves]
 
 
 def test_a_move_of_x_ends_where_it_comes_to_its_target() -> None:
@@ -139,9 +139,9 @@ def test_a_move_that_is_changed_under_way_is_reckoned_from_where_x_is_then() -> 
 
 def test_a_stop_is_told_and_what_hardly_changes_the_motion_is_not() -> None:
     ramp = [(1.0 + 0.01 * tick, 20.0, 1.0 + 0.011 * tick) for tick in range(16)]
-    told = x_by_commands(*ramp, (2.0, 0.0, 0.0), (2.5, 0.0, 0.0))
-    assert [round(speed_mm_s, 2) for _, speed_mm_s, _ in told] == [1.0, 1.11, 0.0]
-    assert told[-1] == (2000, 0.0, 2000)
+    reported = x_by_commands(*ramp, (2.0, 0.0, 0.0), (2.5, 0.0, 0.0))
+    assert [round(speed_mm_s, 2) for _, speed_mm_s, _ in reported] == [1.0, 1.11, 0.0]
+    assert reported[-1] == (2000, 0.0, 2000)
 
 
 def test_a_detector_that_raises_ends_with_a_warning_and_blocks_continue() -> None:

@@ -34,7 +34,7 @@ def taken(
 ) -> tuple[int, float, list[str]]:
     """The number of records that were taken, each with the next spike at its sample number `at`,
     the lone residual of the one that was used, and what was said."""
-    told: list[str] = []
+    reported: list[str] = []
     count = 0
 
     def acquire(acquisition: object) -> np.ndarray:
@@ -43,7 +43,7 @@ def taken(
         return record(next(spikes), at)
 
     def event(level: str, code: str, text: str) -> None:
-        told.append(text)
+        reported.append(text)
 
     run = SimpleNamespace(bench=SimpleNamespace(daq=SimpleNamespace(acquire=acquire)), event=event)
     sampler: Any = RecordSampler.__new__(RecordSampler)
@@ -57,29 +57,29 @@ def taken(
     sampler._fit = lambda record, *rest: fit_sine(record, RATE_Hz, TONE_Hz)
     monkeypatch.setattr(sampling, "refuse_overload", lambda run, load: None)
     found = sampler.take(None, only_load=True)
-    return count, found.load.lone_residual, told
+    return count, found.load.lone_residual, reported
 
 
 def test_a_record_without_such_a_sample_is_taken_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    count, largest, told = taken(itertools.repeat(0.0), monkeypatch)
-    assert (count, told) == (1, [])
+    count, largest, reported = taken(itertools.repeat(0.0), monkeypatch)
+    assert (count, reported) == (1, [])
     assert largest < 5e-3
 
 
 def test_one_misread_record_is_taken_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    count, largest, told = taken(iter([0.25, 0.0]), monkeypatch)
+    count, largest, reported = taken(iter([0.25, 0.0]), monkeypatch)
     assert count == 2
     assert largest < 5e-3
-    assert told == ["1 record at 100 Hz taken again: a sample did not belong to it"]
+    assert reported == ["1 record at 100 Hz taken again: a sample did not belong to it"]
 
 
 def test_a_signal_that_is_disturbed_in_every_record_is_used_and_said(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    count, largest, told = taken(itertools.repeat(0.25), monkeypatch)
+    count, largest, reported = taken(itertools.repeat(0.25), monkeypatch)
     assert count == 3
     assert largest > 0.2
-    (text,) = told
+    (text,) = reported
     assert "3 records at 100 Hz in a row have samples far beyond their noise" in text
     assert "load_cell, film" in text
 
@@ -95,13 +95,13 @@ def test_the_first_sample_counts_unless_the_drive_has_just_changed(
 ) -> None:
     """A quick transient looks like a misread sample; a clean sweep took every eighth record of a
     high frequency again."""
-    count, _, told = taken(iter([0.25, 0.0]), monkeypatch, at=0)
-    assert (count, len(told)) == (2, 1)
-    count, largest, told = taken(itertools.repeat(0.25), monkeypatch, at=0, after_change=True)
-    assert (count, told) == (1, [])
+    count, _, reported = taken(iter([0.25, 0.0]), monkeypatch, at=0)
+    assert (count, len(reported)) == (2, 1)
+    count, largest, reported = taken(itertools.repeat(0.25), monkeypatch, at=0, after_change=True)
+    assert (count, reported) == (1, [])
     assert largest > 0.2
-    count, _, told = taken(iter([0.25, 0.0]), monkeypatch, at=1234, after_change=True)
-    assert (count, len(told)) == (2, 1)
+    count, _, reported = taken(iter([0.25, 0.0]), monkeypatch, at=1234, after_change=True)
+    assert (count, len(reported)) == (2, 1)
 
 
 @pytest.mark.parametrize("samples_in_a_period", [2.2, 3.0, 4.0, 5.3])

@@ -33,8 +33,8 @@ def test_a_path_or_course_that_cannot_be_followed_is_refused(given: dict, words:
 
 def test_a_change_of_speed_does_not_stop_the_stage_and_a_rest_does() -> None:
     course = Course((0.0, 1.0, 2.0, 3.0, 4.0), (0.0, 2.0, 3.0, 3.0, 1.0))
-    told = [(one.at_s, one.to_mm, one.speed_mm_s) for one in moves_along(course)]
-    assert told == [(0.0, 3.0, 2.0), (1.0, 3.0, 1.0), (3.0, 1.0, 2.0)]
+    reported = [(one.at_s, one.to_mm, one.speed_mm_s) for one in moves_along(course)]
+    assert reported == [(0.0, 3.0, 2.0), (1.0, 3.0, 1.0), (3.0, 1.0, 2.0)]
 
 
 def test_a_course_is_straight_between_its_corners_and_constant_after_them() -> None:

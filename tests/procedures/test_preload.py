@@ -103,8 +103,8 @@ def test_a_stage_that_stands_in_free_air_is_reported_in_time() -> None:
     bench.known = deque([0.0] * 6, maxlen=6)
     bench.start_move = lambda position_mm, speed_mm_s: None  # type: ignore[method-assign]
     run = run_on(bench, contact_to_mm=13.0)
-    told = r"stage_z is held at 12\.400 mm.*; force_sensor reads 0 N of 25 N"
-    with pytest.raises(InstrumentError, match=told):
+    reported = r"stage_z is held at 12\.400 mm.*; force_sensor reads 0 N of 25 N"
+    with pytest.raises(InstrumentError, match=reported):
         preload._approach(run, 12.0, 13.0, TARGET_N)  # type: ignore[arg-type]
     assert bench.now() < 0.5
 

@@ -44,7 +44,7 @@ def reading_of_record(recorded: TrialRecord, said: list[str] | None = None) -> d
     return dict(reading_of(run, recorded))
 
 
-def told(held_back: int) -> tuple[dict[str, object], list[str]]:
+def reported(held_back: int) -> tuple[dict[str, object], list[str]]:
     """The reading, and what was said of the servo."""
     said: list[str] = []
     return reading_of_record(record(held_back), said), said
@@ -52,14 +52,14 @@ def told(held_back: int) -> tuple[dict[str, object], list[str]]:
 
 @pytest.mark.parametrize("held_back", [0, TICKS // 2])
 def test_a_drive_that_is_busy_now_and_then_is_counted(held_back: int) -> None:
-    reading, said = told(held_back)
+    reading, said = reported(held_back)
     assert reading["held_back_ticks"] == held_back
     assert said == []
     assert reading["invalid"] == ""
 
 
 def test_a_servo_that_could_tell_its_drive_too_seldom_says_so() -> None:
-    reading, said = told(TICKS // 2 + 1)
+    reading, said = reported(TICKS // 2 + 1)
     assert reading["held_back_ticks"] == 101
     assert said == [
         "trial 3: z was busy in 101 of 200 ticks: the servo held the force with fewer targets than "

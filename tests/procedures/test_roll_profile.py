@@ -1,4 +1,4 @@
-"""Profiles of a roll: where the object is to be, and what the stage is told for it."""
+"""Profiles of a roll: where the object is to be, and what the stage is commanded for it."""
 
 import numpy as np
 import pytest
@@ -46,8 +46,8 @@ def test_a_curve_is_straight_between_its_times_and_streamed_ahead():
     assert turns[0].to_deg > curve.at_deg(0.01)
     assert turns[-1].to_deg == 0.0
     assert max(turn.speed_deg_s for turn in turns) == pytest.approx(16.0)  # the first holds two
-    told = np.diff([turn.at_s for turn in turns])
-    assert told.min() == pytest.approx(0.01)
+    reported = np.diff([turn.at_s for turn in turns])
+    assert reported.min() == pytest.approx(0.01)
 
 
 WRONG = [

@@ -51,7 +51,7 @@ def unloaded(stage: Stage, force_N: float | None, lost: tuple[Any, ...]) -> tupl
     return said, caught.value.one_line()
 
 
-def test_a_z_whose_silence_ended_the_run_is_told_of_before_it_is_stopped() -> None:
+def test_a_z_whose_silence_ended_the_run_is_reported_before_it_is_stopped() -> None:
     said, error = unloaded(Stage(), 3.9, (SILENT,))
     known = (
         "stage_z has not answered for 2.0 s and was last seen at 12.500 mm, 3.0 s ago, and "
@@ -62,15 +62,15 @@ def test_a_z_whose_silence_ended_the_run_is_told_of_before_it_is_stopped() -> No
     assert known in error
 
 
-def test_a_z_that_does_not_answer_its_stop_is_told_of_before_the_next() -> None:
+def test_a_z_that_does_not_answer_its_stop_is_reported_before_the_next() -> None:
     said, _ = unloaded(Stage(), None, ())
     assert said[0].startswith("1 stops: ")
     assert "the force is not known" in said[0]
 
 
-def test_a_z_that_falls_silent_on_the_way_up_is_told_of_before_anything_else_is_asked() -> None:
-    """Found by an attack: it was told of 2.7 s after its last answer, when its fault had been asked
-    for in vain, and it could not be stopped."""
+def test_a_z_that_falls_silent_on_the_way_up_is_reported_before_anything_else_is_asked() -> None:
+    """Found by an attack: it was reported 2.7 s after its last answer, when its fault had been
+    asked for in vain, and it could not be stopped."""
 
     class Silent(Stage):
         def stop(self) -> None:

@@ -228,8 +228,8 @@ def test_friction_that_hides_a_held_force_is_reported_and_ends_no_run() -> None:
     bench.mm += 0.15
     torque.read()
     torque.refuse_rise_in_hold(8.0, 2.0)
-    (told,) = bench.events
-    assert told.startswith("the friction of stage_z, 10 % of its torque, hides")
+    (said,) = bench.events
+    assert said.startswith("the friction of stage_z, 10 % of its torque, hides")
 
 
 def test_a_stage_that_reports_no_torque_is_not_watched() -> None:

@@ -1,4 +1,4 @@
-"""Many files at once: every answer has its number, and what goes wrong is told."""
+"""Many files at once: every answer has its number, and what goes wrong is reported."""
 
 from __future__ import annotations
 

@@ -75,10 +75,10 @@ def test_run_and_guard_killed_together_refuse_the_bench_for_who_shares_an_instru
     killed = mark.model_copy(update={"run": ProcessStamp.of(dead())})
     with pytest.raises(UnsafeError) as refused:
         refuse_unsafe([killed], "here/bench.toml")
-    told = refused.value.one_line()
-    assert "the bench bench-3 was left unsafe: the run of " in told
-    assert "was killed together with its guard (run /data/run.rigj)" in told
-    assert "rig make-safe --bench here/bench.toml" in told
+    reported = refused.value.one_line()
+    assert "the bench bench-3 was left unsafe: the run of " in reported
+    assert "was killed together with its guard (run /data/run.rigj)" in reported
+    assert "rig make-safe --bench here/bench.toml" in reported
 
 
 def test_a_process_of_the_same_number_is_not_taken_for_a_dead_one() -> None:

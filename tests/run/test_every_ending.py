@@ -261,7 +261,7 @@ class Puppet(Procedure):
         return {"x": 1.0, "y": 2.0}
 
     def _obey(self, run: Run, phase: str) -> None:
-        """Whatever it is told, slice by slice; arming is over after one."""
+        """Whatever it is given, slice by slice; arming is over after one."""
         self.phase = phase
         try:
             done = None
@@ -667,7 +667,7 @@ class Ending(RuleBasedStateMachine):
         assert len(attempts) == len(self.story_of("begin"))
 
     def judge_end(self, outcome: RunOutcome) -> None:
-        """Safe first: nothing is on any more, or it is told and the guard takes over."""
+        """Safe first: nothing is on any more, or it is reported and the guard takes over."""
         assert self.cause is not None
         code, words = self.cause
         left_on = self.story_of("passed")[-1]

@@ -82,7 +82,7 @@ def felt(force_N: float, saturated: bool = False) -> ForceFrames:
 
 
 @pytest.mark.parametrize(
-    ("frames", "kind", "told"),
+    ("frames", "kind", "reported"),
     [
         (felt(2 * LIMIT_N), TripError, "force along z of 20 N is over the limit of 10 N"),
         (felt(1.0, saturated=True), InstrumentError, "1 of 1 frames are saturated"),
@@ -90,7 +90,7 @@ def felt(force_N: float, saturated: bool = False) -> ForceFrames:
     ids=["over the limit", "saturated"],
 )
 def test_the_cause_of_making_safe_is_reported_and_not_the_move_that_it_refused(
-    run: Run, sensor: Sensor, frames: ForceFrames, kind: type[RigError], told: str
+    run: Run, sensor: Sensor, frames: ForceFrames, kind: type[RigError], reported: str
 ) -> None:
     acting, stopped = threading.Event(), threading.Event()
 
@@ -104,7 +104,7 @@ def test_the_cause_of_making_safe_is_reported_and_not_the_move_that_it_refused(
     sensor.coming.append(frames)
     assert acting.wait(PATIENCE_S)
     threading.Timer(0.05, stopped.set).start()
-    with pytest.raises(kind, match=told) as caught, run.first_cause():
+    with pytest.raises(kind, match=reported) as caught, run.first_cause():
         raise REFUSED
     assert "not stopped at once: stage: stage_z: make safe" in str(caught.value)
 
@@ -128,7 +128,7 @@ def test_without_a_hold_an_instrument_that_is_not_heard_has_failed(run: Run) -> 
 
 
 def test_an_off_has_the_time_to_meet_what_is_wrong_with_its_link(run: Run) -> None:
-    """To reconnect and to wait for the answer, 2 s each: what it says then is told, not that it
+    """To reconnect and to wait for the answer, 2 s each: what it says then is reported, not that it
     took long."""
     run.arm("generator output", lambda: None)
     ((name, deadline_s),) = [(armed.name, armed.deadline_s) for armed in run.arming._armed]

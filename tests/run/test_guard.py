@@ -173,7 +173,7 @@ def test_a_closed_pipe_makes_the_guard_act_on_a_connection_of_its_own(bench: Ben
     report = report_of(bench)
     assert report["safe"] is True
     assert report["cause"] == "the run ended without saying so"
-    assert "not compiled" in report["file"], "there was no journal, and that is told"
+    assert "not compiled" in report["file"], "there was no journal, and that is reported"
 
 
 def test_a_run_that_died_after_it_was_safe_is_compiled_only(bench: Bench, guard: Guard) -> None:

@@ -34,10 +34,10 @@ class LooseContact(Example):
 
 class Counting(RunObserver):
     def __init__(self) -> None:
-        self.told: list[tuple[str, int, int]] = []
+        self.reported: list[tuple[str, int, int]] = []
 
     def hold_begun(self, reason: str, holds: int, presses: int) -> None:
-        self.told.append((reason, holds, presses))
+        self.reported.append((reason, holds, presses))
 
 
 @pytest.mark.parametrize(
@@ -61,7 +61,7 @@ def test_a_contact_that_stays_loose_ends_the_run_with_its_counts(
     assert outcome.points_done == points
     assert outcome.presses == presses
     assert outcome.holds == outcome.presses - points
-    assert [holds for _, holds, _ in seen.told] == [*range(1, outcome.holds + 1)]
+    assert [holds for _, holds, _ in seen.reported] == [*range(1, outcome.holds + 1)]
     assert outcome.safe
     assert procedure.log[-3:] == ["off", "guard: safe", "guard: done"]
     assert procedure.log.count("on") == procedure.log.count("off")

@@ -126,18 +126,18 @@ def test_z_that_stands_clear_is_not_moved_and_none_is_ever_moved_deeper() -> Non
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "reported"),
     [
         ({"is_homed": False}, "does not know its position"),
         ({"fault_number": "126 (following error)"}, "has fault 126"),
     ],
 )
 def test_a_stage_that_is_lost_or_has_a_fault_is_not_moved(
-    change: dict[str, Any], told: str
+    change: dict[str, Any], reported: str
 ) -> None:
     stage = Stage()
     vars(stage).update(change)
-    with pytest.raises(NotLiftedError, match=told):
+    with pytest.raises(NotLiftedError, match=reported):
         lift_of(stage).carry_out(no_force)
     assert stage.moves == []
 

@@ -225,10 +225,10 @@ def test_the_guard_of_a_dead_run_holds_its_bench_until_it_is_safe(
     ends_soon.start()
     with BenchLock(plan(), wait=GuardWait(said.append)):
         assert run.stdout.read() == b""
-    (told,) = said
-    assert f"waiting: the bench b was in use by pid {run.pid} (" in told
-    assert "its guard is making it safe" in told
-    assert "Ctrl-C ends the wait" in told
+    (reported,) = said
+    assert f"waiting: the bench b was in use by pid {run.pid} (" in reported
+    assert "its guard is making it safe" in reported
+    assert "Ctrl-C ends the wait" in reported
     ends_soon.join()
     run.stdout.close()
 

@@ -56,5 +56,5 @@ def test_a_recorder_that_takes_no_event_does_not_keep_the_bench_from_being_made_
     outcome = run_of(procedure, tmp_path, monkeypatch)
     assert procedure.log[-3:] == ["off", "guard: safe", "guard: done"]
     assert outcome.safe
-    told = any("everything recorded is in b.rigj" in text for text in outcome.warnings)
-    assert told is isinstance(refusal, JournalMovedError)
+    reported = any("everything recorded is in b.rigj" in text for text in outcome.warnings)
+    assert reported is isinstance(refusal, JournalMovedError)

@@ -28,11 +28,11 @@ class Noting(RunObserver):
     """Notes what is reported."""
 
     def __init__(self) -> None:
-        self.told: list[tuple[str, Any]] = []
+        self.said: list[tuple[str, Any]] = []
 
     def __getattribute__(self, name: str) -> Any:
         if name in METHODS:
-            return lambda *values: self.told.append((name, values))
+            return lambda *values: self.said.append((name, values))
         return super().__getattribute__(name)
 
 
@@ -58,7 +58,7 @@ def test_an_observer_sees_a_run_from_its_plan_to_its_file(
     seen = Noting()
     outcome = run_of(Example(Settings()), tmp_path, monkeypatch, seen)
     assert outcome.code is ExitCode.DONE, outcome.failures
-    assert [name for name, _ in seen.told] == [
+    assert [name for name, _ in seen.said] == [
         "planned",
         "state",
         "point_recorded",
@@ -67,7 +67,7 @@ def test_an_observer_sees_a_run_from_its_plan_to_its_file(
         "saving",
         "saved",
     ]
-    assert [values for name, values in seen.told if name == "state"] == [
+    assert [values for name, values in seen.said if name == "state"] == [
         ("running",),
         ("making safe",),
     ]
@@ -95,9 +95,9 @@ def test_an_observer_that_raises_disturbs_neither_safety_nor_data_nor_other_obse
     (warning,) = outcome.warnings
     assert warning.startswith(f"Raising failed: {type(error).__name__}: ")
     assert "\n" not in warning
-    assert ("event", ("warning", warning)) in seen.told
-    assert len([name for name, _ in seen.told if name == "event"]) == 1, "once"
-    assert [name for name, _ in seen.told if name == "saved"] == ["saved"]
+    assert ("event", ("warning", warning)) in seen.said
+    assert len([name for name, _ in seen.said if name == "event"]) == 1, "once"
+    assert [name for name, _ in seen.said if name == "saved"] == ["saved"]
     assert outcome.file is not None
     with RunFile.open(outcome.file) as run:
         assert run.point_ids() == ["first", "second"]

@@ -134,10 +134,10 @@ FAULTS: dict[str, tuple[dict[str, Any], str]] = {
 
 @pytest.mark.parametrize("case", FAULTS)
 def test_a_class_that_cannot_be_used_is_refused_with_the_reason(case: str) -> None:
-    members, told = FAULTS[case]
+    members, reported = FAULTS[case]
     fault = fault_of(made(**members), "example")
     assert fault is not None
-    assert told in fault
+    assert reported in fault
 
 
 def test_what_is_not_a_procedure_is_refused() -> None:
@@ -169,7 +169,7 @@ GOOD = {"x_V": 1.0, "y_mm_s": None, "note": "as it should be"}
 
 
 @pytest.mark.parametrize(
-    ("reading", "told"),
+    ("reading", "reported"),
     [
         (GOOD, None),
         (GOOD | {"x_V": np.float64(1), "y_mm_s": 3, "simulated_truth": "{}"}, None),
@@ -186,9 +186,9 @@ GOOD = {"x_V": 1.0, "y_mm_s": None, "note": "as it should be"}
         (None, "None, not a reading (a dict)"),
     ],
 )
-def test_a_reading_has_what_the_layout_declares(reading: Any, told: str | None) -> None:
+def test_a_reading_has_what_the_layout_declares(reading: Any, reported: str | None) -> None:
     fault = reading_fault(LAYOUT, reading)
-    assert fault == told or (told is not None and fault is not None and told in fault)
+    assert fault == reported or (reported is not None and fault is not None and reported in fault)
 
 
 def second_only(reading: Any) -> Callable[..., Any]:

@@ -1,4 +1,4 @@
-"""Blocks of a running acquisition: each as it comes, and a converter that stops is told."""
+"""Blocks of a running acquisition: each as it comes, and a converter that stops is reported."""
 
 from __future__ import annotations
 

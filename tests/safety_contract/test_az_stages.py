@@ -42,7 +42,7 @@ def assert_lifted(rig):
 
 
 def assert_told_to_stop(rig):
-    """x has stopped on its way, because it was told to: its time-out was fed by frames to z."""
+    """x has stopped on its way, because it was made to: its time-out was fed by frames to z."""
     happened = [e["what"] for e in rig.log() if e["device"] == "stage_x"]
     said = [what for what in happened if what != "injected"]
     assert "fault" not in said
@@ -89,7 +89,7 @@ def test_an_alarm_in_the_slide_is_reported_with_its_remedy_and_the_skin_lifted(r
 
 @pytest.mark.thorough
 def test_a_drive_that_falls_silent_beside_the_other_is_reported_and_the_skin_lifted(rig):
-    """x hears, and its time-out is fed by z's frames: it is told to stop, and obeys unheard."""
+    """x hears, and its time-out is fed by z's frames: it is ordered to stop, and obeys unheard."""
     plan = '[[fault]]\ndevice = "stage_x"\nkind = "silence"\ncommand = "FC3 198"\n'
     ended = take(rig, plan + SLIDING, *LONG)
     assert ended.code == 3, ended.stderr

@@ -103,17 +103,17 @@ def test_points_kept_before_a_force_trip_survive_a_second_trip(rig):
     asked = ("--frequencies", ",".join(map(str, frequencies)))
     again = range(LISTENING + 11, LISTENING + 51)
     ended = rig.sweep(*asked, "--fault", rig.fault(spikes(*again)))
-    told = re.findall(r"^\d+/10 (\S+)$", ended.stderr, re.MULTILINE)
+    reported = re.findall(r"^\d+/10 (\S+)$", ended.stderr, re.MULTILINE)
 
     assert ended.code == 4, ended.stderr
     assert "once" in ended.stderr
     assert rig.outputs()[-1] is False
     assert rest(rig) == pytest.approx(5.0, abs=0.02)
-    assert 1 <= len(told) < 10
+    assert 1 <= len(reported) < 10
     file = rig.only("*.h5")
     assert verify(file) == []
     with RunFile.open(file) as run:
-        assert run.point_ids() == told == [f"{f}Hz-1N" for f in frequencies[: len(told)]]
+        assert run.point_ids() == reported == [f"{f}Hz-1N" for f in frequencies[: len(reported)]]
         assert run.outcome.status == "failed"
         assert b"trip" in run.entry["events/code"][()].tolist()
 
@@ -252,8 +252,8 @@ def test_a_run_does_not_continue_after_a_hold_that_left_the_film_pressed(rig):
     ended = rig.sweep("--frequencies", "2,3,300", "--order", "descending", "--fault", plan)
 
     assert ended.code == 7, ended.stderr
-    (told,) = [line for line in ended.stderr.splitlines() if "is still pressed with" in line]
-    assert told.startswith("error: stage_z: unload: the film is still pressed with ")
+    (reported,) = [line for line in ended.stderr.splitlines() if "is still pressed with" in line]
+    assert reported.startswith("error: stage_z: unload: the film is still pressed with ")
     assert "Resumed." not in ended.stderr
     assert "Bench is stopped, but check it (see above)" in ended.stderr
     assert rig.outputs() == [True, False], "not switched on again"
@@ -377,7 +377,7 @@ def test_a_hold_that_came_and_went_while_a_call_timed_out_has_the_point_retaken(
 
 @pytest.mark.usefixtures("quick_ways")
 @pytest.mark.parametrize(
-    ("world", "options", "code", "told"),
+    ("world", "options", "code", "reported"),
     [
         ("clamp.contact_mm = 13.5", (), 3, "no contact is felt down to 13 mm"),
         *(
@@ -397,25 +397,25 @@ def test_a_hold_that_came_and_went_while_a_call_timed_out_has_the_point_retaken(
         "load above preload", "preload above limit", "both above limit",
     ],
 )  # fmt: skip
-def test_what_is_wrong_with_the_preload_ends_in_one_line(rig, world, options, code, told):
+def test_what_is_wrong_with_the_preload_ends_in_one_line(rig, world, options, code, reported):
     ended = rig.sweep(*SHORT, *options, "--world", rig.world(world))
     assert ended.code == code, ended.stderr
     assert len(ended.errors) == 1, ended.stderr
-    assert told in ended.errors[0]
+    assert reported in ended.errors[0]
     assert True not in rig.outputs()
 
 
 @pytest.mark.thorough
 @pytest.mark.parametrize(
-    ("kind", "told"),
+    ("kind", "reported"),
     [("drive-fault", "the axis did not follow"), ("reference-lost", "lost its reference")],
 )
-def test_a_drive_that_fails_on_the_way_to_the_preload_is_reported_in_one_line(rig, kind, told):
+def test_a_drive_that_fails_on_the_way_to_the_preload_is_reported_in_one_line(rig, kind, reported):
     plan = f'[[fault]]\ndevice = "stage_z"\nkind = "{kind}"\n{SEARCHING}after_s = 1.0\n'
     ended = rig.sweep(*SHORT, "--fault", rig.fault(plan))
     assert ended.code == 3, ended.stderr
     assert len(ended.errors) == 1, ended.stderr
-    assert told in ended.errors[0]
+    assert reported in ended.errors[0]
     assert True not in rig.outputs()
 
 

@@ -27,13 +27,13 @@ POINTS = [f"{frequency}Hz-1N" for frequency in FREQUENCIES[1].split(",")]
 
 def assert_points_are_kept(rig, ended):
     """Those that were taken before, all of them and no other, and at least one of five."""
-    told = re.findall(r"^\d/5 (.*)$", ended.stderr, re.MULTILINE)
-    assert 1 <= len(told) < 5
-    assert told == POINTS[: len(told)]
-    assert ended.object["points_done"] == len(told)
+    reported = re.findall(r"^\d/5 (.*)$", ended.stderr, re.MULTILINE)
+    assert 1 <= len(reported) < 5
+    assert reported == POINTS[: len(reported)]
+    assert ended.object["points_done"] == len(reported)
     assert verify(rig.only("*.h5")) == []
     with RunFile.open(rig.only("*.h5")) as run:
-        assert list(run.point_ids()) == told
+        assert list(run.point_ids()) == reported
 
 
 DAQ_FAULTS = list(itertools.product(KINDS, ("WAV:DATA", "DIG", "WAV:COMP")))
@@ -89,12 +89,12 @@ ON_THE_WAY_BACK = {"move": 4, "after_s": 0.3}
 
 
 def plan_of(device, kind, command="", **keys):
-    told = "".join(f"{key} = {value}\n" for key, value in keys.items())
-    return f'[[fault]]\ndevice = "{device}"\nkind = "{kind}"\ncommand = "{command}"\n{told}'
+    reported = "".join(f"{key} = {value}\n" for key, value in keys.items())
+    return f'[[fault]]\ndevice = "{device}"\nkind = "{kind}"\ncommand = "{command}"\n{reported}'
 
 
 def assert_ended_safely(rig, ended, device, points=SLOW_POINTS, least=1):
-    """One line, exit 3, nothing vibrates or moves, the file holds the points that were told."""
+    """One line, exit 3, nothing vibrates or moves, the file holds the points that were reported."""
     assert ended.code == 3, ended.stderr
     (error,) = ended.errors
     assert error.startswith(f"error: {device}: ")
@@ -104,12 +104,12 @@ def assert_ended_safely(rig, ended, device, points=SLOW_POINTS, least=1):
     stage = [entry for entry in rig.log() if entry["device"] == "stage_z"]
     motion = [entry["what"] for entry in stage if entry["what"] in ("move", "homing", "at-rest")]
     assert motion[-1:] != ["move"]
-    told = re.findall(r"^\d/5 (.*)$", ended.stderr, re.MULTILINE)
-    assert least <= len(told) < 5
-    assert told == points[: len(told)]
+    reported = re.findall(r"^\d/5 (.*)$", ended.stderr, re.MULTILINE)
+    assert least <= len(reported) < 5
+    assert reported == points[: len(reported)]
     assert verify(rig.only("*.h5")) == []
     with RunFile.open(rig.only("*.h5")) as run:
-        assert sorted(run.point_ids()) == sorted(told)
+        assert sorted(run.point_ids()) == sorted(reported)
 
 
 @pytest.mark.parametrize("kind", mostly_nightly(KINDS, ["silence", "stale"], ["close"]))

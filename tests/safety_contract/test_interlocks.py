@@ -50,8 +50,8 @@ def test_an_opened_door_ends_the_run_and_the_file_tells_when(rig, moment):
     assert "retaking" not in ended.stderr
     assert rig.outputs()[-1:] in ([], [False])
     with RunFile.open(rig.only("*.h5")) as run:
-        ((_, told),) = [one for one in events(run) if one[0] == "interlock"]
-        assert told.startswith("interlock door (person) opened at ")
+        ((_, reported),) = [one for one in events(run) if one[0] == "interlock"]
+        assert reported.startswith("interlock door (person) opened at ")
         assert run.outcome.status == "failed"
 
 
@@ -72,13 +72,13 @@ HOW = {
 
 @pytest.mark.parametrize("how", mostly_thorough(HOW, ["an input that does not answer"]))
 def test_whatever_reads_as_open_ends_the_run(rig, how):
-    plan, told = HOW[how]
+    plan, reported = HOW[how]
     ended = rig.sweep(*SHORT, "--world", rig.world(DOOR), "--fault", rig.fault(plan))
     assert ended.code == 4, ended.stderr
-    assert f"error: interlock door (person) {told}" in ended.stderr
+    assert f"error: interlock door (person) {reported}" in ended.stderr
     assert rig.outputs() == [True, False], "off, and not on again"
-    if told == "cannot be read at":
-        (why,) = (line for line in ended.errors if told in line)
+    if reported == "cannot be read at":
+        (why,) = (line for line in ended.errors if reported in line)
         assert "which counts as open: daq" in why, "the instrument that reads it is named"
         assert "check daq, which reads it" in why, "and is what to look at"
 
@@ -111,9 +111,9 @@ def test_a_contact_of_the_process_holds_the_run_and_lets_it_go_on_by_itself(rig)
     assert rig.outputs() == [True, False, True, False]
     with RunFile.open(rig.only("*.h5")) as run:
         assert run.point_ids() == ["300Hz-1N", "600Hz-1N"]
-        told = [message for code, message in events(run) if code == "interlock"]
-        assert "interlock air pressure (process) opened at" in told[0]
-        assert told[1] == "interlock air pressure (process) is closed again"
+        reported = [message for code, message in events(run) if code == "interlock"]
+        assert "interlock air pressure (process) opened at" in reported[0]
+        assert reported[1] == "interlock air pressure (process) is closed again"
 
 
 @pytest.mark.thorough
@@ -194,9 +194,9 @@ def test_a_latch_outlives_its_run_until_a_person_resets_it_at_the_bench(rig):
         assert "typed at a terminal of the bench's computer" in by_a_program.stderr
         shown = rig.run("interlocks")
         assert re.search(r"door \(person, daq.501.0\): closed; LATCHED since 20", shown.stderr)
-        code, told = at_a_terminal(rig, "interlocks", "reset")
-        assert code == 0, told
-        assert "interlock door is reset; nothing starts by itself" in told
+        code, reported = at_a_terminal(rig, "interlocks", "reset")
+        assert code == 0, reported
+        assert "interlock door is reset; nothing starts by itself" in reported
         assert rig.outputs() == outputs
         assert re.search(r"closed; reset 20\S+ by ", rig.run("interlocks").stderr)
 
@@ -206,13 +206,13 @@ def test_an_open_door_is_not_reset_and_a_terminal_elsewhere_resets_nothing(rig):
     with served(rig, DOOR + "closed = false\n"):
         first = rig.run("sweep", "--no-figures", *SHORT)
         assert first.code == 4, first.stderr
-        code, told = at_a_terminal(rig, "interlocks", "reset")
+        code, reported = at_a_terminal(rig, "interlocks", "reset")
         assert code == 4
-        assert "interlock door is open; close it first" in told
+        assert "interlock door is open; close it first" in reported
         rig.env["SSH_CONNECTION"] = "10.0.0.1 1 10.0.0.2 22"
-        code, told = at_a_terminal(rig, "interlocks", "reset")
+        code, reported = at_a_terminal(rig, "interlocks", "reset")
         assert code == 2
-        assert "this terminal is on another computer" in told
+        assert "this terminal is on another computer" in reported
         assert "LATCHED" in rig.run("interlocks").stderr
 
 
@@ -289,8 +289,8 @@ def test_a_proof_test_is_recorded_with_its_date(rig):
 def test_without_a_bench_file_there_is_no_interlock(rig, arguments):
     ended = rig.run("interlocks", *arguments)
     assert ended.code == 2
-    told = "there is no bench file" if arguments != ("reset",) else "typed at a terminal"
-    assert told in ended.stderr
+    reported = "there is no bench file" if arguments != ("reset",) else "typed at a terminal"
+    assert reported in ended.stderr
 
 
 # --- in a batch ---------------------------------------------------------------------------------

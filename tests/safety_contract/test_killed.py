@@ -143,13 +143,13 @@ def test_the_drive_of_a_run_that_hangs_stops_by_itself_before_the_guard_comes(ri
     """In real time, on the longest way there is in free air: nobody talks to the drive any more."""
     with rig.served(ways="as usual") as path:
         text = path.read_text()
-        for told, instead in (
+        for said, instead in (
             ("communication_timeout_ms = 2000", "communication_timeout_ms = 600"),
             ("timeout_s = 0.9", "timeout_s = 0.4"),
             ("[fixture]", "[fixture]\nparked_mm = 1.0"),
         ):
-            assert told in text
-            text = text.replace(told, instead)
+            assert said in text
+            text = text.replace(said, instead)
         path.write_text(text)
         running = rig.start("sweep", "--bench", str(path), "--no-figures", "--frequencies", "300")
         target_mm = await_way_down(rig)

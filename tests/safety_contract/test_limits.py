@@ -121,8 +121,10 @@ def test_a_drive_that_the_sweep_computes_beyond_the_generator_is_refused_with_it
 
     assert ended.code == 4, ended.stderr
     (error,) = ended.errors
-    told = r"error: point 3000Hz-1N: amplitude [0-9.]+ V is outside 0.001 to 10 V of the generator"
-    assert re.match(told, error), error
+    reported = (
+        r"error: point 3000Hz-1N: amplitude [0-9.]+ V is outside 0.001 to 10 V of the generator"
+    )
+    assert re.match(reported, error), error
     assert "; choose a value inside" in error
     driven = [e["value"] for e in rig.log() if e["what"] == "ch1.amplitude_Vpp"]
     assert max(driven) <= 20.0

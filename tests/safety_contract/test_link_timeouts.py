@@ -53,8 +53,10 @@ def test_a_drive_that_its_own_time_out_has_stopped_is_acknowledged_and_lifted(ri
     )
     assert ended.code == 3, ended.stderr
     assert "communication time-out" in ended.errors[0]
-    (told,) = [line for line in ended.stderr.splitlines() if "the fault was acknowledged" in line]
-    assert "stage_z had stopped by its own communication time-out" in told
+    (reported,) = [
+        line for line in ended.stderr.splitlines() if "the fault was acknowledged" in line
+    ]
+    assert "stage_z had stopped by its own communication time-out" in reported
     assert "NOT SAFE" not in ended.stderr
     assert faults_of_drives(rig) == [code]
     since = next(n for n, e in enumerate(rig.log()) if e["what"] == "fault")
@@ -72,9 +74,9 @@ def test_a_drive_that_times_out_and_cannot_be_lifted_is_reported_with_place_and_
     )
     ended = rig.sweep("--frequencies", "300,400,500,600", "--fault", plan)
     assert ended.code == 7, ended.stderr
-    told = next(line for line in ended.stderr.splitlines() if "the film may still be" in line)
-    assert "stands at 12." in told
-    assert "force_sensor reads 2" in told
+    reported = next(line for line in ended.stderr.splitlines() if "the film may still be" in line)
+    assert "stands at 12." in reported
+    assert "force_sensor reads 2" in reported
 
 
 @pytest.mark.thorough

@@ -45,9 +45,9 @@ def test_what_stays_pressed_is_said_at_once_with_place_and_force(rig, case):
     procedure, kind = case
     ended = lost_for_ever(rig, procedure, kind)
     assert ended.code == 7, ended.stderr
-    told = next(line for line in ended.stderr.splitlines() if "not safe yet" in line)
-    seen = re.search(PLACE_AND_FORCE, told)
-    assert seen, told
+    reported = next(line for line in ended.stderr.splitlines() if "not safe yet" in line)
+    seen = re.search(PLACE_AND_FORCE, reported)
+    assert seen, reported
     assert float(seen[1]) <= SAID_S
     assert ended.stderr.index("not safe yet") < ended.stderr.index("the guard "), "first"
     # On a line that z shares with x, x is not reached either, which is said after it.

@@ -113,10 +113,10 @@ def test_what_is_still_pressed_after_the_last_way_up_is_reported(rig, how):
     plan = rig.fault(f'{push}for_s = 30.0\nmove = 4\nof = "stage_z"\nafter_s = 0.3\n')
     ended = rig.sweep("--frequencies", "300,600", "--fault", plan)
     assert ended.code == code, ended.stderr
-    told = next(line for line in ended.errors if "the film is still pressed with" in line)
-    assert told.startswith(begins)
-    assert " N at 5.0" in told
-    assert ("over the limit of 40 N" in told) == (code == 7)
+    reported = next(line for line in ended.errors if "the film is still pressed with" in line)
+    assert reported.startswith(begins)
+    assert " N at 5.0" in reported
+    assert ("over the limit of 40 N" in reported) == (code == 7)
     failed = "the guard could not make the bench safe either: stage_z: still pressed at 5.0"
     assert (failed in ended.stderr) == (code == 7)
     assert "made safe by the guard" not in ended.stderr

@@ -48,8 +48,8 @@ def test_a_simulated_bench_that_falls_behind_real_time_says_so(rig):
     serving.wait_for("the computer is too busy for it in real time")
     serving.send(signal.SIGINT)
     ended = serving.finish()
-    told = re.search(r"the simulated bench was late by ([0-9.]+) s", ended.stderr)
-    assert float(told[1]) > 0.4, ended.stderr
+    reported = re.search(r"the simulated bench was late by ([0-9.]+) s", ended.stderr)
+    assert float(reported[1]) > 0.4, ended.stderr
     assert [e["value"] for e in rig.log() if e["what"] == "late"]
 
 
@@ -168,11 +168,11 @@ def test_a_second_run_on_the_bench_is_refused_and_disturbs_nothing(rig, bench_fi
     running.finish()
     ended = rig.run(*two_points(bench_file))  # it waits until the guard is done
     assert ended.code == 0, ended.stderr
-    (told,) = [line for line in ended.stderr.splitlines() if "guard of an earlier run" in line]
-    assert "the run ended without saying so; everything was stopped and switched off, " in told
+    (reported,) = [line for line in ended.stderr.splitlines() if "guard of an earlier run" in line]
+    assert "the run ended without saying so; everything was stopped and switched off, " in reported
     lifted = r"stage_z was lifted: nothing is pressed at \d+\.\d\d mm, 0\.\d N; data: "
-    assert re.search(r"was pressed at \d+\.\d\d mm, 2\d\.\d N; " + lifted, told), told
-    assert f"rig resume {rig.only('*_r001.rigj')}" in told
+    assert re.search(r"was pressed at \d+\.\d\d mm, 2\d\.\d N; " + lifted, reported), reported
+    assert f"rig resume {rig.only('*_r001.rigj')}" in reported
     again = rig.run(*two_points(bench_file))
     assert "guard of an earlier run" not in again.stderr
 

@@ -124,7 +124,7 @@ def test_a_simulated_run_is_resumed_on_a_simulated_bench_whatever_lies_beside(ri
 
 @pytest.mark.thorough
 def test_a_run_whose_bench_is_gone_has_lost_nothing(rig):
-    """What an earlier attempt has kept is told, though nothing answers."""
+    """What an earlier attempt has recorded is reported, though nothing answers."""
     with rig.served() as path:
         asked = ("--frequencies", "300,400,500", *SETTLING, "--json", "--no-figures")
         running = rig.start("sweep", *asked, "--bench", str(path))

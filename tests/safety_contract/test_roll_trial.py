@@ -67,10 +67,10 @@ def test_a_roll_with_default_settings_is_valid_on_every_model_of_stage(rig, stag
     """The turn is as much slower as the servo has fewer ticks, and that is said."""
     ended = rig.run("roll-trial", "--json", "--no-figures", *SHORT, "--stages", stages)
     assert ended.code == 0, ended.stderr
-    told = [line for line in ended.stderr.splitlines() if "the object is turned at" in line]
-    assert len(told) == (speed != "")
-    assert all(f"turned at {speed} and not at 12 deg/s" in line for line in told)
-    assert "--turn-speed" in "".join(told) or not speed
+    reported = [line for line in ended.stderr.splitlines() if "the object is turned at" in line]
+    assert len(reported) == (speed != "")
+    assert all(f"turned at {speed} and not at 12 deg/s" in line for line in reported)
+    assert "--turn-speed" in "".join(reported) or not speed
 
 
 @pytest.mark.thorough

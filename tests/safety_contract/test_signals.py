@@ -48,20 +48,20 @@ def test_a_signal_in_the_middle_ends_the_run_in_order(rig, number):
 
     assert ended.code == STOPS[number]
     assert rig.outputs() == [True, False]
-    told = ended.object
-    assert told["outcome"] == "stopped"
-    assert 5 <= told["points_done"] < 60
+    reported = ended.object
+    assert reported["outcome"] == "stopped"
+    assert 5 <= reported["points_done"] < 60
     file = rig.only("*.h5")
     *_, ending, saved, safe, resume = ended.stderr.splitlines()
-    done = rf"Stopped by {re.escape(CALLED[number])}: {told['points_done']} of 60 points"
+    done = rf"Stopped by {re.escape(CALLED[number])}: {reported['points_done']} of 60 points"
     assert re.fullmatch(rf"{done} in [\d.]+ s of bench time \(simulated\)\.", ending), ending
     assert saved == f"Saved: {file.relative_to(rig.folder)}"
     assert safe == "Bench is safe: generator off, preload released, force stream stopped."
-    assert resume == f"Resume with: rig resume {told['journal']}"
+    assert resume == f"Resume with: rig resume {reported['journal']}"
     assert verify(file) == []
     with RunFile.open(file) as run:
         assert run.outcome.status == "stopped"
-        assert len(run.point_ids()) == told["points_done"]
+        assert len(run.point_ids()) == reported["points_done"]
 
 
 @pytest.mark.thorough

@@ -79,8 +79,8 @@ def take_on_a_slaved_bench(folder, stages, world, records):
     clock = SlavedClock(ControlLink(said["control_port"]))
     outcome = execute(job, plan, clock, StopFlag())
     process.wait()
-    told = {"errors": [f.one_line() for f in outcome.failures], "warnings": outcome.warnings}
-    (folder / "outcome.json").write_text(json.dumps(told))
+    reported = {"errors": [f.one_line() for f in outcome.failures], "warnings": outcome.warnings}
+    (folder / "outcome.json").write_text(json.dumps(reported))
 
 
 @pytest.mark.thorough
@@ -94,9 +94,9 @@ def test_calibrated_strips_are_recorded_as_load_rates_with_their_error(rig, tmp_
     )
     run.start()
     run.join()
-    told = json.loads((tmp_path / "outcome.json").read_text())
-    assert told["errors"] == []
-    (warning,) = [w for w in told["warnings"] if "calibration" in w]
+    reported = json.loads((tmp_path / "outcome.json").read_text())
+    assert reported["errors"] == []
+    (warning,) = [w for w in reported["warnings"] if "calibration" in w]
     assert "the calibration of 'film 7'" in warning
     assert "expires on" in warning
     (file,) = tmp_path.rglob("*.h5")

@@ -106,7 +106,7 @@ def test_a_lift_that_fails_leaves_both_stages_at_rest_and_says_so(rig):
 
 @pytest.mark.thorough
 def test_a_drive_that_goes_away_in_the_slide_does_not_keep_the_skin_pressed(rig):
-    """x answers no more: it cannot be stopped, and that is told. z goes up all the same."""
+    """x answers no more: it cannot be stopped, and that is reported. z goes up all the same."""
     gone = f'[[fault]]\ndevice = "stage_x"\nkind = "silence"\ncount = 0\n{SLIDING}'
     ended = take(rig, "", gone)
     assert ended.code == 7, ended.stderr

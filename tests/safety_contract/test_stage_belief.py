@@ -30,7 +30,7 @@ THOROUGH = ["idle under force", "stale on the way down", "a leap on the way down
 LEAPS = [name for name in WRONG if "leap" in name]
 
 
-def told(rig, what):
+def said(rig, what):
     return [entry["value"] for entry in rig.log() if entry["what"] == what]
 
 
@@ -47,9 +47,9 @@ def test_a_stage_that_answers_and_does_not_act_ends_the_run_without_more_force(r
     assert ended.errors[0].startswith("error: stage_z: ")
     if words:
         assert any(word in ended.errors[0] for word in words.split("|")), ended.errors
-    assert told(rig, "violation") == []
-    assert told(rig, "largest-force")[-1] < 5.0
-    remains_N = told(rig, "last-force")[-1]
+    assert said(rig, "violation") == []
+    assert said(rig, "largest-force")[-1] < 5.0
+    remains_N = said(rig, "last-force")[-1]
     if what in LEAPS or moment == DOWN:
         assert remains_N == 0.0
     elif remains_N > 0.4:
@@ -70,9 +70,9 @@ def test_a_stage_that_shows_an_old_place_at_contact_touches_five_times_and_no_mo
     )  # fmt: skip
     assert ended.code in (3, 7), ended.stderr
     assert "contact was felt 5 times" in ended.errors[0], ended.stderr
-    assert told(rig, "violation") == []
-    assert told(rig, "largest-force")[-1] < 5.0
-    assert len(told(rig, "pressed")) <= 6
+    assert said(rig, "violation") == []
+    assert said(rig, "largest-force")[-1] < 5.0
+    assert len(said(rig, "pressed")) <= 6
 
 
 @pytest.mark.thorough
@@ -92,6 +92,6 @@ def test_one_flipped_bit_of_a_position_is_asked_for_again_and_counted_in_the_fil
     with RunFile.open(rig.only("*.h5")) as run:
         (reading,) = run.readings()
         streams = {waveform.stream: waveform for waveform in run.waveforms("trial-001")}
-    assert told(rig, "injected") == ["flip"]
+    assert said(rig, "injected") == ["flip"]
     assert reading["misread_positions"] == 1
     assert streams["position"].values("z").max() < 14.0

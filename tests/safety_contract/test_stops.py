@@ -42,9 +42,9 @@ def test_a_stop_never_moves_towards_contact_and_is_never_recorded_as_done(rig, c
         assert ended.object["outcome"] != "complete"
     if name.startswith("sweep"):
         assert rig.outputs()[-1] is False
-    told = [line.split()[1] for line in ended.stderr.splitlines() if line[:1].isdigit()]
+    reported = [line.split()[1] for line in ended.stderr.splitlines() if line[:1].isdigit()]
     file = rig.only("*.h5")
     assert verify(file) == []
     with RunFile.open(file) as run:
-        assert run.point_ids() == told
+        assert run.point_ids() == reported
         assert (run.outcome.status == "complete") == (ended.code == 0)

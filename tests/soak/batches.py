@@ -69,7 +69,7 @@ class BatchTrial(Trial):
         return self.on_stages
 
     @property
-    def told(self) -> str:
+    def reported(self) -> str:
         """See `Trial`."""
         (fault,) = self.faults
         words = " ".join(
@@ -249,10 +249,10 @@ def _ending(ran: BatchRan) -> Iterator[str]:
     if strange := {*states.values()} - {*STARTED}:
         yield f"runs are {', '.join(sorted(strange))}"
     lines = ran.stdout.strip().splitlines()
-    told = json.loads(lines[-1])["runs"] if lines else {}
-    counted = {state: n for state, n in told.items() if n}
+    reported = json.loads(lines[-1])["runs"] if lines else {}
+    counted = {state: n for state, n in reported.items() if n}
     if counted != {state: list(states.values()).count(state) for state in states.values()}:
-        yield f"told {counted} of the runs {states}"
+        yield f"reported {counted} of the runs {states}"
     codes = dict(ran.ask("SELECT number, code FROM run"))
     for number, state in states.items():
         met_a_fault = number == _batch(ran).attacked and ran.faults_met
@@ -292,7 +292,7 @@ def _kept(ran: BatchRan, number: int) -> Iterator[str]:
     ((done,),) = ran.ask(f"SELECT points_done FROM run WHERE number = {number}")
     if together.files("*.h5") and kept != done:
         yield f"{done} points done, {kept} kept"
-    yield from (one.told for one in rows_as_recorded(together) if not one.declared)
+    yield from (one.reported for one in rows_as_recorded(together) if not one.declared)
 
 
 def _inline(settings: dict[str, Any]) -> str:

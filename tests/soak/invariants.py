@@ -115,13 +115,13 @@ def breaches(ran: Ran) -> list[str]:
         *_telling(ran),
         *at_rest(ran),
         *files_are_sound(ran),
-        *(one.told for one in rows_as_recorded(ran) if not one.declared),
+        *(one.reported for one in rows_as_recorded(ran) if not one.declared),
     ]
 
 
 def declared(ran: Ran) -> list[str]:
     """What of it docs/fault-plans.md declares that no program can notice."""
-    return [one.told for one in rows_as_recorded(ran) if one.declared]
+    return [one.reported for one in rows_as_recorded(ran) if one.declared]
 
 
 def said_unheard_s(ran: Ran) -> float | None:
@@ -164,22 +164,22 @@ def told_about(ran: Ran, errors: Sequence[str]) -> Iterator[str]:
     if {kind for _, kind in ran.faults_met} & {*UNNOTICED}:
         words.add("torque limit")  # which alone bounds the force then, as docs/safety.md declares
     if RUNAWAY in {kind for _, kind in ran.faults_met}:
-        words.add("force along")  # an axis that presses on is the force's to tell
+        words.add("force along")  # an axis that presses on is shown by the force
     if not any(word in line for word in words for line in errors):
         yield f"no sentence names {', '.join(sorted(injected))}: {errors[0]}"
 
 
 def at_rest(ran: Ran) -> Iterator[str]:
-    """The World's own watch; what could not be made safe has been told with exit code 7."""
+    """The World's own watch; what could not be made safe has been reported with exit code 7."""
     for violation in ran.values("violation"):
         told_unsafe = ran.code == UNSAFE and "NOT SAFE" in ran.stderr
         if not (told_unsafe and "no run is active" in violation):
             yield f"the World: {violation}"
     for last_N in ran.values("last-force"):
         fine = ran.code in (DONE, DONE_WITH_FAILURES)
-        told = ran.code == UNSAFE or (not fine and NOT_KNOWN in ran.stderr)
-        if last_N > (PRESSED_N if fine else ran.trial.limit_N) and not told:
-            yield f"{last_N:.3g} N are still pressed, and exit code {ran.code} does not tell so"
+        reported = ran.code == UNSAFE or (not fine and NOT_KNOWN in ran.stderr)
+        if last_N > (PRESSED_N if fine else ran.trial.limit_N) and not reported:
+            yield f"{last_N:.3g} N are still pressed, and exit code {ran.code} does not say so"
 
 
 def holds_worse(ran: Ran) -> bool:
@@ -201,8 +201,8 @@ def left_unsaid(ran: Ran) -> Iterator[str]:
     within `SAID_S`."""
     if not any(last_N > PRESSED_N for last_N in ran.values("last-force")):
         return
-    told = ("NOT SAFE", "not safe", "pressed")
-    lines = [line for line in ran.stderr.splitlines() if any(word in line for word in told)]
+    reported = ("NOT SAFE", "not safe", "pressed")
+    lines = [line for line in ran.stderr.splitlines() if any(word in line for word in reported)]
     if ran.code != UNSAFE or not any(PLACE_AND_FORCE.search(line) for line in lines):
         yield "what is left pressed is not said with place and force"
     unheard_s = said_unheard_s(ran)
@@ -211,11 +211,11 @@ def left_unsaid(ran: Ran) -> Iterator[str]:
 
 
 def files_are_sound(ran: Ran) -> Iterator[str]:
-    """Every run file and every journal is sound and holds the points that were told."""
+    """Every run file and every journal is sound and holds the points that were reported."""
     stays = any(fault["kind"] == "read-only" for fault in ran.trial.faults)  # nothing is removed
     if (left := [path.name for path in ran.files(".*.part")]) and not stays:
         yield f"left behind: {', '.join(left)}"
-    told = re.findall(r"^\d+/\d+ (\S+)$", ran.stderr, re.MULTILINE)
+    reported = re.findall(r"^\d+/\d+ (\S+)$", ran.stderr, re.MULTILINE)
     kept: list[str] = []
     for path in ran.files("*.h5"):
         yield from (f"{path.name}: {finding}" for finding in verify(path))
@@ -229,12 +229,12 @@ def files_are_sound(ran: Ran) -> Iterator[str]:
             try:
                 file = compile_run(copy)
             except RigError as error:
-                if not (stays and "no usable header" in error.message and not told):
+                if not (stays and "no usable header" in error.message and not reported):
                     yield f"{journal.name} cannot be recovered: {error.one_line()}"
                 continue
             yield from (f"{file.name}: {finding}" for finding in verify(file))
             with RunFile.open(file) as run:
                 kept += run.point_ids()
     disk = any(fault["device"] == DISK for fault in ran.trial.faults)
-    if sorted(kept) != sorted(told) and not (disk and set(kept) <= set(told)):
-        yield f"points told {told}, kept {kept}"
+    if sorted(kept) != sorted(reported) and not (disk and set(kept) <= set(reported)):
+        yield f"points reported {reported}, kept {kept}"

@@ -115,7 +115,7 @@ def late_breaches(ran: Ran) -> list[str]:
         found.append(f"exit code {ran.code}")
     if ran.code in (3, 4, 7) and not busy:
         found += told_about(ran, ran.errors)
-    wrong = [one.told for one in rows_as_recorded(ran) if not one.declared]
+    wrong = [one.reported for one in rows_as_recorded(ran) if not one.declared]
     return [
         *found, *at_rest(ran), *files_are_sound(ran), *left_pressed(ran), *left_unsaid(ran), *wrong,
     ]  # fmt: skip

@@ -46,7 +46,7 @@ class Entry:
     """Time from the first fault until nothing was pressed any more, in s of bench time; None where
     nothing was pressed after the fault, or to the end, or where the run did not end by it."""
     violations: tuple[str, ...] = ()
-    told: str = ""
+    reported: str = ""
     """The trial in words."""
     cpu_s: float | None = field(default=None, compare=False)
     """Processor time of the trial with its judgement, in s."""
@@ -74,7 +74,7 @@ def entry_of(series: str, ran: Ran, violations: Sequence[str], cpu_s: float | No
         round(ran.over_limit_s, 4),
         pressed_after_s(ran) if ended_by_it else None,
         tuple(violations),
-        ran.trial.told,
+        ran.trial.reported,
         None if cpu_s is None else round(cpu_s, 2),
         max(ran.values("last-force"), default=None),
         said_unheard_s(ran),

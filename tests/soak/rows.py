@@ -39,7 +39,7 @@ AXES = {"position": {"z": "stage_z", "x": "stage_x"}, "rotation": {"angle": "rot
 class WrongRow:
     """A row that is not what was sent, or where the carriage was."""
 
-    told: str
+    reported: str
     declared: bool = False
     """True for one flipped bit in an answer whose protocol has no check of its own: samples of a
     strip, a stage's register on Modbus TCP. It is an answer like any other; USB and TCP let none
@@ -70,8 +70,8 @@ def rows_as_recorded(ran: Ran) -> Iterator[WrongRow]:
             for point, reading in readings.items():
                 if not reading.get("invalid"):
                     streams = {one.stream: one for one in run.waveforms(point)}
-                    for told, role in _positions(streams, reading, places):
-                        yield WrongRow(f"{point}: {told}", role in flipped)
+                    for reported, role in _positions(streams, reading, places):
+                        yield WrongRow(f"{point}: {reported}", role in flipped)
 
 
 def _blocks(

@@ -30,7 +30,7 @@ def judged(ran: Ran, change: Any) -> list[str]:
     change(log)
     other = Ran(ran.trial, ran.code, ran.stdout, ran.stderr, ran.folder)
     other.__dict__["log"] = log
-    return [one.told for one in rows_as_recorded(other)]
+    return [one.reported for one in rows_as_recorded(other)]
 
 
 def test_every_kind_of_wrong_row_is_found(tmp_path: Path) -> None:
@@ -54,12 +54,12 @@ def test_every_kind_of_wrong_row_is_found(tmp_path: Path) -> None:
         for block in values(log, "block"):
             block["crc32"] ^= 1
 
-    (told,) = judged(ran, move_x)
-    assert "shows stage_x 0.0101 from where it was" in told
-    (told,) = judged(ran, send_more)
-    assert "are no stretch of those that were sent" in told
-    (told,) = judged(ran, send_others)
-    assert "begins no block that the DAQ handed out" in told
+    (reported,) = judged(ran, move_x)
+    assert "shows stage_x 0.0101 from where it was" in reported
+    (reported,) = judged(ran, send_more)
+    assert "are no stretch of those that were sent" in reported
+    (reported,) = judged(ran, send_others)
+    assert "begins no block that the DAQ handed out" in reported
 
 
 def test_a_flipped_bit_among_the_strips_samples_is_declared_and_no_other_change(
@@ -70,7 +70,7 @@ def test_a_flipped_bit_among_the_strips_samples_is_declared_and_no_other_change(
     assert breaches(ran) == []
     (found,) = rows_as_recorded(ran)
     assert found.declared
-    assert "a flipped bit in 1 block," in found.told
+    assert "a flipped bit in 1 block," in found.reported
 
     def other(log: list[dict[str, Any]]) -> None:
         for entry in log:

@@ -1,4 +1,4 @@
-"""The soak: whatever goes wrong, the bench ends safe, the data are sound, and it is told why.
+"""The soak: whatever goes wrong, the bench ends safe, the data are sound, and it is reported why.
 
 A trial follows from its seed alone. One that fails is shrunk to the faults that it takes and shown
 as the plan with which it can be run again.

@@ -124,15 +124,15 @@ class Changing(Steps):
 class AtOnce(Steps):
     """Acts on a command when it is given, not at its row."""
 
-    told = 0
+    reported = 0
 
     def command(self, one: Command) -> None:
         """Counts the commands."""
-        self.told += 1
+        self.reported += 1
 
     def judge(self, volts: np.ndarray) -> list[SlipEvent]:
         """Finds nothing after five commands, which are all that the check gives."""
-        return super().judge(volts) if self.told < 5 else []
+        return super().judge(volts) if self.reported < 5 else []
 
 
 FAULTS: dict[str, type[Detector]] = {

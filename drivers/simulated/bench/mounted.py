@@ -82,8 +82,8 @@ class Instruments:
         from drivers.simulated.faults.wire import WireFaults
 
         def wire(device: str, dialect: WireDialect) -> WireFaults:
-            tell = partial(world.log, device, "injected", by="plan")
-            return WireFaults(faults, device, dialect, tell, world)
+            log = partial(world.log, device, "injected", by="plan")
+            return WireFaults(faults, device, dialect, log, world)
 
         self._world, self._options, self._faults, self._wire = world, options, faults, wire
         self._skin = options.fixture != "film-clamp"
@@ -253,11 +253,11 @@ class Instruments:
 
         if settings is None:
             return None
-        tell = partial(self._world.log, "world", by="monitor")
+        log = partial(self._world.log, "world", by="monitor")
         places = {_name_of(drive): drive.positions_mm for drive in self.drives}
         if self.rotary is not None:
             places[ROTARY] = self.rotary.angles_deg
-        return Monitor(settings, self._world.pressed_N, self._active, tell, places)
+        return Monitor(settings, self._world.pressed_N, self._active, log, places)
 
     def _active(self) -> Iterator[str]:
         """Return the names of what moves or is driven now."""

@@ -38,8 +38,8 @@ from rig.core.errors import ConfigurationError, InstrumentError, RigError
 SETTLE_EVERY_S = 0.02
 """Interval in s at which drives in real time check what has happened to them."""
 LATE_S = 0.2
-"""Time in s by which a bench in real time is late enough to be told: frames of a force sensor that
-are 0.25 s old hold a run."""
+"""Time in s by which a bench in real time is late enough for a message: frames of a force sensor
+that are 0.25 s old hold a run."""
 
 
 class Lateness:
@@ -68,10 +68,10 @@ class Lateness:
 async def serve(
     options: Options,
     ready: Callable[[dict[str, Any]], None],
-    tell: Callable[[str], None] = lambda text: None,
+    show_line: Callable[[str], None] = lambda text: None,
 ) -> None:
     """Run a bench until it is stopped; `ready` gets ``control_port``, ``bench_toml``,
-    ``recorded_toml`` and the ``models`` of its instruments by role. `tell` shows a line to who
+    ``recorded_toml`` and the ``models`` of its instruments by role. `show_line` shows a line to who
     runs a bench in real time."""
     for asked, known in ((options.fixture, Fixture), (options.stages, Stages)):
         if asked not in get_args(known):
@@ -112,7 +112,7 @@ async def serve(
         while True:
             if (late_s := lateness.note(loop.time())) is not None:
                 world.log("world", "late", round(late_s, 3), "world")
-                tell(
+                show_line(
                     f"warning: the simulated bench was late by {late_s:.2g} s: the computer is too "
                     "busy for it in real time. A run may have found an instrument silent meanwhile"
                 )
@@ -201,7 +201,7 @@ def main() -> None:
         signal.signal(number, signal.SIG_IGN)
 
     def say(what: dict[str, Any]) -> None:
-        with contextlib.suppress(BrokenPipeError):  # the owner died first: its pipe will tell
+        with contextlib.suppress(BrokenPipeError):  # the owner died first: its pipe shows it
             os.write(sys.stdout.fileno(), json.dumps(what).encode() + b"\n")
 
     options = sys.stdin.readline()

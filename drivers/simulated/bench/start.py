@@ -47,7 +47,7 @@ class StartedBench:
         """Names of the drivers in its bench file."""
         self._process = subprocess.Popen(
             [sys.executable, "-P", "-m", "drivers.simulated.bench.process"],
-            stdin=subprocess.PIPE,  # its end tells the bench that we died
+            stdin=subprocess.PIPE,  # its end shows the bench that we died
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             start_new_session=True,  # a terminal's Ctrl-C is the run's business, not the bench's
@@ -116,17 +116,19 @@ def start(options: dict[str, Any]) -> StartedBench:
 def serve(
     options: dict[str, Any],
     ready: Callable[[str], None],
-    tell: Callable[[str], None] = lambda text: None,
+    show_line: Callable[[str], None] = lambda text: None,
 ) -> None:
     """Run a bench here in real time until SIGINT, SIGQUIT or SIGTERM.
 
-    `ready` gets the bench file's text; `tell` shows a line to who runs it.
+    `ready` gets the bench file's text; `show_line` shows a line to who runs it.
     """
     import asyncio
 
     from drivers.simulated.bench import process
 
-    asyncio.run(process.serve(Options(**options), lambda said: ready(said["bench_toml"]), tell))
+    asyncio.run(
+        process.serve(Options(**options), lambda said: ready(said["bench_toml"]), show_line)
+    )
 
 
 def alone(core: Any, role: str, **options: Any) -> AbstractContextManager[Any]:

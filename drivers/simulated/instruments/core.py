@@ -121,7 +121,7 @@ class InstrumentCore(ABC):
 class GeneratorCore(InstrumentCore):
     """A simulated signal generator, whose channel 1 drives the vibrator.
 
-    It tells the World of every change of its output with
+    It informs the World of every change of its output with
     ``port.excite(1, Excitation(on, "SIN", frequency_Hz, amplitude_V, offset_V, phase_rad), by)``.
     """
 

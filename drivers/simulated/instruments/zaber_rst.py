@@ -123,8 +123,8 @@ class SimulatedRotaryStage(SimulatedDrive[RotaryFault]):
 
     def answer(self, message: bytes, by: str) -> Exchange | None:
         """Obey one command without its end; None where it is not for this stage."""
-        body, colon, told = message.rpartition(b":")
-        if colon and told != b"%02X" % _check(body):
+        body, colon, given = message.rpartition(b":")
+        if colon and given != b"%02X" % _check(body):
             return None
         words = (body if colon else message).decode("ascii", "replace").split()
         address = [0, 0]
@@ -164,9 +164,9 @@ class SimulatedRotaryStage(SimulatedDrive[RotaryFault]):
             case ["warnings"]:
                 return self._warnings()
             case ["warnings", "clear"]:
-                told = self._warnings()
+                flags = self._warnings()
                 self.flags &= PERSISTENT
-                return told
+                return flags
             case ["home"]:
                 self._home(by)
             case ["stop" | "estop" as how]:
@@ -249,8 +249,8 @@ class SimulatedRotaryStage(SimulatedDrive[RotaryFault]):
         self._interrupt()
         if fresh:
             self._port.tasks.begin(self.settings.name, self._port.now_us)
-            told = {"target_deg": round(target_deg, 6), "speed_deg_s": round(speed_deg_s, 6)}
-            self._log("turn", told, by)
+            turn = {"target_deg": round(target_deg, 6), "speed_deg_s": round(speed_deg_s, 6)}
+            self._log("turn", turn, by)
         self._start(AxisCommand(target_deg, speed_deg_s * self._speed_share, rate, rate))
 
     def _require_power(self) -> None:
@@ -368,8 +368,8 @@ def _check(body: bytes) -> int:
 
 
 def _wrong_check(reply: bytes) -> bytes | None:
-    body, colon, told = reply.rstrip().rpartition(b":")
-    return body + b":%02X\r\n" % (int(told, 16) ^ 0xFF) if colon else None
+    body, colon, given = reply.rstrip().rpartition(b":")
+    return body + b":%02X\r\n" % (int(given, 16) ^ 0xFF) if colon else None
 
 
 def _rejection(reply: bytes, reason: str) -> bytes | None:

@@ -67,13 +67,11 @@ class _Contact:
 
 
 class Contacts:
-    """The contacts of one bench; `tell` writes to the World's log."""
+    """The contacts of one bench; `log` writes to the World's log."""
 
-    def __init__(
-        self, settings: Sequence[SimulatedContactSettings], tell: Callable[[object], None]
-    ):
+    def __init__(self, settings: Sequence[SimulatedContactSettings], log: Callable[[object], None]):
         self._contacts = {one.name: _Contact(one, one.closed) for one in settings}
-        self._tell = tell
+        self._log = log
 
     def require(self, faults: Sequence[ContactFault]) -> None:
         """Raise ConfigurationError for a fault of a contact that the bench does not have."""
@@ -95,7 +93,7 @@ class Contacts:
             contact.bounces_until_us = t_us + round(fault.for_s * 1e6)
         else:
             contact.closed = fault.kind == "closed"
-        self._tell({"name": fault.name, "closed": contact.is_closed(t_us)})
+        self._log({"name": fault.name, "closed": contact.is_closed(t_us)})
 
     def high(self, device: str, line: str, now_us: int) -> bool:
         """Return the level of an input; low where no contact is wired to it."""

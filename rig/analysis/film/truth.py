@@ -30,9 +30,9 @@ class FilmTruth:
     """Change of the gain by decade of load."""
 
     @classmethod
-    def of(cls, told: str | None) -> FilmTruth | None:
+    def of(cls, account: str | None) -> FilmTruth | None:
         """Returns the film in a reading's ``simulated_truth``, or None if it has none."""
-        film: dict[str, Any] | None = json.loads(told).get("film") if told else None
+        film: dict[str, Any] | None = json.loads(account).get("film") if account else None
         if film is None:
             return None
         return cls(**{**film, "drops_Hz": tuple(film["drops_Hz"])})

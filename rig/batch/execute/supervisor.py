@@ -5,7 +5,7 @@ the first has made the bench safe (`rig.batch.execute.worker`). It notifies peop
 (`rig.batch.report.notify`), writes the heartbeat for outside monitors
 (`rig.batch.report.heartbeat`) and has the files of finished runs made
 (`rig.batch.execute.postprocess`). Requests of other terminals are rows of the queue; signals of its
-own terminal are stop requests. Its commands reach the worker through a pipe, whose end tells the
+own terminal are stop requests. Its commands reach the worker through a pipe, whose end shows the
 worker that the supervisor has died.
 """
 
@@ -41,7 +41,7 @@ from rig.run.stopping import StopFlag
 POLL_EVERY_S = 0.1
 """Interval in s at which stop requests, other terminals and background processes are polled."""
 BEAT, BEAT_EVERY_S = "beat", 1.0
-"""Word that tells the worker that the supervisor is alive, and the interval in s."""
+"""Word that informs the worker that the supervisor is alive, and the interval in s."""
 STARTING_S = 300.0
 """Time limit from a claim to its run's plan: boot, connect, compile for the first time. From then
 on the run's guard watches."""

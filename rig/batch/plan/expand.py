@@ -184,19 +184,21 @@ class Expansion:
         self, converted: _SettingConverter, name: str, values: Sequence[Any]
     ) -> list[Any]:
         """Return the values of a setting in the matrix: at least one, each once."""
-        where, told = (*self.where, "matrix", name), f"matrix.{shortened(name)}"
+        where, setting = (*self.where, "matrix", name), f"matrix.{shortened(name)}"
         if not values:
-            self.findings.append(PlanFinding(where, f"{told}: has no value", "give at least one"))
+            self.findings.append(
+                PlanFinding(where, f"{setting}: has no value", "give at least one")
+            )
         kept: dict[Any, Any] = {}
         for number, value in enumerate(values):
-            one = converted.one(name, value, (*where, number), told)
+            one = converted.one(name, value, (*where, number), setting)
             if one is _WRONG:
                 continue
             if _same(one) in kept:
                 self.findings.append(
                     PlanFinding(
                         (*where, number),
-                        f"{told} = {shortened(repr(value))}: stands twice in the list",
+                        f"{setting} = {shortened(repr(value))}: stands twice in the list",
                         "repeat = 2 runs each condition twice",
                     )
                 )
@@ -212,27 +214,27 @@ class Expansion:
         before = len(self.findings)
         for name, (low, high) in sample.ranges.items():
             where = (*self.where, "sample", "ranges", name)
-            told = f"sample.ranges.{shortened(name)}"
+            setting = f"sample.ranges.{shortened(name)}"
             info = self._model.model_fields.get(name)
             if info is None:
-                self.findings.append(_unknown(self._model, name, told, where))
+                self.findings.append(_unknown(self._model, name, setting, where))
             elif name in self.experiment.matrix:
                 self.findings.append(
                     PlanFinding(
-                        where, f"{told}: the matrix varies it, too", "leave it in one of them"
+                        where, f"{setting}: the matrix varies it, too", "leave it in one of them"
                     )
                 )
             elif _number(info) is None:
                 self.findings.append(
                     PlanFinding(
-                        where, f"{told}: is not a number", "list its values in matrix instead"
+                        where, f"{setting}: is not a number", "list its values in matrix instead"
                     )
                 )
             elif not math.isfinite(high - low) or (
                 name in sample.log and not math.isfinite(high / low)
             ):
                 self.findings.append(
-                    PlanFinding(where, f"{told}: {low:g} to {high:g} is too wide", "narrow it")
+                    PlanFinding(where, f"{setting}: {low:g} to {high:g} is too wide", "narrow it")
                 )
         return len(self.findings) == before
 
@@ -330,15 +332,15 @@ class Expansion:
         for item in error.errors():
             if item["loc"]:
                 where, table = self._origin(str(item["loc"][0]), combination)
-                told = finding({**item, "loc": (*table, *item["loc"])})
+                problem = finding({**item, "loc": (*table, *item["loc"])})
             else:
                 shown = ", ".join(
                     f"{field} = {shortened(str(value))}"
                     for field, value in combination.varied.items()
                 )
                 where = self.where
-                told = f"{name}{f' ({shown})' if shown else ''}: {finding(item)}"
-            self.findings.append(PlanFinding(where, told, _see(self.experiment.procedure)))
+                problem = f"{name}{f' ({shown})' if shown else ''}: {finding(item)}"
+            self.findings.append(PlanFinding(where, problem, _see(self.experiment.procedure)))
 
     def _origin(self, name: str, combination: _Combination) -> tuple[KeyPath, tuple[str, ...]]:
         """Return the place in the file from which a combination has its value of a setting."""
@@ -379,16 +381,18 @@ class _SettingConverter:
         }
         return {name: value for name, value in converted.items() if value is not _WRONG}
 
-    def one(self, name: str, value: Any, where: KeyPath, told: str) -> Any:
+    def one(self, name: str, value: Any, where: KeyPath, setting: str) -> Any:
         """Return a single one; _WRONG where it is wrong."""
         info = self._model.model_fields.get(name)
         if info is None:
-            self.findings.append(_unknown(self._model, name, told, where))
+            self.findings.append(_unknown(self._model, name, setting, where))
             return _WRONG
         try:
             return _in_own_unit(value, info.annotation, unit_of(name))
         except ValueError as error:
-            self.findings.append(PlanFinding(where, f"{told} = {shortened(repr(value))}: {error}"))
+            self.findings.append(
+                PlanFinding(where, f"{setting} = {shortened(repr(value))}: {error}")
+            )
             return _WRONG
 
 
@@ -401,12 +405,12 @@ def _in_own_unit(value: Any, annotation: Any, unit: str | None) -> Any:
     return value
 
 
-def _unknown(model: type[Settings], name: str, told: str, where: KeyPath) -> PlanFinding:
+def _unknown(model: type[Settings], name: str, setting: str, where: KeyPath) -> PlanFinding:
     fields = list(model.model_fields)
     near = [field for field in fields if name_without_unit(field) == name]
     near = near or get_close_matches(shortened(name), fields, 1)
     hint = f"did you mean {near[0]}?" if near else f"known are {', '.join(fields)}"
-    return PlanFinding(where, f"{told}: the procedure has no such setting", hint)
+    return PlanFinding(where, f"{setting}: the procedure has no such setting", hint)
 
 
 def _see(procedure: str) -> str:

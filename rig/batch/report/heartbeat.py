@@ -76,10 +76,10 @@ class Heartbeat:
         """Write the record: immediately if more than the point has changed, else every `EVERY_S`.
         Fills in time and pid. Never raises."""
         now_s = self._monotonic_s()
-        told = (beat.state, beat.run, beat.of, beat.simulated, beat.holds, beat.message)
-        if told == self._written and now_s < self._due_s:
+        shown = (beat.state, beat.run, beat.of, beat.simulated, beat.holds, beat.message)
+        if shown == self._written and now_s < self._due_s:
             return
-        self._written, self._due_s = told, now_s + EVERY_S
+        self._written, self._due_s = shown, now_s + EVERY_S
         now = datetime.now().astimezone().isoformat(timespec="seconds")
         text = json.dumps({**asdict(beat), "time": now, "pid": os.getpid()}) + "\n"
         try:

@@ -29,7 +29,7 @@ class AxisBench(IdealBench):
     def load_N(self, axis: str, position_mm: float, t_us: int) -> float:  # noqa: N802
         return -self.stiffness_N_mm * max(0.0, position_mm - self.wall_mm)
 
-    def told(self, what: str) -> list[Any]:
+    def reported(self, what: str) -> list[Any]:
         """Every value that the log has of something."""
         return [value for _, name, value, _ in self.entries if name == what]
 

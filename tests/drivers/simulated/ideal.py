@@ -19,7 +19,7 @@ from drivers.simulated.transports.scpi import ScpiInstrument
 
 @dataclass
 class IdealBench:
-    """A clock set by hand, terminals that carry a formula, and everything that was told."""
+    """A clock set by hand, terminals that carry a formula, and everything that was reported."""
 
     now_us: int = 0
     wave: Callable[[int, npt.NDArray[np.float64]], npt.NDArray[np.float64]] = (

@@ -147,11 +147,11 @@ def test_only_replies_that_have_a_check_get_a_wrong_one() -> None:
 
 
 def test_what_is_done_is_reported_once_each_time_it_is_done() -> None:
-    told: list[str] = []
-    link = WireFaults(plan(kind="silence", at=2, count=2), "daq", report=told.append).link()
+    reported: list[str] = []
+    link = WireFaults(plan(kind="silence", at=2, count=2), "daq", report=reported.append).link()
     for _ in range(5):
         link.exchange(b"a?", b"A")
-    assert told == ["silence", "silence"]
+    assert reported == ["silence", "silence"]
 
 
 def test_plan_is_read_from_toml(tmp_path: Path) -> None:

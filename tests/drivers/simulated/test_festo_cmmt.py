@@ -133,7 +133,7 @@ def test_continuous_update_changes_a_running_task(homed: Controller) -> None:
         homed.wait(0.3)
     homed.wait(3)
     assert homed.position == 20_000
-    assert len(homed.bench.told("move")) == 1, "one task"
+    assert len(homed.bench.reported("move")) == 1, "one task"
 
 
 def test_a_task_before_homing_is_not_taken(at: Controller) -> None:

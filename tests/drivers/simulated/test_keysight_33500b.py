@@ -55,11 +55,11 @@ def test_load_setting_changes_what_is_shown_not_what_is_put_out(
     say: Talk, bench: IdealBench
 ) -> None:
     say("VOLT 2;VOLT:OFFS 1;:OUTP1 1")
-    told = len(bench.excitations)
+    reported = len(bench.excitations)
     assert say("OUTP1:LOAD INF;:VOLT?;VOLT:OFFS?") == (
         "+4.000000000000000E+00;+2.000000000000000E+00"
     )
-    assert len(bench.excitations) == told
+    assert len(bench.excitations) == reported
     assert bench.excitations[-1][1].amplitude_V == 2.0
     assert say("OUTP1:LOAD 50;:VOLT?") == "+2.000000000000000E+00"
 

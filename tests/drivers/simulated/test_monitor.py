@@ -27,17 +27,19 @@ class Line:
 
 
 def reports(force: npt.NDArray[np.float64], every: int = 7) -> list[tuple[str, object]]:
-    """What is told of a force along y, N at each millisecond, looked at now and then."""
-    told: list[tuple[str, object]] = []
+    """What is reported of a force along y, N at each millisecond, looked at now and then."""
+    reported: list[tuple[str, object]] = []
 
     def force_N(times_s: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:  # noqa: N802
         at = np.rint(times_s * 1e3).astype(int)
         return np.stack([0 * at, force[at], 0 * at], axis=1)
 
-    monitor = Monitor(LIMIT, force_N, lambda: (), lambda what, value: told.append((what, value)))
+    monitor = Monitor(
+        LIMIT, force_N, lambda: (), lambda what, value: reported.append((what, value))
+    )
     for now_ms in range(0, len(force), every):
         monitor.check(1000 * now_ms)
-    return told
+    return reported
 
 
 def violations(force: npt.NDArray[np.float64], every: int = 7) -> list[tuple[str, object]]:
@@ -49,8 +51,8 @@ def test_when_something_is_pressed_and_no_more_is_written_down_to_the_millisecon
     force = np.concatenate([np.zeros(20), np.full(30, 3.0), np.zeros(20), np.full(20, -3.0)])
     expected = [("pressed", 20), ("released", 50), ("pressed", 70)]
     for every in (1, 7, 100):
-        told = reports(np.append(force, np.full(110, -3.0)), every)
-        assert told == [(what, {"at_us": 1000 * ms}) for what, ms in expected]
+        reported = reports(np.append(force, np.full(110, -3.0)), every)
+        assert reported == [(what, {"at_us": 1000 * ms}) for what, ms in expected]
 
 
 def rising(rate_N_ms: float, from_N: float, for_ms: int, then_ms: int = 100) -> list[float]:
@@ -64,9 +66,9 @@ def test_a_force_that_stops_rising_in_time_is_none() -> None:
 
 
 def test_a_force_that_keeps_rising_is_one_violation_reported_once() -> None:
-    ((what, told),) = violations(np.array(rising(0.5, 0.0, 40)))
+    ((what, reported),) = violations(np.array(rising(0.5, 0.0, 40)))
     assert what == "violation"
-    assert "5.5 N over its limit, which it rose by 5 N at most in 0.01 s" in str(told)
+    assert "5.5 N over its limit, which it rose by 5 N at most in 0.01 s" in str(reported)
 
 
 def test_it_does_not_matter_when_it_is_looked_at_nor_which_way_the_force_points() -> None:
@@ -87,20 +89,23 @@ def test_a_force_that_has_stopped_rising_and_stays_over_the_limit_is_a_violation
     below_again = [0.0] * 7
     assert violations(np.array(plateau + below_again + plateau)) == []
     for every in (1, 7, 50):
-        ((what, told),) = violations(np.array(rising(0.5, 0.0, 29, then_ms=400)), every)
-        assert (what, told) == ("violation", "force of 14 N, over its limit for more than 0.2 s")
+        ((what, reported),) = violations(np.array(rising(0.5, 0.0, 29, then_ms=400)), every)
+        assert (what, reported) == (
+            "violation",
+            "force of 14 N, over its limit for more than 0.2 s",
+        )
 
 
 def test_what_moves_at_the_end_is_reported() -> None:
-    told: list[object] = []
+    reported: list[object] = []
     monitor = Monitor(
         LIMIT,
         lambda times_s: np.zeros((len(times_s), 3)),
         lambda: ("stage_x moves at 3 mm/s",),
-        lambda what, value: told.append((what, value)),
+        lambda what, value: reported.append((what, value)),
     )
     monitor.over()
-    assert told == [
+    assert reported == [
         ("violation", "stage_x moves at 3 mm/s although no run is active"),
         ("largest-force", 0.0),
         ("last-force", 0.0),
@@ -114,8 +119,8 @@ def test_frames_of_three_floats_are_written_down_with_and_without_a_check() -> N
     checked = b"".join(b"\xaa\x32\xb0" + data + b"\x12\x34\x85" for data in values)
 
     for sent, written_down in ((plain, values), (checked, values), (b"", None)):
-        told: list[object] = []
-        line = WatchedLine(Line(sent), lambda what, value: told.append(value))  # noqa: B023
+        reported: list[object] = []
+        line = WatchedLine(Line(sent), lambda what, value: reported.append(value))  # noqa: B023
         assert line.frames_until(0) == sent
         expected = [] if written_down is None else [[zlib.crc32(data) for data in written_down]]
-        assert told == expected
+        assert reported == expected

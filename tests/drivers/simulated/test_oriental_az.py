@@ -174,7 +174,7 @@ def test_the_time_out_stops_the_axis_when_it_expires_not_when_it_is_polled() -> 
     # 0.2 s, of which 20 ms speed up, and 20 ms of braking: 1 mm/ms2 at 20 mm/s
     assert master.drives[0].position_mm(master.bench.now_us) == pytest.approx(4.0, abs=0.01)
     assert master.value(PRESENT_ALARM) == 0x85
-    assert master.bench.told("fault") == [0x85]
+    assert master.bench.reported("fault") == [0x85]
 
 
 def test_what_holds_it_back_beyond_its_current_is_an_alarm() -> None:

@@ -299,7 +299,7 @@ def test_the_strips_amplifiers_clip(four_newton_mm: float) -> None:
 def test_a_history_that_forgets_still_tells_the_present(
     monkeypatch: pytest.MonkeyPatch, four_newton_mm: float
 ) -> None:
-    def told() -> bytes:
+    def reported() -> bytes:
         hung = Hung()
         hung.press(four_newton_mm)
         hung.go(hung.x, 11.0, 0.5)
@@ -307,9 +307,9 @@ def test_a_history_that_forgets_still_tells_the_present(
         times = np.arange(hung.now_us - 9_000, hung.now_us, 30) * 1e-6
         return hung.world.force_N(times).tobytes() + hung.volts(hung.now_us - 9_000, 180).tobytes()
 
-    whole = told()
+    whole = reported()
     monkeypatch.setattr(skin_contact, "KEPT_s", 0.02)
-    assert told() == whole
+    assert reported() == whole
 
 
 def test_the_log_tells_touch_slips_and_lift_off(tmp_path: Path, four_newton_mm: float) -> None:
@@ -338,8 +338,10 @@ def test_truth_is_asked_for_at_the_control_socket() -> None:
         for world in (hung.world, World(WorldSettings(), 0, slaved=True))
     )
     assert plate.answer(b'{"do": "truth"}') == {"now_us": hung.now_us, **hung.world.truth()}
-    told = clamp.answer(b'{"do": "truth"}')
-    assert set(told) == {"now_us", "film"}, "of a film, what it is; it keeps no record of events"
+    reported = clamp.answer(b'{"do": "truth"}')
+    assert set(reported) == {"now_us", "film"}, (
+        "of a film, what it is; it keeps no record of events"
+    )
 
 
 def test_a_step_without_a_solution_is_never_silent(

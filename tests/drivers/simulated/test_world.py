@@ -178,7 +178,7 @@ def test_the_log_tells_what_happened_and_when(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "reported"),
     [
         ('film = "torn"\n', "film = 'torn'"),
         ("film_gian = 2\n", "film_gian: unknown key"),
@@ -187,12 +187,12 @@ def test_the_log_tells_what_happened_and_when(tmp_path: Path) -> None:
         ("film = \n", "world.toml"),
     ],
 )
-def test_wrong_world_settings_are_refused(tmp_path: Path, text: str, told: str) -> None:
+def test_wrong_world_settings_are_refused(tmp_path: Path, text: str, reported: str) -> None:
     path = tmp_path / "world.toml"
     path.write_text(text)
     with pytest.raises(ConfigurationError) as caught:
         read_world(str(path))
-    assert told in caught.value.message
+    assert reported in caught.value.message
 
 
 def test_missing_world_settings_are_refused_and_none_are_the_defaults(tmp_path: Path) -> None:
@@ -310,8 +310,8 @@ def test_a_film_can_be_given_a_gain_that_grows_with_the_load() -> None:
 
 
 def test_the_world_tells_the_film_that_it_put_in() -> None:
-    told = world(film="nominal").truth()["film"]
-    assert told["drops_Hz"] == [500.0, 2400.0, 9000.0]
-    assert told["corner_Hz"] == pytest.approx(2000.0, rel=0.01)
-    assert told["gain_per_load_decade_dB"] == 0
+    reported = world(film="nominal").truth()["film"]
+    assert reported["drops_Hz"] == [500.0, 2400.0, 9000.0]
+    assert reported["corner_Hz"] == pytest.approx(2000.0, rel=0.01)
+    assert reported["gain_per_load_decade_dB"] == 0
     assert world(film="open-circuit").truth() == {}

@@ -38,7 +38,7 @@ class Talk:
 
 
 @pytest.mark.parametrize(
-    ("message", "told"),
+    ("message", "reported"),
     [
         (b"/1 1 00 get pos:2C\n", b"@01 1 00 OK IDLE -- 0:0C\r\n"),
         (b"/\n", b"@01 0 OK IDLE -- 0\r\n"),
@@ -50,10 +50,10 @@ class Talk:
         (b"get pos\n", None),
     ],
 )
-def test_what_it_answers_to_whom(message: bytes, told: bytes | None) -> None:
+def test_what_it_answers_to_whom(message: bytes, reported: bytes | None) -> None:
     line = Talk().stage.line()
     exchanges = [*line.exchanges(message[:5], "test"), *line.exchanges(message[5:], "test")]
-    assert [exchange.reply for exchange in exchanges] == ([] if told is None else [told])
+    assert [exchange.reply for exchange in exchanges] == ([] if reported is None else [reported])
 
 
 def test_it_turns_along_a_trapezoid_at_exact_times() -> None:

@@ -47,7 +47,7 @@ class Wire(ChainLine):
         for exchange in super().exchanges(data, by):
             words = exchange.request.decode()
             self.said.append(words)
-            forge = self.forged.get(words, lambda told: told)
+            forge = self.forged.get(words, lambda reported: reported)
             yield Exchange(exchange.request, forge(exchange.reply or b""))
 
     def heard(self) -> list[str]:
@@ -59,8 +59,8 @@ class Wire(ChainLine):
 def saying(data: str) -> Callable[[bytes], bytes]:
     """Another datum in an otherwise sound reply."""
 
-    def forge(told: bytes) -> bytes:
-        head = told.split(b":")[0].rpartition(b" ")[0]
+    def forge(reported: bytes) -> bytes:
+        head = reported.split(b":")[0].rpartition(b" ")[0]
         return signed(head + b" " + data.encode())
 
     return forge
