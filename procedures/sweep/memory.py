@@ -52,16 +52,16 @@ class SweepMemory:
     followed_s: float = 0.0
     """Time at which the latest move after the creep ended; earlier force values do not include its
     effect."""
-    _truth_told: bool = False
+    _truth_reported: bool = False
     decay_s: float | None = None
     """Time constant of the latest ringing that was seen to decay; None before the first."""
 
     def film_truth(self, run: Run) -> Reading:
         """Return the simulated bench's own account of its film for the first reading that asks;
         empty afterwards, and on a real bench. No measurement uses it."""
-        if self._truth_told:
+        if self._truth_reported:
             return {}
-        self._truth_told = True
+        self._truth_reported = True
         truth = run.clock.truth()
         return {TRUTH: json.dumps(truth)} if truth else {}
 

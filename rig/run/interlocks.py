@@ -71,7 +71,7 @@ class InterlockWatch:
         """Contacts that count as open because they could not be read."""
         self._proving: str | None = None
         """Contact whose proof test is under way: it is opened on purpose."""
-        self._told: set[str] = set()
+        self._reported: set[str] = set()
         """Latched contacts that have been raised or returned."""
         self._news: list[tuple[str, str]] = []
         """Events that the procedure's thread has not recorded yet: level and message."""
@@ -147,7 +147,7 @@ class InterlockWatch:
         """Return, once, what `check` raises, unless it has raised it before."""
         with self._lock:
             for name, contact in self._contacts.items():
-                if contact.latched and name not in self._told:
+                if contact.latched and name not in self._reported:
                     return self.error(name)
         return None
 
@@ -274,7 +274,7 @@ class InterlockWatch:
 
     def error(self, name: str) -> InterlockError:
         """Return what a latched contact means to a run, as the error that ends it."""
-        self._told.add(name)
+        self._reported.add(name)
         what = self._reasons.get(name, f"interlock {name} (person) opened")
         hint = "check the bench and close it"
         if name in self._unread:

@@ -292,7 +292,7 @@ def test_twenty_decibels_are_not_refused_for_a_difference_without_meaning():
     assert found.slopes.verdict(tight).answer == "does not hold"
 
 
-def test_a_film_of_another_slope_is_told_from_one_of_twenty():
+def test_a_film_of_another_slope_is_distinguished_from_one_of_twenty():
     film = FilmModel(-78.0, 1 / 2000, slope_dB_decade=19.9)
     text = analyse(*curve_of(film.response)).sentences()[0]
     assert "20 dB/decade (stress rate): does not hold" in text

@@ -248,7 +248,7 @@ def test_an_expired_record_is_refused_with_its_dates_and_the_remedy() -> None:
         assert words in line
 
 
-def test_an_expired_record_is_used_when_told_and_says_so() -> None:
+def test_an_expired_record_is_used_when_asked_for_and_says_so() -> None:
     (warning,) = verdict(film(), MEASURED + timedelta(days=400), allow_expired=True)
     assert "expired on 2027-02-19 and is used because that was allowed" in warning
 

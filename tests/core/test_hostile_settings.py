@@ -263,7 +263,7 @@ def test_a_bench_file_cannot_have_just_any_module_imported(driver: str) -> None:
         parse_bench(BENCH.replace("keysight-33500b", driver), "bench.toml")
 
 
-def test_many_errors_are_counted_not_told(tmp_path: Path) -> None:
+def test_many_errors_are_counted_not_listed(tmp_path: Path) -> None:
     with pytest.raises(ConfigurationError, match="and 80 more"):
         parse_bench("".join(f"key_{k} = 1\n" for k in range(100)) + BENCH, "bench.toml")
 

@@ -88,7 +88,7 @@ def test_a_further_move_takes_the_place_of_what_was_to_come():
     assert listened(*moves, block=7) == expected
 
 
-def test_a_move_that_is_told_late_begins_with_the_next_row():
+def test_a_move_that_comes_late_begins_with_the_next_row():
     detector = Listener(Settings(), RATE_Hz)
     detector.add(np.zeros((250, 2)))
     detector.command(XMove(100, 0.5, 200))

@@ -172,7 +172,7 @@ def test_a_parameter_that_another_client_has_chosen_is_not_taken_for_the_torque(
         assert axis.torque_percent() == pytest.approx(0.0, abs=1e-6), "and not 30"
 
 
-def test_a_fault_is_told_by_number_and_meaning_before_anything_acknowledges_it() -> None:
+def test_a_fault_is_reported_by_number_and_meaning_before_anything_acknowledges_it() -> None:
     with service() as it:
         axis = it.connect()
         assert axis.fault() is None

@@ -180,7 +180,7 @@ def test_the_torque_shows_what_is_pressed_and_a_drive_without_it_is_asked_once()
         assert len(bench.line.said) == asked + 1
 
 
-def test_an_alarm_is_told_by_number_and_meaning_before_anything_resets_it() -> None:
+def test_an_alarm_is_reported_by_number_and_meaning_before_anything_resets_it() -> None:
     with service() as bench:
         axis = bench.connect("z")
         assert axis.fault() is None

@@ -173,7 +173,7 @@ def test_text_from_files_is_shown_as_text_and_never_becomes_markup(rig, browser)
             assert wide <= width, tab
 
 
-def test_a_run_that_hangs_is_told_as_hanging_and_its_guard_has_the_last_word(rig, browser):
+def test_a_run_that_hangs_is_reported_as_hanging_and_its_guard_has_the_last_word(rig, browser):
     running = rig.start(*LONG, fresh=True)
     running.wait_for("^1/5 ")
     os.kill(running.process.pid, signal.SIGSTOP)

@@ -213,7 +213,9 @@ def test_a_touch_gain_is_compared_as_far_as_its_error_allows(
     assert [level for level, _ in run.said] == ([found] if found == "warning" else [])
 
 
-def test_a_touch_gain_that_cannot_be_told_from_nothing_is_no_reference(tmp_path: Path) -> None:
+def test_a_touch_gain_that_cannot_be_distinguished_from_nothing_is_no_reference(
+    tmp_path: Path,
+) -> None:
     Run(tmp_path).touch(1e-6, 1e-6)
     Run(tmp_path).touch(3e-4)
     with pytest.raises(InstrumentError):

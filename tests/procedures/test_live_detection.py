@@ -137,7 +137,7 @@ def test_a_move_that_is_changed_under_way_is_reckoned_from_where_x_is_then() -> 
     ]
 
 
-def test_a_stop_is_told_and_what_hardly_changes_the_motion_is_not() -> None:
+def test_a_stop_is_reported_and_what_hardly_changes_the_motion_is_not() -> None:
     ramp = [(1.0 + 0.01 * tick, 20.0, 1.0 + 0.011 * tick) for tick in range(16)]
     reported = x_by_commands(*ramp, (2.0, 0.0, 0.0), (2.5, 0.0, 0.0))
     assert [round(speed_mm_s, 2) for _, speed_mm_s, _ in reported] == [1.0, 1.11, 0.0]

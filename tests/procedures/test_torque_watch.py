@@ -128,7 +128,7 @@ def stand_still(
     ],
     ids=["idle", "at its limit", "not read since"],
 )
-def test_a_stage_that_stands_in_the_contact_range_is_told_from_one_that_is_held(
+def test_a_stage_that_stands_in_the_contact_range_is_distinguished_from_one_that_is_held(
     percent: float | None, device: str, words: str
 ) -> None:
     bench = Bench(0.0)

@@ -174,7 +174,7 @@ def test_a_sensor_that_reads_nothing_where_z_stands_in_contact_is_not_believed(r
 
 
 @pytest.mark.parametrize("zero", [ZERO, None])
-def test_a_force_over_the_limit_of_the_run_that_remains_is_told_zeroed_or_not(
+def test_a_force_over_the_limit_of_the_run_that_remains_is_reported_zeroed_or_not(
     rig: Any, zero: Any
 ) -> None:
     rig.fault = lambda: "126 (following error)"

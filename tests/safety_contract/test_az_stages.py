@@ -41,7 +41,7 @@ def assert_lifted(rig):
     assert touches == ["touch-down", "lift-off"]
 
 
-def assert_told_to_stop(rig):
+def assert_ordered_to_stop(rig):
     """x has stopped on its way, because it was made to: its time-out was fed by frames to z."""
     happened = [e["what"] for e in rig.log() if e["device"] == "stage_x"]
     said = [what for what in happened if what != "injected"]
@@ -95,7 +95,7 @@ def test_a_drive_that_falls_silent_beside_the_other_is_reported_and_the_skin_lif
     assert ended.code == 3, ended.stderr
     assert ended.errors[0].startswith("error: stage_x: read register 00C6h: no answer within")
     assert_lifted(rig)
-    assert_told_to_stop(rig)
+    assert_ordered_to_stop(rig)
 
 
 @pytest.mark.thorough
@@ -107,7 +107,7 @@ def test_a_drive_that_answers_nothing_any_more_is_not_safe_and_the_skin_is_lifte
     assert cause.startswith("error: stage_x: ")
     assert unsafe.startswith("error: NOT SAFE: slide could not be switched off: stage_x: ")
     assert_lifted(rig)
-    assert_told_to_stop(rig)
+    assert_ordered_to_stop(rig)
 
 
 @pytest.mark.thorough

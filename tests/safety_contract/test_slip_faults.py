@@ -26,7 +26,7 @@ def take(rig, world="", fault="", *given):
     )  # fmt: skip
 
 
-def assert_told(ended, code, words):
+def assert_reported(ended, code, words):
     """In one line, with a remedy."""
     assert ended.code == code, ended.stderr
     (error,) = ended.errors
@@ -77,7 +77,7 @@ X_TROUBLES = {
 def test_a_stage_that_fails_in_the_slide_is_reported_and_the_skin_lifted(rig, what):
     kind, words = X_TROUBLES[what]
     ended = take(rig, "", f'[[fault]]\ndevice = "stage_x"\nkind = "{kind}"\n{SLIDING}')
-    assert_told(ended, 3, words or rig.bench.x.held_fast)
+    assert_reported(ended, 3, words or rig.bench.x.held_fast)
     assert ended.errors[0].startswith("error: stage_x: ")
     assert_lifted(rig)
     assert_kept_until_sliding(rig)
@@ -89,7 +89,7 @@ def test_a_stage_that_is_held_before_contact_is_reported_with_where_it_stands(ri
     ended = take(
         rig, "", '[[fault]]\ndevice = "stage_z"\nkind = "stuck"\nmove = 4\nafter_s = 0.1\n'
     )
-    assert_told(ended, 3, "stage_z: approach: stage_z is held at 11.")
+    assert_reported(ended, 3, "stage_z: approach: stage_z is held at 11.")
     assert "look what holds the stage" in ended.errors[0]
     last_of(rig, "stage_z")
 
@@ -97,7 +97,7 @@ def test_a_stage_that_is_held_before_contact_is_reported_with_where_it_stands(ri
 @pytest.mark.thorough
 def test_a_lift_that_fails_leaves_both_stages_at_rest_and_says_so(rig):
     ended = take(rig, "", f'[[fault]]\ndevice = "stage_z"\nkind = "drive-fault"\n{SLIDING}')
-    assert_told(ended, 3, f"stage_z: {rig.bench.z.fault}")
+    assert_reported(ended, 3, f"stage_z: {rig.bench.z.fault}")
     assert "the stage stands and the skin may still be pressed: stage_z: " in ended.stderr
     last_of(rig, "stage_x")
     assert last_of(rig, "stage_z") == pytest.approx(12.09, abs=0.01)
@@ -137,7 +137,7 @@ def test_a_force_channel_that_saturates_ends_the_trial(rig):
     """3.5 mV/V are 290 N along z: somebody hits the plate."""
     hit = '[[fault]]\ndevice = "force_sensor"\nkind = "spike"\nforce_N = 500.0\nfor_s = 0.02\n'
     ended = take(rig, "", hit + SLIDING)
-    assert_told(ended, 3, "frames are saturated")
+    assert_reported(ended, 3, "frames are saturated")
     assert_lifted(rig)
     assert_kept_until_sliding(rig)
 
@@ -155,7 +155,7 @@ def test_bytes_lost_on_the_serial_line_end_the_trial(rig, what):
     kind, lasting, words = FRAMES[what]
     plan = f'[[fault]]\ndevice = "force_sensor.stream"\nkind = "{kind}"\n'
     ended = take(rig, "", plan + lasting + SLIDING)
-    assert_told(ended, 3, words)
+    assert_reported(ended, 3, words)
     assert_lifted(rig)
     assert_kept_until_sliding(rig)
 
@@ -175,7 +175,7 @@ def test_a_few_frames_that_are_lost_make_the_trial_invalid(rig):
 @pytest.mark.thorough
 def test_a_daq_whose_buffer_overruns_ends_the_trial(rig):
     ended = take(rig, "", f'[[fault]]\ndevice = "daq"\nkind = "overrun"\n{SLIDING}')
-    assert_told(ended, 3, "daq: WAV:STAT?: its buffer overran after row")
+    assert_reported(ended, 3, "daq: WAV:STAT?: its buffer overran after row")
     assert_lifted(rig)
     assert_kept_until_sliding(rig)
     with RunFile.open(rig.only("*.h5")) as run:
@@ -196,6 +196,6 @@ def test_short_blocks_are_taken_as_fast_as_they_come(rig):
 def test_a_block_of_samples_that_is_lost_on_the_wire_ends_the_trial(rig):
     fault = '[[fault]]\ndevice = "daq"\nkind = "truncate"\ncommand = "WAV:DATA"\n'
     ended = take(rig, "", fault + SLIDING)
-    assert_told(ended, 3, "error: daq: WAV:DATA?")
+    assert_reported(ended, 3, "error: daq: WAV:DATA?")
     assert_lifted(rig)
     assert_kept_until_sliding(rig)

@@ -32,7 +32,7 @@ from .invariants import (
     at_rest,
     holds_worse,
     left_unsaid,
-    told_about,
+    reported_about,
 )
 from .rows import rows_as_recorded
 from .running import finished
@@ -273,7 +273,7 @@ def _attempt(attempt: Attempt) -> Iterator[str]:
         yield from left_pressed(attempt)
     if attempt.code not in (DONE, DONE_WITH_FAILURES):
         errors = [f"error: {attempt.reason}"]
-        yield from told_about(attempt, errors)
+        yield from reported_about(attempt, errors)
 
 
 def _kept(ran: BatchRan, number: int) -> Iterator[str]:

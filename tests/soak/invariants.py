@@ -151,10 +151,10 @@ def _telling(ran: Ran) -> Iterator[str]:
     if not ran.errors:
         yield f"exit code {ran.code} without a sentence"
         return
-    yield from told_about(ran, ran.errors)
+    yield from reported_about(ran, ran.errors)
 
 
-def told_about(ran: Ran, errors: Sequence[str]) -> Iterator[str]:
+def reported_about(ran: Ran, errors: Sequence[str]) -> Iterator[str]:
     """The `errors` of a trial that failed name what was injected, and a remedy."""
     for line in errors:
         if "; " not in line and not line.startswith("error: NOT SAFE"):

@@ -22,7 +22,7 @@ from forked_rig import ForkedProcess, Server
 from drivers.simulated.faults.plan import devices_by_fault
 
 from .attacks import LINKS, MOST_REQUESTS, OPTIONS, left_pressed, moment
-from .invariants import Ran, at_rest, files_are_sound, left_unsaid, told_about
+from .invariants import Ran, at_rest, files_are_sound, left_unsaid, reported_about
 from .rows import rows_as_recorded
 from .running import finished
 from .trials import ON_A_LINE, STAGES, Trial, world_of
@@ -114,7 +114,7 @@ def late_breaches(ran: Ran) -> list[str]:
     if ran.code not in (0, 3, 4, 5, 7) or (ran.code and not ran.faults_met and not busy):
         found.append(f"exit code {ran.code}")
     if ran.code in (3, 4, 7) and not busy:
-        found += told_about(ran, ran.errors)
+        found += reported_about(ran, ran.errors)
     wrong = [one.reported for one in rows_as_recorded(ran) if not one.declared]
     return [
         *found, *at_rest(ran), *files_are_sound(ran), *left_pressed(ran), *left_unsaid(ran), *wrong,

@@ -46,7 +46,7 @@ class ControlServer:
         self._server: asyncio.Server | None = None
         self._owned = False
         self._stopped = False
-        self._failure_told = False
+        self._failure_reported = False
 
     async def start(self, port: int = 0) -> int:
         """Listen; returns the port."""
@@ -66,8 +66,8 @@ class ControlServer:
             do = request["do"]
             if do == "advance":
                 self._advance(int(request["us"]))
-                if self._world.failure is not None and not self._failure_told:
-                    self._failure_told = True
+                if self._world.failure is not None and not self._failure_reported:
+                    self._failure_reported = True
                     return self._failed()
                 sent = {name: count() for name, count in self._streams.items()}
                 return {"now_us": self._world.now_us, "streams": sent}

@@ -51,7 +51,7 @@ class Lateness:
 
     def __init__(self) -> None:
         self._latest_s: float | None = None
-        self._told_s = LATE_S / 2
+        self._reported_s = LATE_S / 2
 
     def note(self, now_s: float) -> float | None:
         """Note that the bench does its work at this time, which it should every `SETTLE_EVERY_S`.
@@ -59,9 +59,9 @@ class Lateness:
         twice what was said before."""
         before_s, self._latest_s = self._latest_s, now_s
         late_s = 0.0 if before_s is None else now_s - before_s - SETTLE_EVERY_S
-        if late_s < 2 * self._told_s:
+        if late_s < 2 * self._reported_s:
             return None
-        self._told_s = late_s
+        self._reported_s = late_s
         return late_s
 
 

@@ -86,9 +86,9 @@ class Monitor:
         self._next_us = 0
         self._allowed_N = 0.0
         """Largest rise within one reaction since the force went over its limit."""
-        self._told = False
+        self._reported = False
         self._over_since_us: int | None = None
-        self._told_long = False
+        self._reported_long = False
         self._longest_over_us = 0
         self._largest_N = 0.0
         self._pressed = False
@@ -106,8 +106,8 @@ class Monitor:
         history = np.concatenate([self._recent, force])
         self._recent = history[-self._before :]
         if force.max() <= self._settings.force_limit_N:
-            self._allowed_N, self._told = 0.0, False
-            self._over_since_us, self._told_long = None, False
+            self._allowed_N, self._reported = 0.0, False
+            self._over_since_us, self._reported_long = None, False
             return
         self._time_over(force.tolist(), times.tolist())
         for after, before in zip(force.tolist(), history.tolist(), strict=False):
@@ -146,14 +146,14 @@ class Monitor:
         """Judge how long the force has been over its limit without a break."""
         for force, time_us in zip(force_N, times_us, strict=True):
             if force <= self._settings.force_limit_N:
-                self._over_since_us, self._told_long = None, False
+                self._over_since_us, self._reported_long = None, False
                 continue
             if self._over_since_us is None:
                 self._over_since_us = time_us
             over_us = time_us - self._over_since_us
             self._longest_over_us = max(self._longest_over_us, over_us)
-            if over_us > self._settings.longest_over_s * 1e6 and not self._told_long:
-                self._told_long = True
+            if over_us > self._settings.longest_over_s * 1e6 and not self._reported_long:
+                self._reported_long = True
                 self._report(
                     "violation",
                     f"force of {force:.3g} N, over its limit for more than "
@@ -163,11 +163,11 @@ class Monitor:
     def _judge(self, force_N: float, rise_N: float) -> None:
         excess = force_N - self._settings.force_limit_N
         if excess <= 0:
-            self._allowed_N, self._told = 0.0, False
+            self._allowed_N, self._reported = 0.0, False
             return
         self._allowed_N = max(self._allowed_N, rise_N)
-        if excess > self._allowed_N and not self._told:
-            self._told = True
+        if excess > self._allowed_N and not self._reported:
+            self._reported = True
             self._report(
                 "violation",
                 f"force of {force_N:.3g} N, {excess:.3g} N over its limit, which it rose by "
