@@ -4,7 +4,7 @@ A sensor that is dead does not always fall silent: its amplifier may send noise 
 nothing but the stage itself shows that it presses. An approach ends
 
 - where z stands although it is commanded to move: its torque limit holds it, or something else, or
-  it does not obey, which its torque shows,
+  it does not obey; its torque shows which of these it is,
 - where the torque of its motor rises and no force with it, and
 - where contact has been felt, z has gone on, and the mean force is no force by the sensor's own
   noise, which was measured before contact.

@@ -45,7 +45,7 @@ class LookWatch:
 
     def note(self, axes: Iterable[PolledAxis], now_s: float, every_s: float) -> None:
         """Note how old the latest look at each axis is at a tick: from its question on, since an
-        answer that comes late may tell where the axis was then. `every_s` is the time from one look
+        answer that comes late may say where the axis was then. `every_s` is the time from one look
         to the next."""
         for axis in axes:
             if not axis.in_motion:

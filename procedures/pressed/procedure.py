@@ -165,7 +165,7 @@ class PressedProcedure(TrialProcedure):
         """Return how far along x from `start_mm` the trials begin, in mm, one after the other.
 
         Each of them gets ``--trials`` trials, which are numbered through. The default is one place,
-        `start_mm` itself. `record.x_mm` shows `reading` where x was.
+        `start_mm` itself. `reading` finds the position of x in `record.x_mm`.
         """
         return (0.0,)
 

@@ -82,10 +82,10 @@ def train(
             help="Number of networks that are trained apart and averaged into one.", min=1, max=16
         ),
     ] = 2,
-    units: Annotated[int, typer.Option(help="Hidden units of each of them.", min=1, max=64)] = 32,
+    units: Annotated[int, typer.Option(help="Hidden units of each of them.", min=1, max=256)] = 64,
     epochs: Annotated[
         int, typer.Option(help="Number of passes over all recordings.", min=1, max=1000)
-    ] = 30,
+    ] = 40,
     seed: Annotated[
         int,
         typer.Option(help="Seed of the initial weights and of the order of the recordings.", min=0),

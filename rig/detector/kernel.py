@@ -290,7 +290,7 @@ ADAPTED_INPUTS = (
 
 Signs and compression are those of `FIXED_INPUTS`. Voltages are in units of the first touch: 0.5 mV
 times the sum of v_s over the touch-down, as a share of `STANDARD_TOUCH`. So neither the gain of the
-amplifiers nor, in the main, the normal force makes a difference; "touch to noise" tells how the
+amplifiers nor, in the main, the normal force makes a difference; "touch to noise" is how the
 noise compares with both. Until the touch-down is over the unit is 0.5 mV and "touched" is 0.
 """
 

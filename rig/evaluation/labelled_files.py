@@ -80,6 +80,8 @@ class ListedTrial:
     """True if it comes from a simulated bench."""
     commands: tuple[Command, ...] = ()
     """What was commanded, where the file states it."""
+    ends_known: bool = True
+    """False where it is only stated when the ridge slipped, and not when it stuck again."""
 
 
 @dataclass(frozen=True)
@@ -93,6 +95,7 @@ class _Recorded:
     """Label and times that a simulated bench stored, by the names of a list's columns, or the
     little that the procedure says."""
     slips_s: tuple[tuple[float, float], ...]
+    """Begin and end of every slip of the whole ridge, in s of the record."""
     rolls: bool
     sample: str
     day: str
@@ -137,10 +140,11 @@ def listed_trials(listing: Path) -> Iterator[tuple[ListedTrial, int]]:
         path = listing.parent / row["file"]
         recorded = _recorded(path, row.get("point", ""), where)
         truth = _truth(row, recorded, where)
-        slips_s = recorded.slips_s
+        slips_s, ends_known = recorded.slips_s, True
         # Where the list states the truth itself, the bench's account may contradict it.
         if not slips_s or set(TIMES) & set(row) or "label" in row:
             slips_s = ((truth.ridge_slip_s, truth.record_s),) if truth.slipped else ()
+            ends_known = False
         yield (
             ListedTrial(
                 name=f"{path.name} {recorded.point}",
@@ -149,6 +153,7 @@ def listed_trials(listing: Path) -> Iterator[tuple[ListedTrial, int]]:
                 rate_Hz=recorded.rate_Hz,
                 truth=truth,
                 slips_s=slips_s,
+                ends_known=ends_known,
                 traits=_traits(row, where),
                 rolls=recorded.rolls,
                 sample=recorded.sample,

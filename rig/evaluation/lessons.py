@@ -102,6 +102,8 @@ class Lesson:
     """End of a roll, NaN if it lasts to the end of the record."""
     commands: tuple[Command, ...] = ()
     """What was commanded, where that is known."""
+    ends_known: bool = True
+    """False where the ends of `slips_s` are only not before the end of the record."""
     first: bool = True
     """False for a trial that is heard through a further front end."""
     weight: float = 1.0
@@ -193,6 +195,7 @@ def file_lesson(listed: ListedTrial, held_out: bool) -> Lesson:
         slips_s=np.array(listed.slips_s, dtype=np.float64).reshape(-1, 2),
         rolls=listed.rolls,
         commands=listed.commands,
+        ends_known=listed.ends_known,
     )
 
 
@@ -216,6 +219,7 @@ class Teacher:
         shown = IncipientSlipDetector(self._settings, NETWORK_RATE_Hz).network_inputs(
             volts, commands
         )
+        moves = shown.inputs[:, INPUTS.index("speed of x")] > 0
         rows = rows_of(
             TrainingTrial(
                 inputs=shown.inputs,
@@ -226,7 +230,7 @@ class Teacher:
                 motion_s=lesson.truth.motion_s,
                 motion_end_s=lesson.motion_end_s,
                 lift_off_s=lesson.truth.lift_off_s,
-                moves=shown.inputs[:, INPUTS.index("speed of x")] > 0 if commands else None,
+                moves=moves if commands and lesson.ends_known else None,
             )
         )
         return replace(rows, weight=lesson.weight * rows.weight)

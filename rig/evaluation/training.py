@@ -3,9 +3,10 @@
 This is logistic regression through one hidden layer, by Adam (Kingma and Ba 2015) on shuffled
 batches. All randomness comes from one seed: the same rows give the same weights on the same
 machine. The targets are defined here too: the detector should report a slip once from 2 ms before
-the whole ridge slips to 25 ms after it, again at each further slip, and never else. An alarm from
-10 ms before to 30 ms after is right (decision 0079), so that the rows between are neither taught as
-a slip nor as none. A partial slip is not a slip.
+the whole ridge slips to 25 ms after it, again at each further slip, and never else; and, where the
+commands are known, once more in every 0.1 s of a slip that lasts while x moves (decision 0125). An
+alarm from 10 ms before to 30 ms after is right (decision 0079), so that the rows between are
+neither taught as a slip nor as none. A partial slip is not a slip.
 
 A slip is one case, not as many as it has rows. One alarm finds it, so what is taught is that the
 probability is high at some of its rows: the odds of a slip are the mean of the odds of its rows.
@@ -43,10 +44,12 @@ SLIP_WEIGHT = 13.0
 slip has at 2 ms. Neither this nor the next was tuned (decision 0124)."""
 FURTHER_SLIP = 0.12
 """Weight of each further slip, as a share of that: a trial in which the ridge slips fifty times
-teaches seven times as much as one with a single slip, not fifty times."""
+teaches seven times as much as one with a single slip, not fifty times. There is no upper bound:
+slides at 0.1 mm/s last for seconds."""
 LASTING_S = 0.1
 """A slip that lasts while x moves is taught as one more case, as a further slip, in each of these
-pieces of it: whoever answers an alarm by a firmer grip has to know that it was not enough."""
+pieces of it, the last one included, however short: whoever answers an alarm by a firmer grip has to
+know that it was not enough (decision 0125)."""
 BATCH, LEAST_STEPS = 32, 2000
 """Largest number of recordings in a batch; it is smaller where the training would have fewer steps
 than the second."""
@@ -72,7 +75,8 @@ class TrainingTrial:
     lift_off_s: float
     """Lift-off of the ridge."""
     moves: NDArray[np.bool_] | None = None
-    """Rows at which x is known to be commanded to move, (m,); None where no commands are known."""
+    """Rows at which x is known to be commanded to move, (m,); None where no commands are known, or
+    not when slips end."""
 
 
 @dataclass(frozen=True)

@@ -214,11 +214,11 @@ class _Direct(LiveDetector):
         self._ask(lambda: self._detector.add(volts, first_sample))
 
     def command(self, given: Command) -> None:
-        def last_events() -> list[SlipEvent]:
+        def give() -> list[SlipEvent]:
             self._detector.command(given)
             return []
 
-        self._ask(last_events)
+        self._ask(give)
 
     def finish(self) -> None:
         self._ask(self._detector.finish)

@@ -113,7 +113,7 @@ class Case(ABC):
     """Reason why the module's `make_safe` has nothing to do; empty if it has something to do."""
     anonymous = ""
     """Reason why the instrument cannot report that it is simulated; empty if it can."""
-    stranger_reported = "ACME T-1000"
+    stranger_says = "ACME T-1000"
     """Text that names an instrument other than the expected one in the refusal."""
 
     def __repr__(self) -> str:

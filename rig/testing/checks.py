@@ -394,7 +394,7 @@ def check_another_instrument_is_refused_with_both_names_and_released(case: Case)
             connect(case, service)
         line = caught.error.one_line()
         _names_the_place(line, service)
-        for words in (case.stranger_reported, "expected"):
+        for words in (case.stranger_says, "expected"):
             assert words in line, f"{words!r} is missing in {line!r}"
         _let_go(service)
 
@@ -461,7 +461,7 @@ def check_a_reader_refuses_what_is_silent_or_another_instrument(case: Case) -> N
         settings = module.Settings.model_validate(service.settings)
         with raising(InstrumentError, "open_reader() of another instrument") as stranger:
             module.open_reader(settings, service.clock)
-        assert case.stranger_reported in stranger.error.one_line(), stranger.error.one_line()
+        assert case.stranger_says in stranger.error.one_line(), stranger.error.one_line()
         _let_go(service)
 
 

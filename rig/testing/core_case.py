@@ -90,7 +90,7 @@ class CoreService(Service):
 class CoreCase(Case):
     """A driver with its simulator core, on the link that the core names."""
 
-    stranger_reported = "T-1000"
+    stranger_says = "T-1000"
 
     def __init__(
         self,

@@ -1,4 +1,4 @@
-"""What a batch reports of references, force zero, disk and calibrations."""
+"""What a batch learns of references, force zero, disk and calibrations."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""What goes wrong in the slide or ramp of a trial in real time at 500 Hz, its links beside the
-tick: x at rest, the skin off the plate or said to be on it, what went wrong reported, a file that
-can be read.
+"""What goes wrong in the slide or ramp of a trial in real time at 500 Hz, its links served in
+background threads: x at rest, the skin off the plate or said to be on it, what went wrong
+reported, a file that can be read.
 
 Run with ``pytest -m benchmark -n 0 -s tests/benchmarks/bench_real_time_faults.py``. CI has the same
 faults in slaved time, where each happens at the same instant every time; here it does not.

@@ -85,6 +85,7 @@ def test_a_roll_trial_without_a_label_has_no_slip_and_its_motion_begins_where_it
     assert [one.rolls for one in trials] == [False, True, False, False, True]
     assert all(one.truth.motion_s == 1.0 for one in trials)
     assert [len(one.slips_s) for one in trials] == [1, 0, 1, 1, 0]
+    assert not any(one.ends_known for one in trials)  # the list says when they slip only
 
 
 def test_trials_that_share_samples_or_days_are_never_on_both_sides(tmp_path: Path):

@@ -143,7 +143,7 @@ def press_and_slide(
     arrived = bench.now_ms
     stiffness = stiffness_error * approach.stiffness_N_mm
     servo = ForceServo(settings_from(target_N, stiffness, 1 / rate_Hz, DELAY_s, ACCELERATION_mm_s2))
-    reported = bench.position_mm()
+    commanded = bench.position_mm()
     slide_s = (0.09 * friction.static_coefficient * target_N + 0.1) / speed_mm_s + RAMP_s
     begin = arrived + REST_ms // period * period
     while bench.now_ms < begin + 1000 * slide_s:
@@ -151,9 +151,9 @@ def press_and_slide(
             bench.slide_from_ms, bench.speed_mm_s = begin, speed_mm_s
             servo.slide_begins(expected)
         move = servo.step(bench.force_N())
-        counted = bench.go(reported + move.increment_mm, move.speed_mm_s)
-        servo.correct(counted - reported - move.increment_mm)
-        reported = counted
+        counted = bench.go(commanded + move.increment_mm, move.speed_mm_s)
+        servo.correct(counted - commanded - move.increment_mm)
+        commanded = counted
         for _ in range(period):
             bench.pass_ms()
     error = np.array(bench.normal_N) / target_N - 1

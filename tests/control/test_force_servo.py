@@ -30,25 +30,25 @@ def on_a_spring(
     tick_s: float = 0.01,
     truth: float = 1.0,
     left_out: Container[int] = (),
-    told_of_it: bool = True,
+    knows_of_it: bool = True,
 ) -> np.ndarray:
     """Force at each tick on a spring `truth` times as stiff as the servo thinks; the axis is there
     at once and is seen a whole number of ticks later: a delay of half a tick less. The servo steps
     at no tick that is `left_out`, which it learns with the next."""
     late = 1 if tick_s > 0.005 else 3
     servo = ForceServo(settings_from(TARGET_N, STIFFNESS_N_mm, tick_s, (late - 0.5) * tick_s, 1e6))
-    reported = [0.0] * late
+    commanded = [0.0] * late
     forces = []
     missed = 0
     for k in range(ticks):
-        force = TARGET_N + disturbance_N(k * tick_s) + truth * STIFFNESS_N_mm * reported[-late]
+        force = TARGET_N + disturbance_N(k * tick_s) + truth * STIFFNESS_N_mm * commanded[-late]
         forces.append(force)
         if k in left_out:
-            missed += told_of_it
+            missed += knows_of_it
         else:
             servo.step(force, 1 + missed)
             missed = 0
-        reported.append(servo.commanded_mm)
+        commanded.append(servo.commanded_mm)
     return np.array(forces)
 
 
@@ -72,14 +72,14 @@ def test_a_servo_that_was_left_alone_takes_a_ramp_up_where_it_is(
     has come meanwhile for a steeper ramp, and overshoots."""
     alone = range(200, 220)
 
-    def after(told_of_it: bool) -> np.ndarray:
+    def after(knows_of_it: bool) -> np.ndarray:
         forces = on_a_spring(
-            lambda t: 5.0 * t, tick_s=tick_s, truth=truth, left_out=alone, told_of_it=told_of_it
+            lambda t: 5.0 * t, tick_s=tick_s, truth=truth, left_out=alone, knows_of_it=knows_of_it
         )
         assert forces[219] - TARGET_N > 0.8 * 5.0 * 20 * tick_s
         return forces[225:] - TARGET_N
 
-    overshoot = [-after(reported).min() / (5.0 * 20 * tick_s) for reported in (True, False)]
+    overshoot = [-after(commanded).min() / (5.0 * 20 * tick_s) for commanded in (True, False)]
     assert overshoot[0] < 0.7 * overshoot[1]
     assert np.abs(after(True)[-100:]).max() < 0.51 * 5.0 * tick_s
 
@@ -90,7 +90,7 @@ def test_every_second_tick_is_enough_for_a_ramp(tick_s: float) -> None:
     assert np.abs(forces[-100:] - TARGET_N).max() < 2.02 * 5.0 * tick_s
 
 
-def on_busy_links(told_of_it: bool, seed: int) -> np.ndarray:
+def on_busy_links(knows_of_it: bool, seed: int) -> np.ndarray:
     """Errors of the force in N at 500 Hz on a spring whose force drifts by 5 N/s; a target comes to
     the axis up to 8 ms late, the force is up to 8 ms older than usual, and the servo steps again
     when the axis has answered."""
@@ -113,7 +113,7 @@ def on_busy_links(told_of_it: bool, seed: int) -> np.ndarray:
             continue
         older_s = grid_s * rng.integers(17)
         seen = forces[max(0, len(forces) - 1 - round((felt + older_s) / grid_s))]
-        if told_of_it:
+        if knows_of_it:
             servo.step(seen, ticks, late_s, older_s)
         else:
             servo.step(seen, ticks)
@@ -124,13 +124,14 @@ def on_busy_links(told_of_it: bool, seed: int) -> np.ndarray:
 
 
 def test_a_servo_that_knows_how_late_its_links_are_holds_the_force() -> None:
-    """One that is not rings: a target comes after the force that it answers to has changed."""
-    reported, untold = (
-        np.sqrt(np.mean([on_busy_links(told_of_it, seed) ** 2 for seed in range(8)]))
-        for told_of_it in (True, False)
+    """One that does not know it rings: a target comes after the force that it answers to has
+    changed."""
+    aware, unaware = (
+        np.sqrt(np.mean([on_busy_links(knows_of_it, seed) ** 2 for seed in range(8)]))
+        for knows_of_it in (True, False)
     )
-    assert reported < 0.015 * TARGET_N
-    assert untold > 3 * reported
+    assert aware < 0.015 * TARGET_N
+    assert unaware > 3 * aware
 
 
 def test_a_servo_whose_first_force_is_old_begins_with_it() -> None:
@@ -152,14 +153,14 @@ def test_counts_of_the_axis_do_not_add_up() -> None:
     """A servo that knows what the axis made of its command keeps the force within a count."""
     unit_mm, k = 1e-3, STIFFNESS_N_mm
     servo = ForceServo(settings_from(TARGET_N, k, 0.01, 0.005, 1e6))
-    reported, forces = 0.0, []
+    commanded, forces = 0.0, []
     for _ in range(500):
-        forces.append(TARGET_N + 0.213 + k * reported)
+        forces.append(TARGET_N + 0.213 + k * commanded)
         move = servo.step(forces[-1])
-        counted = round((reported + move.increment_mm) / unit_mm) * unit_mm
-        servo.correct(counted - reported - move.increment_mm)
-        reported = counted
-        assert servo.commanded_mm == pytest.approx(reported, abs=1e-12)
+        counted = round((commanded + move.increment_mm) / unit_mm) * unit_mm
+        servo.correct(counted - commanded - move.increment_mm)
+        commanded = counted
+        assert servo.commanded_mm == pytest.approx(commanded, abs=1e-12)
     assert np.abs(np.array(forces[-100:]) - TARGET_N).max() <= 0.51 * unit_mm * k
 
 

@@ -91,6 +91,22 @@ def test_the_commands_of_x_are_inputs_from_their_row_on_at_any_rate():
         assert 0.2 < taught.astype(bool).mean() < 0.7
 
 
+@pytest.mark.parametrize("rate_Hz", [1000.0, 2000.0])
+def test_a_slip_that_lasts_is_taught_where_the_commands_and_its_end_are_known(rate_Hz: float):
+    (heard,) = bench_lessons(made("slide", 3), 1)
+    slip_s = float(heard.slips_s[0, 0])
+    volts = np.repeat(heard.volts, round(rate_Hz / 1000.0), axis=0)
+    held, moved = HeldForce(0, 4.0), XMove(round(slip_s * rate_Hz), 0.5, len(volts))
+    lasts = replace(heard, volts=volts, rate_Hz=rate_Hz, slips_s=np.array([[slip_s, slip_s + 0.2]]))
+
+    def cases(**changes: object) -> int:
+        return int(Teacher().rows_of(replace(lasts, **changes)).slip.max()) + 1  # type: ignore[arg-type]
+
+    assert cases(commands=(held, moved)) == 3  # the slip, and two pieces of what follows
+    assert cases() == cases(commands=(held,)) == cases(commands=(moved,)) == 1
+    assert cases(commands=(held, moved), ends_known=False) == 1
+
+
 def test_the_rows_of_a_lesson_weigh_as_the_lesson_and_teach_its_slip():
     (heard,) = bench_lessons(made("slide", 3), 1)
     plain = Lesson(**{**vars(heard), "weight": 1.0})

@@ -32,8 +32,8 @@ def read(
     """The recording in a file of that content."""
     path = folder / "given.dat"
     path.write_bytes(content.encode() if isinstance(content, str) else content)
-    reported = ChannelMap(columns or BY_NUMBER, scale or {}, rate_Hz)
-    return recording_of(read_foreign(path, **options).source, reported, path.name)
+    channels = ChannelMap(columns or BY_NUMBER, scale or {}, rate_Hz)
+    return recording_of(read_foreign(path, **options).source, channels, path.name)
 
 
 @contextmanager

@@ -50,8 +50,8 @@ def imported(
     path = folder / name
     forced = files.signals() | {"F_n": np.linspace(1, 2, 40)}
     path.write_text(files.text(forced, header="t,S1,S2,Fn"))
-    reported = ChannelMap(columns, {"v_2": -1e-3})
-    return write_import(read_foreign(path), reported, about, folder / "results", PROGRAM)[0]
+    channels = ChannelMap(columns, {"v_2": -1e-3})
+    return write_import(read_foreign(path), channels, about, folder / "results", PROGRAM)[0]
 
 
 @pytest.fixture(scope="module")

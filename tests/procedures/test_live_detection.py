@@ -66,7 +66,7 @@ def test_the_commands_of_a_record_are_those_that_the_detector_knew_and_find_the_
     live.command(XMove(100, 0.5, 900))
     live.command(HeldForce(350, 4.0))
     live.judge(volts[:400])
-    live.command(XMove(380, 0.1, 4000))  # reported 20 rows too late
+    live.command(XMove(380, 0.1, 4000))  # given 20 rows too late
     live.command(HeldForce(390, 3.5))
     live.judge(volts[400:])
     live.command(XMove(len(volts) + 5, 0.0, 0))
@@ -107,8 +107,8 @@ class Moves:
 def x_by_commands(*commands: tuple[float, float, float]) -> list[tuple[int, float, int]]:
     """What the detector receives where x is commanded, at times in s of the record that begins with
     x at 10 mm, to go to a position in mm at a speed in mm/s."""
-    clock, reported, record = Wall(), Moves(), TrialRecord(1, 100.0, 1000.0, 4.0)
-    x = CommandedX(clock, record, reported)  # type: ignore[arg-type]
+    clock, received, record = Wall(), Moves(), TrialRecord(1, 100.0, 1000.0, 4.0)
+    x = CommandedX(clock, record, received)  # type: ignore[arg-type]
     x.command(10.0, 1.0)  # before the record
     record.begun_s = clock.now_s
     x.begin(10.0)
@@ -117,7 +117,7 @@ def x_by_commands(*commands: tuple[float, float, float]) -> list[tuple[int, floa
         x.command(to_mm, speed_mm_s)
     x.end()
     x.command(0.0, 1.0)  # after it
-    return [(move.sample, move.speed_mm_s, move.until) for move in reported.moves]
+    return [(move.sample, move.speed_mm_s, move.until) for move in received.moves]
 
 
 def test_a_move_of_x_ends_where_it_comes_to_its_target() -> None:

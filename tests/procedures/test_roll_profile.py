@@ -1,4 +1,4 @@
-"""Profiles of a roll: where the object is to be, and what the stage is commanded for it."""
+"""Profiles of a roll: where the object is to be, and which commands the stage gets for it."""
 
 import numpy as np
 import pytest

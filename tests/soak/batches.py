@@ -69,7 +69,7 @@ class BatchTrial(Trial):
         return self.on_stages
 
     @property
-    def reported(self) -> str:
+    def in_words(self) -> str:
         """See `Trial`."""
         (fault,) = self.faults
         words = " ".join(

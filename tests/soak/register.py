@@ -46,7 +46,7 @@ class Entry:
     """Time from the first fault until nothing was pressed any more, in s of bench time; None where
     nothing was pressed after the fault, or to the end, or where the run did not end by it."""
     violations: tuple[str, ...] = ()
-    reported: str = ""
+    in_words: str = ""
     """The trial in words."""
     cpu_s: float | None = field(default=None, compare=False)
     """Processor time of the trial with its judgement, in s."""
@@ -74,7 +74,7 @@ def entry_of(series: str, ran: Ran, violations: Sequence[str], cpu_s: float | No
         round(ran.over_limit_s, 4),
         pressed_after_s(ran) if ended_by_it else None,
         tuple(violations),
-        ran.trial.reported,
+        ran.trial.in_words,
         None if cpu_s is None else round(cpu_s, 2),
         max(ran.values("last-force"), default=None),
         said_unheard_s(ran),
@@ -125,6 +125,8 @@ def read(file: Path) -> list[Entry]:
             keys = json.loads(line)
         except ValueError:
             continue
+        if "told" in keys:  # the name of before
+            keys["in_words"] = keys.pop("told")
         keys |= {name: tuple(keys.get(name, ())) for name in ("kinds", "violations", "declared")}
         entries.append(Entry(**keys))
     return entries

@@ -81,7 +81,7 @@ def run_series(
         entries.append(entry)
         if file:
             register.append(file, entry)
-        print(f"{seed} exit {entry.code} {entry.reported} {found or 'holds'}", flush=True)
+        print(f"{seed} exit {entry.code} {entry.in_words} {found or 'holds'}", flush=True)
         if not found:
             shutil.rmtree(ran.folder)
     server.close()

@@ -92,7 +92,7 @@ class Trial:
         return STAGES[0] if where is None else self.arguments[where + 1]
 
     @property
-    def reported(self) -> str:
+    def in_words(self) -> str:
         """The trial in words."""
         words = [
             " ".join(str(v) if k in ("device", "kind") else f"{k}={v}" for k, v in fault.items())
@@ -370,7 +370,7 @@ _KEYS: dict[str, Callable[[random.Random, str], Fault]] = {
     },
     "slow-sync": lambda chance, device: {"delay_s": round(chance.uniform(0.01, 0.3), 3)},
 }  # fmt: skip
-"""What each kind is given; a disturbance of replies where nothing stands here."""
+"""Keys of each kind of fault; a disturbance of replies where nothing stands here."""
 
 
 def _toml(value: object) -> str:

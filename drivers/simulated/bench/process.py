@@ -201,7 +201,9 @@ def main() -> None:
         signal.signal(number, signal.SIG_IGN)
 
     def say(what: dict[str, Any]) -> None:
-        with contextlib.suppress(BrokenPipeError):  # the owner died first: its pipe shows it
+        with contextlib.suppress(
+            BrokenPipeError
+        ):  # the owner died first: the bench sees that at the end of its pipe
             os.write(sys.stdout.fileno(), json.dumps(what).encode() + b"\n")
 
     options = sys.stdin.readline()

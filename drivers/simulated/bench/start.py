@@ -47,7 +47,7 @@ class StartedBench:
         """Names of the drivers in its bench file."""
         self._process = subprocess.Popen(
             [sys.executable, "-P", "-m", "drivers.simulated.bench.process"],
-            stdin=subprocess.PIPE,  # its end shows the bench that we died
+            stdin=subprocess.PIPE,  # its end informs the bench that this process has died
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             start_new_session=True,  # a terminal's Ctrl-C is the run's business, not the bench's

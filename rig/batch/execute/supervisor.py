@@ -5,8 +5,8 @@ the first has made the bench safe (`rig.batch.execute.worker`). It notifies peop
 (`rig.batch.report.notify`), writes the heartbeat for outside monitors
 (`rig.batch.report.heartbeat`) and has the files of finished runs made
 (`rig.batch.execute.postprocess`). Requests of other terminals are rows of the queue; signals of its
-own terminal are stop requests. Its commands reach the worker through a pipe, whose end shows the
-worker that the supervisor has died.
+own terminal are stop requests. Its commands reach the worker through a pipe, from whose end the
+worker learns that the supervisor has died.
 """
 
 from __future__ import annotations

@@ -92,12 +92,12 @@ def results(contenders: Sequence[Named], judged: Sequence[ScoredTrial]) -> list[
     return found
 
 
-def rows(judged_by: Sequence[ContenderResult], use: str) -> Iterator[tuple[str | float, ...]]:
+def rows(found: Sequence[ContenderResult], use: str) -> Iterator[tuple[str | float, ...]]:
     """Yields every number as a row with the columns `ROW`.
 
     `use` says what the trials are for (reporting or tuning) and is written to every row.
     """
-    for one in judged_by:
+    for one in found:
         everything = [GroupScore("", "", one.score), *one.groups]
         for group in everything:
             for quantity, number in group.score.items():

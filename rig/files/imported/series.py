@@ -231,10 +231,10 @@ def _samples_a_row(made: Mapping[str, Combination], name: str) -> int:
         if channel != TIME and channel not in LABEL_CHANNELS
     }
     if len(set(counts.values())) > 1:
-        counted = ", ".join(f"{channel} {count}" for channel, count in counts.items())
+        listed = ", ".join(f"{channel} {count}" for channel, count in counts.items())
         raise ForeignFileError(
             name,
-            f"samples a row: {counted}; all channels need the same number",
+            f"samples a row: {listed}; all channels need the same number",
             "leave out a channel that was sampled slower, or resample it",
         )
     return next(iter(counts.values()))

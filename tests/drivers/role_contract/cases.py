@@ -316,7 +316,7 @@ class RotaryCase(SimulatedCase):
 
     driver = "zaber-rst"
     alike = (b"get encoder.pos", b"move abs")
-    stranger_reported = "device id T-1000, serial number 77"  # it gives no name
+    stranger_says = "device id T-1000, serial number 77"  # it gives no name
 
     def __init__(self, link: str):
         self.name = f"rst-{link}"
@@ -411,7 +411,7 @@ class LineAxisCase(SimulatedCase):
     driver = "oriental-az"
     alike = (b"FC3 124", b"FC3 198", b"FC3 376")
     anonymous = "its registers hold no serial number that is known"
-    stranger_reported = "has no register 00F8h"
+    stranger_says = "has no register 00F8h"
 
     @contextmanager
     def _served(
@@ -452,7 +452,7 @@ def stranger_to_registers(address: int, count: int, by: str) -> Sequence[int]:
 class AmplifierCase(CoreCase):
     """The GSV-8."""
 
-    stranger_reported = "model number 06, serial 00000077"  # it gives no name
+    stranger_says = "model number 06, serial 00000077"  # it gives no name
 
     def __init__(self) -> None:
         streams = "it ends a stream whose frames and answers are dropped, its own among them"

@@ -36,7 +36,7 @@ STEP_us = 100
 CONVERSIONS = 48
 """Of the force sensor's converter in a frame of 1 ms."""
 ACCELERATION = round(0.2 * 0x4000) / 0x4000 * 1000.0
-"""200 mm/s^2 as a drive of 1000 mm/s^2 is set to."""
+"""200 mm/s^2, as it is set in a drive of 1000 mm/s^2."""
 WORLD = """
 [skin]
 elements_per_ridge = 6
