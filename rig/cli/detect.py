@@ -30,14 +30,14 @@ def detect(
         str,
         typer.Option(
             help="impulse, rig, paper-literal, paper-hp, or one of another package (rig "
-            "detectors). On the simulated bench (decision 0124) paper-hp finds 5 slips of 10 in "
-            "time and alarms falsely in 1 of 70 trials without a slip, but where the object is let "
-            "go; rig finds 17 of 20 and alarms falsely in 1 of 200 where the commands of x and of "
-            "the held force are known, as in this program's trials, else 8 of 10 and 1 of 70; it "
-            "misses more than half of the slips in holds and re-grips, 1 of 4 by a falling force, "
-            "and 1 of 4 where friction hardly falls; impulse finds 7 of 10 and alarms falsely in 1 "
-            "of 20. A grip needs 95 % in time: none is shown to be good enough, and the default "
-            "stays until one is.",
+            "detectors). On the simulated bench (decision 0125) paper-hp finds 5 slips of 10 in "
+            "time and alarms falsely in 1 of 30 trials without a slip, but where the object is let "
+            "go; rig finds 9 of 10 and alarms falsely in 1 of 120 where the commands of x and of "
+            "the held force are known, as in this program's trials, else 6 of 7 and 1 of 25; it "
+            "misses 1 slip of 3 in holds and re-grips, 1 of 4 by a falling force, and 1 of 7 where "
+            "friction hardly falls; impulse finds 6 of 10 and alarms falsely in 1 of 11. A grip "
+            "needs 95 % in time: none is shown to be good enough, and the default stays until one "
+            "is.",
             metavar="NAME",
         ),
     ] = DEFAULT_DETECTOR,
