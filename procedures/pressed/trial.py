@@ -245,9 +245,9 @@ class PressedTrial:
         self.recorder.force.count_later_frames(2 * SETTLED_S)
         shift_N = self.run.force.mean_N(SETTLED_S)
         self.record.zero_shift_N = (float(shift_N[0]), float(shift_N[1]), float(shift_N[2]))
-        self._tell_slips()
+        self._report_slips()
 
-    def _tell_slips(self) -> None:
+    def _report_slips(self) -> None:
         """Show the slips that were detected: only now, since a terminal may make the run wait."""
         self.recorder.detected()  # what a detector in another process has found since
         for one in self.record.detections:

@@ -142,7 +142,7 @@ class RecordSampler:
             misread += outlier != ""
             if not outlier or misread == MISREAD_TRIES:
                 break
-        self._tell_misread(misread, outlier)
+        self._report_misread(misread, outlier)
         self.largest_load_N = max(self.largest_load_N, load.amplitude)
         refuse_no_load(load)
         self.memory.vibrator.learn(f, load.amplitude / self.memory.drive_V)
@@ -277,7 +277,7 @@ class RecordSampler:
             return False
         return found.lone_residual > MISREAD_SIGMAS * found.residual_rms
 
-    def _tell_misread(self, misread: int, outlier: str) -> None:
+    def _report_misread(self, misread: int, outlier: str) -> None:
         """Record what became of records with such a sample."""
         if not misread:
             return

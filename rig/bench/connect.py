@@ -27,7 +27,7 @@ from rig.instruments.roles import (
     Instrument,
 )
 
-TELL_EVERY_S = 3.0
+REPORT_EVERY_S = 3.0
 """Time in s after which a message names the instruments that are still being connected."""
 GIVE_UP_S = 10.0
 """Time in s that a connection under way is waited for when nothing more is to be connected."""
@@ -72,13 +72,13 @@ def _at_once(
 ) -> None:
     """Connect all links at the same time and wait until that is over."""
     check()
-    begun_s = told_s = time.monotonic()
+    begun_s = reported_s = time.monotonic()
     connecting.start()
     while waiting := connecting.missing():
         check()
         now_s = time.monotonic()
-        if now_s - told_s >= TELL_EVERY_S:
-            told_s = now_s
+        if now_s - reported_s >= REPORT_EVERY_S:
+            reported_s = now_s
             show_line(f"connecting for {now_s - begun_s:.0f} s: waiting for {', '.join(waiting)}")
         clock.sleep(WAIT_SLICE_S)
 

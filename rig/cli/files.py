@@ -182,7 +182,7 @@ def _show_run(
     elif now is not None:
         said |= computed_now(now, how == "json")
     said |= _analysed(analyses)
-    (_shown_as_json if how == "json" else _tell)(said)
+    (_shown_as_json if how == "json" else _print_values)(said)
 
 
 def _show_processed(file: ProcessedFile, how: _How) -> None:
@@ -198,7 +198,7 @@ def _show_processed(file: ProcessedFile, how: _How) -> None:
             usual = chosen_detector(file.detector.name).settings.model_dump()
         _say_all_of(of_processed(said, usual))
     else:
-        (_shown_as_json if how == "json" else _tell)(said)
+        (_shown_as_json if how == "json" else _print_values)(said)
 
 
 def _show_model(file: ModelFile, how: _How) -> None:
@@ -210,7 +210,7 @@ def _show_model(file: ModelFile, how: _How) -> None:
     if how == "json":
         _shown_as_json(said)
     elif how == "all":
-        _tell(_with_results_in_words(said))
+        _print_values(_with_results_in_words(said))
     else:
         _say_all_of(of_model(_with_results_in_words(said)))
 
@@ -330,7 +330,7 @@ def analyse(
         for path in files:
             with RunFile.open(path) as run:
                 analyses = compute(run)
-                _tell(_analysed(analyses))
+                _print_values(_analysed(analyses))
                 if analyses.found:
                     print(printable(f"saved {keep(run, analyses, to)}"))  # noqa: T201 - data
                 else:
@@ -361,7 +361,7 @@ def _draw(file: Path, folder: Path | None, pdf: bool, report: Callable[[str], No
 
 
 def _report_drawn(drawn: Drawn, report: Callable[[str], None]) -> None:
-    """Tell where figures are, and what could not be drawn."""
+    """Report where figures are, and what could not be drawn."""
     for picture in drawn.files:
         report(f"figure: {picture}")
     for warning in drawn.warnings:
@@ -386,12 +386,12 @@ def _shown_as_json(values: Mapping[str, Any]) -> None:
     print(json.dumps(values, default=str))  # noqa: T201 - stdout carries data
 
 
-def _tell(values: Mapping[str, Any], indent: str = "") -> None:
+def _print_values(values: Mapping[str, Any], indent: str = "") -> None:
     """Print names and values, one per line, and tables indented below their names."""
     for name, value in values.items():
         if isinstance(value, Mapping):
             print(printable(f"{indent}{name}:"))  # noqa: T201 - stdout carries data
-            _tell(value, indent + "  ")
+            _print_values(value, indent + "  ")
         elif _is_text_list(value):
             print(printable(f"{indent}{name}:"))  # noqa: T201 - stdout carries data
             for line in value:
@@ -399,7 +399,7 @@ def _tell(values: Mapping[str, Any], indent: str = "") -> None:
         elif isinstance(value, list | tuple) and value and isinstance(value[0], Mapping):
             for number, one in enumerate(value, 1):
                 print(printable(f"{indent}{name} {number}:"))  # noqa: T201 - stdout carries data
-                _tell(one, indent + "  ")
+                _print_values(one, indent + "  ")
         else:
             print(printable(f"{indent}{name}: {in_words(value)}"))  # noqa: T201 - stdout carries data
 

@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, ProgressColumn, Task, TaskID, TextColumn
 from rich.text import Text
 
-from rig.cli.outcome import say, tell_failure, turning
+from rig.cli.outcome import report_failure, say, turning
 from rig.core.settings import name_without_unit, unit_of
 from rig.core.units import counted, duration
 from rig.figures.drawing import DrawingProcess, Drawn
@@ -132,7 +132,7 @@ def finish(
     continue. `drawing` draws the figures; None for none."""
     for failure in outcome.failures:
         if outcome.status != "stopped":
-            tell_failure(failure, debug)
+            report_failure(failure, debug)
     for off in outcome.off_failures:
         say(f"error: NOT SAFE: {off.name} could not be switched off: {off.reason}")
     if outcome.taken_over is not None:
@@ -147,12 +147,12 @@ def finish(
     if as_json:
         print(json.dumps(as_object(outcome, [str(path) for path in drawn.files])))  # noqa: T201 - stdout carries data
     else:
-        _tell_summary(procedure, outcome)
+        _report_summary(procedure, outcome)
     for line in closing_lines(procedure, outcome, drawn.files):
         say(line)
 
 
-def _tell_summary(procedure: type[Procedure], outcome: RunOutcome) -> None:
+def _report_summary(procedure: type[Procedure], outcome: RunOutcome) -> None:
     for name, value in outcome.summary.items():
         if isinstance(value, list) and all(isinstance(item, str) for item in value):
             for sentence in value:
@@ -178,7 +178,7 @@ def _labelled(procedure: type[Procedure], name: str, shown: str) -> str:
 def finish_dry_run(procedure: type[Procedure], outcome: RunOutcome, as_json: bool) -> None:
     """Report the result of a dry run: whether the procedure works, and how long it takes."""
     for failure in outcome.failures:
-        tell_failure(failure)
+        report_failure(failure)
     for warning in outcome.warnings:
         say(f"warning: {warning}")
     say(

@@ -74,7 +74,7 @@ def execute(
         require_roles(points, plan)
         if job.lock is not None:
             job.lock.check()
-        bench = connect(plan, clock, stop.check, lambda text: _tell(observers, text))
+        bench = connect(plan, clock, stop.check, lambda text: _inform(observers, text))
     except RigError as error:
         clock.close()
         return _failed(outcome, error)
@@ -98,7 +98,7 @@ def execute(
     return outcome
 
 
-def _tell(observers: tuple[RunObserver, ...], text: str) -> None:
+def _inform(observers: tuple[RunObserver, ...], text: str) -> None:
     """Show a line about the progress before there is a run."""
     for observer in observers:
         with contextlib.suppress(Exception):  # an observer must not end what it observes

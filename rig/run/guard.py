@@ -189,7 +189,7 @@ class GuardLink:
         self._limit_N = math.inf
         self._heard_s = time.monotonic()
         """Time at which the guard had last read everything that was sent to it."""
-        self._tell(json.dumps(order))
+        self._send(json.dumps(order))
 
     @property
     def pid(self) -> int:
@@ -216,29 +216,29 @@ class GuardLink:
         if unread == 0:
             self._heard_s = time.monotonic()
         if unread < MOST_UNREAD_BYTES:
-            self._tell("beat")
+            self._send("beat")
 
     def zero(self, raw: Sequence[float]) -> None:
         """Send the force sensor's raw reading without force, if it is another than before. The
         guard needs it to say what is still pressed."""
         if raw != self._zero:
             self._zero = raw
-            self._tell(f"zero {json.dumps(list(raw))}")
+            self._send(f"zero {json.dumps(list(raw))}")
 
     def limit(self, limit_N: float) -> None:
         """Send the force that the run watches for, if it is another than before: one above it that
         remains is not safe."""
         if limit_N != self._limit_N and math.isfinite(limit_N):
             self._limit_N = limit_N
-            self._tell(f"limit {limit_N!r}")
+            self._send(f"limit {limit_N!r}")
 
     def safe(self) -> None:
         """Report that everything is off, so that a slow compilation does not make the guard act."""
-        self._tell("safe")
+        self._send("safe")
 
     def done(self) -> None:
         """Report that the run is done, and wait for the guard to end."""
-        self._tell("done")
+        self._send("done")
         assert self._process.stdin is not None
         with contextlib.suppress(OSError):
             self._process.stdin.close()
@@ -279,7 +279,7 @@ class GuardLink:
         count = fcntl.ioctl(self._process.stdin, termios.FIONREAD, struct.pack("i", 0))
         return int(struct.unpack("i", count)[0])
 
-    def _tell(self, word: str) -> None:
+    def _send(self, word: str) -> None:
         assert self._process.stdin is not None
         with contextlib.suppress(OSError):  # A run continues without its guard rather than fail.
             self._process.stdin.write(word.encode() + b"\n")

@@ -134,7 +134,7 @@ class InterlockWatch:
         if self._clock.is_virtual:
             self._readings.read(self._are_needed, all_now=False)
         self._judge()
-        self._tell()
+        self._report()
 
     def check(self) -> None:
         """Raise InterlockError, every time, as long as a person's contact is latched."""
@@ -161,7 +161,7 @@ class InterlockWatch:
         else:
             self._readings.await_new()
         self._judge()
-        self._tell()
+        self._report()
 
     # --- for a person's reset and proof test ----------------------------------------------------
 
@@ -265,7 +265,7 @@ class InterlockWatch:
         cause = self._readings.failure(declared.role) or f"{declared.role} does not answer in time"
         return f"{what} cannot be read {at}, which counts as open: {cause}"
 
-    def _tell(self) -> None:
+    def _report(self) -> None:
         """Record what has happened; from the procedure's thread."""
         with self._lock:
             news, self._news = self._news, []

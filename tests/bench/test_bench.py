@@ -288,7 +288,7 @@ def test_instruments_on_one_link_are_connected_one_after_the_other() -> None:
 
 
 def test_who_is_waited_for_is_reported_by_name(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("rig.bench.connect.TELL_EVERY_S", 0.1)
+    monkeypatch.setattr("rig.bench.connect.REPORT_EVERY_S", 0.1)
     reported, lines = threading.Event(), list[str]()
 
     def slowly(settings: object, clock: object) -> Any:

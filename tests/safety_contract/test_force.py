@@ -208,7 +208,7 @@ def silence(moment, for_s):
 
 
 def held(run):
-    """How many holds the file tells of."""
+    """How many holds the file reports."""
     return run.entry["events/code"][()].tolist().count(b"hold")
 
 

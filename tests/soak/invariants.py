@@ -112,7 +112,7 @@ def breaches(ran: Ran) -> list[str]:
     """Every invariant that does not hold after the trial."""
     return [
         *_ending(ran),
-        *_telling(ran),
+        *_reporting(ran),
         *at_rest(ran),
         *files_are_sound(ran),
         *(one.reported for one in rows_as_recorded(ran) if not one.declared),
@@ -144,7 +144,7 @@ def _ending(ran: Ran) -> Iterator[str]:
         yield "the World did not end by itself"
 
 
-def _telling(ran: Ran) -> Iterator[str]:
+def _reporting(ran: Ran) -> Iterator[str]:
     """Every failure has a sentence that names what was injected, and a remedy."""
     if ran.code in (DONE, DONE_WITH_FAILURES):
         return
@@ -172,8 +172,8 @@ def reported_about(ran: Ran, errors: Sequence[str]) -> Iterator[str]:
 def at_rest(ran: Ran) -> Iterator[str]:
     """The World's own watch; what could not be made safe has been reported with exit code 7."""
     for violation in ran.values("violation"):
-        told_unsafe = ran.code == UNSAFE and "NOT SAFE" in ran.stderr
-        if not (told_unsafe and "no run is active" in violation):
+        reported_unsafe = ran.code == UNSAFE and "NOT SAFE" in ran.stderr
+        if not (reported_unsafe and "no run is active" in violation):
             yield f"the World: {violation}"
     for last_N in ran.values("last-force"):
         fine = ran.code in (DONE, DONE_WITH_FAILURES)

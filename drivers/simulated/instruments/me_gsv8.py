@@ -311,7 +311,7 @@ class Gsv8(ForceSensorCore):
             if not math.isfinite(value) or (form == ">B" and value > 7):
                 raise RefusedError(BAD_DATA)
             getattr(self.memory, name)[_channel(request)] = value
-            self._tell(f"{name}.{request.parameters[0]}", value, request.by)
+            self._log_change(f"{name}.{request.parameters[0]}", value, request.by)
             return DONE, b""
 
         return {
@@ -346,7 +346,7 @@ class Gsv8(ForceSensorCore):
         if direction > 1:
             raise RefusedError(BAD_DATA)
         self._directions[group] = direction
-        self._tell(f"direction.{group + 1}", direction, request.by)
+        self._log_change(f"direction.{group + 1}", direction, request.by)
         return DONE, b""
 
     def _group(self, request: GsvRequest) -> int:
@@ -372,7 +372,7 @@ class Gsv8(ForceSensorCore):
         ranges, _ = self._convert(np.array([self._now_s()]))
         for channel in range(CHANNELS) if which == 0 else (which - 1,):
             self.memory.zero[channel] = float(ranges[0, channel])
-        self._tell("zero", which, request.by)
+        self._log_change("zero", which, request.by)
         return DONE, b""
 
     def _stop_transmission(self, request: GsvRequest) -> Answer:
@@ -392,7 +392,7 @@ class Gsv8(ForceSensorCore):
         if self.memory.mode & mode & WRITE_LOCK:
             raise RefusedError(LOCKED)
         self.memory.mode = mode
-        self._tell("mode", mode, request.by)
+        self._log_change("mode", mode, request.by)
         return DONE, b""
 
     def _get_raw_value(self, request: GsvRequest) -> Answer:
@@ -414,7 +414,7 @@ class Gsv8(ForceSensorCore):
         if not 1 <= values <= CHANNELS:
             raise RefusedError(BAD_DATA)
         self.memory.values = values
-        self._tell("values", values, request.by)
+        self._log_change("values", values, request.by)
         return DONE, b""
 
     def _rate_range(self, request: GsvRequest) -> Answer:
@@ -425,7 +425,7 @@ class Gsv8(ForceSensorCore):
         return DONE, struct.pack(">f", SLOWEST_S_s if index else self._fastest())
 
     def _reset(self, request: GsvRequest) -> None:
-        self._tell("reset", None, request.by)
+        self._log_change("reset", None, request.by)
         self._switch_on()
 
     def _get_tx_mode(self, request: GsvRequest) -> Answer:
@@ -447,7 +447,7 @@ class Gsv8(ForceSensorCore):
             self.memory.data_type = value
         else:
             raise RefusedError(BAD_DATA if index == 1 else NO_SUCH_PARAMETER)
-        self._tell(f"tx_mode.{index}", value, request.by)
+        self._log_change(f"tx_mode.{index}", value, request.by)
         return DONE, b""
 
     def _write_rate(self, request: GsvRequest) -> Answer:
@@ -462,7 +462,7 @@ class Gsv8(ForceSensorCore):
         self.memory.rate_S_s = CONVERSIONS_PER_S / divisor
         self._divisor = divisor
         self._begin()
-        self._tell("rate", self.rate, request.by)
+        self._log_change("rate", self.rate, request.by)
         return (DONE if self.rate == asked else DONE_CHANGED), b""
 
     def _get_input_type(self, request: GsvRequest) -> Answer:
@@ -475,7 +475,7 @@ class Gsv8(ForceSensorCore):
         if kind >= len(BRIDGE_RANGES_MV_V):
             raise RefusedError(BAD_DATA)
         self.memory.input_type[channel] = kind
-        self._tell(f"input_type.{channel + 1}", kind, request.by)
+        self._log_change(f"input_type.{channel + 1}", kind, request.by)
         return DONE, b""
 
     # --- state -------------------------------------------------------------------------------
@@ -497,12 +497,12 @@ class Gsv8(ForceSensorCore):
             self._streaming = on
             if on:
                 self._begin()
-            self._tell("streaming", on, by)
+            self._log_change("streaming", on, by)
 
     def _fastest(self) -> float:
         return FASTEST_FLOATS_S_s if self.memory.data_type == FLOAT32 else FASTEST_S_s
 
-    def _tell(self, what: str, value: object, by: str) -> None:
+    def _log_change(self, what: str, value: object, by: str) -> None:
         self._log.log(self._name, what, value, by)
 
     def _now_s(self) -> float:

@@ -47,7 +47,7 @@ KEPT_s = 30.0
 """Length of the stored history: longer than any acquisition's way to its reader."""
 BLOCK_STEPS = 100
 """Steps between the instants at which the skin may come to rest."""
-TOLD_STEPS = 5 * BLOCK_STEPS
+LOGGED_STEPS = 5 * BLOCK_STEPS
 """Steps between those at which slips are searched for and logged without being asked for."""
 AT_REST_mm = 1e-12
 """A skin that nothing touches and that is displaced by less everywhere is at rest."""
@@ -235,7 +235,7 @@ class SkinContact:
         self._keep(results)
         self._object_at_mm, self._turned_rad = float(place[-1]), float(turned[-1])
         rests = self._steps % BLOCK_STEPS == 0 and self._rests(block.status[-1])
-        if rests or self._steps % TOLD_STEPS == 0:
+        if rests or self._steps % LOGGED_STEPS == 0:
             self._make_volts()
             self.record.judge()
         if rests:

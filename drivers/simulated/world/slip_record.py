@@ -154,9 +154,9 @@ class SlipRecord:
         if len(self._slide.reported) > int(self._ridge_of_node.max()) + 1:
             return  # every ridge has slipped once, and all of them together
         self._slide.watch.add(status)
-        self._tell_slips(self._slide)
+        self._log_slips(self._slide)
 
-    def _tell_slips(self, slide: _Slide) -> None:
+    def _log_slips(self, slide: _Slide) -> None:
         truth = slide.watch.truth()
         found = {ridge + 1: at for ridge, at in enumerate(truth.whole_slip_s) if np.isfinite(at)}
         for ridge in sorted(found.keys() - slide.reported, key=lambda one: (found[one], one)):

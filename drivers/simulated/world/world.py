@@ -160,7 +160,7 @@ class World:
         """Begin and end in s, force in N."""
         self._sensed = SensedForce()
         faults = tuple(faults)
-        self.contacts = Contacts(settings.interlock, self._tell_contact)
+        self.contacts = Contacts(settings.interlock, self._log_contact)
         self.contacts.require([one for one in faults if isinstance(one, ContactFault)])
         self._schedule = Schedule(faults)
         self.tasks = TaskLog()
@@ -304,7 +304,7 @@ class World:
         self._apply_due_faults()
         return self.contacts.high(device, line, self.now_us)
 
-    def _tell_contact(self, value: object) -> None:
+    def _log_contact(self, value: object) -> None:
         self.log(INTERLOCK, "contact", value, "world")
 
     def _apply_due_faults(self) -> None:
