@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Self
 
 import typer
 
-from rig.cli.outcome import report_failure, reported, say
+from rig.cli.outcome import reported, say, say_failure
 from rig.core.errors import ExitCode, RigError
 from rig.core.text import printable
 from rig.core.units import counted
@@ -164,7 +164,7 @@ def _code(answers: Sequence[Answer]) -> ExitCode:
 
 def _report(file: Path, answer: Answer, as_json: bool, debug: bool) -> None:
     if isinstance(answer, RigError):
-        report_failure(answer, debug)
+        say_failure(answer, debug)
         return
     for warning in answer.warnings:
         say(f"warning: {warning}")

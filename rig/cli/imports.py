@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from rig.cli.outcome import report_failure, reported, say, start_log
+from rig.cli.outcome import reported, say, say_failure, start_log
 from rig.core.errors import ConfigurationError, ExitCode, RigError
 
 if TYPE_CHECKING:
@@ -153,7 +153,7 @@ def import_(
             except RigError as error:
                 if len(wanted) == 1:
                     raise
-                report_failure(error, debug)
+                say_failure(error, debug)
                 failures.append(error)
                 continue
             answers.append(done)

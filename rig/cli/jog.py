@@ -21,7 +21,7 @@ from rig.cli.option_groups import (
     with_option_groups,
 )
 from rig.cli.options import SimulatedStages
-from rig.cli.outcome import log, report_failure, reported, say, start_log
+from rig.cli.outcome import log, reported, say, say_failure, start_log
 from rig.core.errors import STOPPED_BY_SIGNAL, ConfigurationError, RigError
 from rig.run.bench_selector import BenchRequest, bench_file
 
@@ -149,7 +149,7 @@ def _perform(
             if failure.code in STOPPED_BY_SIGNAL:
                 say(failure.one_line())
             else:
-                report_failure(failure, debug)
+                say_failure(failure, debug)
         for off in ended.off_failures:
             say(f"error: NOT SAFE: {off.name} could not be stopped: {off.reason}")
         if not ended.off_failures:

@@ -81,7 +81,7 @@ def report(error: RigError, debug: bool = False, as_json: bool = False) -> int:
     if stopped:
         say(error.one_line())
     else:
-        report_failure(error, debug)
+        say_failure(error, debug)
     if as_json:
         nothing_done: dict[str, object] = {
             "file": None,
@@ -95,7 +95,7 @@ def report(error: RigError, debug: bool = False, as_json: bool = False) -> int:
     return int(error.code)
 
 
-def report_failure(error: RigError, debug: bool = False) -> None:
+def say_failure(error: RigError, debug: bool = False) -> None:
     """Report a failure as one line on stderr, with its traceback in the log."""
     for part in error.parts():
         log.error("%s", part.one_line(), exc_info=part)

@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, ProgressColumn, Task, TaskID, TextColumn
 from rich.text import Text
 
-from rig.cli.outcome import report_failure, say, turning
+from rig.cli.outcome import say, say_failure, turning
 from rig.core.settings import name_without_unit, unit_of
 from rig.core.units import counted, duration
 from rig.figures.drawing import DrawingProcess, Drawn
@@ -132,7 +132,7 @@ def finish(
     continue. `drawing` draws the figures; None for none."""
     for failure in outcome.failures:
         if outcome.status != "stopped":
-            report_failure(failure, debug)
+            say_failure(failure, debug)
     for off in outcome.off_failures:
         say(f"error: NOT SAFE: {off.name} could not be switched off: {off.reason}")
     if outcome.taken_over is not None:
@@ -178,7 +178,7 @@ def _labelled(procedure: type[Procedure], name: str, shown: str) -> str:
 def finish_dry_run(procedure: type[Procedure], outcome: RunOutcome, as_json: bool) -> None:
     """Report the result of a dry run: whether the procedure works, and how long it takes."""
     for failure in outcome.failures:
-        report_failure(failure)
+        say_failure(failure)
     for warning in outcome.warnings:
         say(f"warning: {warning}")
     say(

@@ -237,21 +237,14 @@ def score(
             found = _wire(kinds, drawn, contenders, roc, jobs)
             for name, reason in found.failed.items():
                 say(f"score: {name} could not be made: {reason}")
-            conditions = {
+            details = {
                 "seeds": str(drawn),
                 "kinds": list(_wire_kinds(kinds)),
                 "failed": found.failed,
                 "code": found.code,
             }
-            report(
-                contenders,
-                found.judged,
-                f"on the simulated bench, {use}",
-                True,
-                conditions,
-                out,
-                as_json,
-            )
+            where = f"on the simulated bench, {use}"
+            report(contenders, found.judged, where, True, details, out, as_json)
             return
         trials = _population(ranges, front, swapped_gains, kinds, drawn)
         if tune is not None:

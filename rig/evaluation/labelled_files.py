@@ -81,7 +81,7 @@ class ListedTrial:
     commands: tuple[Command, ...] = ()
     """What was commanded, where the file states it."""
     ends_known: bool = True
-    """False where it is only stated when the ridge slipped, and not when it stuck again."""
+    """False where nobody has stated when the ridge stuck again: `slips_s` end with the record."""
 
 
 @dataclass(frozen=True)

@@ -44,8 +44,8 @@ SLIP_WEIGHT = 13.0
 slip has at 2 ms. Neither this nor the next was tuned (decision 0124)."""
 FURTHER_SLIP = 0.12
 """Weight of each further slip, as a share of that: a trial in which the ridge slips fifty times
-teaches seven times as much as one with a single slip, not fifty times. There is no upper bound:
-slides at 0.1 mm/s last for seconds."""
+teaches seven times as much as one with a single slip, not fifty times. The pieces of a
+slip that lasts (`LASTING_S`) are not bounded: slides at 0.1 mm/s last for seconds."""
 LASTING_S = 0.1
 """A slip that lasts while x moves is taught as one more case, as a further slip, in each of these
 pieces of it, the last one included, however short: whoever answers an alarm by a firmer grip has to

@@ -174,8 +174,8 @@ def test_a_dry_run_writes_nothing_and_tells_the_true_duration(rig: Any) -> None:
     assert taken.object["duration_s"] == reported["duration_s"]
     assert reported["duration_s"] > 5, "it homes, approaches and presses the film first"
     for ended in (rehearsed, taken):
-        (foretold,) = re.findall(r"2 points, about ([\d.]+) s of bench time", ended.stderr)
-        assert float(foretold) == pytest.approx(reported["duration_s"], rel=0.25)
+        (expected_s,) = re.findall(r"2 points, about ([\d.]+) s of bench time", ended.stderr)
+        assert float(expected_s) == pytest.approx(reported["duration_s"], rel=0.25)
 
 
 @pytest.mark.thorough

@@ -201,9 +201,8 @@ def main() -> None:
         signal.signal(number, signal.SIG_IGN)
 
     def say(what: dict[str, Any]) -> None:
-        with contextlib.suppress(
-            BrokenPipeError
-        ):  # the owner died first: the bench sees that at the end of its pipe
+        # Where the owner has died first, the bench sees that at the end of its own pipe.
+        with contextlib.suppress(BrokenPipeError):
             os.write(sys.stdout.fileno(), json.dumps(what).encode() + b"\n")
 
     options = sys.stdin.readline()
