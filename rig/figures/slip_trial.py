@@ -61,8 +61,8 @@ IMPULSE_S = 0.01
 """Half width of P_B. The impulse of a slip takes a few ms."""
 BRACKETS = 0.3
 """Room for the brackets above the signal, as a share of its span."""
-REASON_PT = 180.0
-"""Width of a text that fits into a panel."""
+TITLE_PT = 200.0
+"""Width of a text that fits above a panel, after its letter."""
 
 
 def draw_trials(run: RunFile) -> dict[str, Figure]:
@@ -203,8 +203,8 @@ def _coefficients(axes: Axes, run: RunFile, number: int) -> None:
             axes.axhline(found, color=colour, linestyle="--", linewidth=0.8, label=label)
     why = str(run.column("no_friction")[number]) if "no_friction" in run.columns() else ""
     if why:
-        text = "\n".join(wrapped(f"no friction coefficients: {why}", SMALLEST_PT, REASON_PT))
-        axes.text(  # lower right: the ratio rises from the left, and is high at the end
-            0.98, 0.06, text, transform=axes.transAxes, ha="right", va="bottom",
-            fontsize=SMALLEST_PT,
-        )  # fmt: skip
+        # In the line of the panel's letter: a text in the panel would cover the ratio.
+        text = f"no friction coefficients: {why.partition(' (')[0]}"
+        if len(wrapped(text, SMALLEST_PT, TITLE_PT)) > 1:
+            text = "no friction coefficients (`rig show --all` says why)"
+        axes.set_title(text, loc="left")
