@@ -3,7 +3,7 @@
 This is logistic regression through one hidden layer, by Adam (Kingma and Ba 2015) on shuffled
 batches. All randomness comes from one seed: the same rows give the same weights on the same
 machine. The targets are defined here too: the detector should report a slip once from 2 ms before
-the whole ridge slips to 25 ms after it, again at each further slip, and never else; and, where the
+the whole ridge slips to 15 ms after it, again at each further slip, and never else; and, where the
 commands are known, once more in every 0.1 s of a slip that lasts while x moves (decision 0125). An
 alarm from 10 ms before to 30 ms after is right (decision 0079), so that the rows between are
 neither taught as a slip nor as none. A partial slip is not a slip.
@@ -28,8 +28,9 @@ from rig.evaluation.labelled_trials import LIFTS_WITHIN_S
 Reals = NDArray[np.float64]
 Singles = NDArray[np.float32]
 
-EARLY_S, LATE_S = 0.002, 0.025
-"""Interval around the slip of the whole ridge in which an alarm is taught."""
+EARLY_S, LATE_S = 0.002, 0.015
+"""Interval around the slip of the whole ridge in which an alarm is taught. With an end at 25 ms the
+median alarm came 3 ms later (decision 0126)."""
 RIGHT_FROM_S, RIGHT_TO_S = 0.010, 0.030
 """Interval around it in which an alarm is right, and outside of which it is taught to be wrong."""
 STICKS_FOR_S = 0.005
@@ -44,12 +45,16 @@ SLIP_WEIGHT = 13.0
 slip has at 2 ms. Neither this nor the next was tuned (decision 0124)."""
 FURTHER_SLIP = 0.12
 """Weight of each further slip, as a share of that: a trial in which the ridge slips fifty times
-teaches seven times as much as one with a single slip, not fifty times. The pieces of a
-slip that lasts (`LASTING_S`) are not bounded: slides at 0.1 mm/s last for seconds."""
+teaches seven times as much as one with a single slip, not fifty times."""
 LASTING_S = 0.1
 """A slip that lasts while x moves is taught as one more case, as a further slip, in each of these
-pieces of it, the last one included, however short: whoever answers an alarm by a firmer grip has to
-know that it was not enough (decision 0125)."""
+pieces of it: whoever answers an alarm by a firmer grip has to know that it was not enough (decision
+0125)."""
+LEAST_PIECE_S = 0.02
+"""Length from which the last of these pieces is taught."""
+MOST_PIECES = 10
+"""Number of pieces up to which each weighs as much as a further slip. All pieces of a longer slip
+weigh together as much as these: slides at 0.1 mm/s last for seconds (decision 0126)."""
 BATCH, LEAST_STEPS = 32, 2000
 """Largest number of recordings in a batch; it is smaller where the training would have fewer steps
 than the second."""
@@ -122,8 +127,9 @@ def rows_of(lesson: TrainingTrial) -> TrainingRows:
     if lesson.moves is not None:
         lasting = _pieces_of_lasting_slips(time, slips_s, lesson.moves & (slip < 0))
         at = lasting >= 0
+        share = min(1.0, MOST_PIECES / max(np.unique(lasting[at]).size, 1))
         right[at, 0] = 1
-        weight[at, 0] = SLIP_WEIGHT * FURTHER_SLIP
+        weight[at, 0] = SLIP_WEIGHT * FURTHER_SLIP * share
         slip[at] = len(slips_s) + lasting[at]
     if math.isfinite(lesson.lift_off_s):
         let_go_s = lesson.lift_off_s - BEFORE_LIFT_OFF_S
@@ -139,12 +145,15 @@ def _pieces_of_lasting_slips(
     """Returns the number of the piece of a lasting slip of which a row at `time_s` (m,) is one, -1
     for the others; `usable` (m,) are the rows that may be one."""
     numbers, count = np.full(time_s.size, -1), 0
+    row_s = float(np.median(np.diff(time_s))) if time_s.size > 1 else 0.0
     for begin_s, end_s in slips_s:
         lasts_from_s = begin_s + RIGHT_TO_S
         lasts = usable & (time_s > lasts_from_s) & (time_s < end_s) & (numbers < 0)
         pieces = ((time_s[lasts] - lasts_from_s) // LASTING_S).astype(np.int64)
-        numbers[lasts] = count + pieces
-        count += int(pieces.max(initial=-1)) + 1
+        rows = np.bincount(pieces)
+        long_enough = rows * row_s >= LEAST_PIECE_S
+        numbers[lasts] = np.where(long_enough[pieces], count + pieces, -1)
+        count += rows.size
     return numbers
 
 
