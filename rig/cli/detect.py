@@ -30,12 +30,12 @@ def detect(
         str,
         typer.Option(
             help="impulse, rig, paper-literal, paper-hp, or one of another package (rig "
-            "detectors). On the simulated bench (decision 0125) paper-hp finds 5 slips of 10 in "
-            "time and alarms falsely in 1 of 30 trials without a slip, but where the object is let "
-            "go; rig finds 9 of 10 and alarms falsely in 1 of 120 where the commands of x and of "
-            "the held force are known, as in this program's trials, else 6 of 7 and 1 of 25; it "
-            "misses 1 slip of 3 in holds and re-grips, 1 of 4 by a falling force, and 1 of 7 where "
-            "friction hardly falls; impulse finds 6 of 10 and alarms falsely in 1 of 11. A grip "
+            "detectors). On the simulated bench (decision 0126) paper-hp finds 5 slips of 10 in "
+            "time and alarms falsely in 1 of 50 trials without a slip, but where the object is let "
+            "go; rig finds 9 of 10 and alarms falsely in 1 of 110 where the commands of x and of "
+            "the held force are known, as in this program's trials, else 6 of 7 and 1 of 50; it "
+            "misses 1 slip of 4 in holds and re-grips, 1 of 6 by a falling force, and 1 of 4 where "
+            "friction hardly falls; impulse finds 2 of 3 and alarms falsely in 1 of 16. A grip "
             "needs 95 % in time: none is shown to be good enough, and the default stays until one "
             "is.",
             metavar="NAME",
