@@ -30,7 +30,7 @@ Singles = NDArray[np.float32]
 
 EARLY_S, LATE_S = 0.002, 0.015
 """Interval around the slip of the whole ridge in which an alarm is taught. With an end at 25 ms the
-median alarm came 3 ms later (decision 0126)."""
+median alarm came 2 ms later (decision 0126)."""
 RIGHT_FROM_S, RIGHT_TO_S = 0.010, 0.030
 """Interval around it in which an alarm is right, and outside of which it is taught to be wrong."""
 STICKS_FOR_S = 0.005
@@ -51,10 +51,10 @@ LASTING_S = 0.1
 pieces of it: whoever answers an alarm by a firmer grip has to know that it was not enough (decision
 0125)."""
 LEAST_PIECE_S = 0.02
-"""Length from which the last of these pieces is taught."""
+"""Length from which such a piece is taught."""
 MOST_PIECES = 10
-"""Number of pieces up to which each weighs as much as a further slip. All pieces of a longer slip
-weigh together as much as these: slides at 0.1 mm/s last for seconds (decision 0126)."""
+"""Number of these pieces in a trial up to which each weighs as much as a further slip. More of them
+weigh together as much as these: a slide at 0.1 mm/s lasts for seconds (decision 0126)."""
 BATCH, LEAST_STEPS = 32, 2000
 """Largest number of recordings in a batch; it is smaller where the training would have fewer steps
 than the second."""
