@@ -33,19 +33,24 @@ def grip_summary(readings: Sequence[Reading]) -> dict[str, Any]:
         )
     outcomes = Counter(str(r["outcome"]) for r in readings if r.get("outcome"))
     if outcomes:
-        said = ", ".join(f"{name} {outcomes[name]}" for name in OUTCOMES)
-        sentences.append(f"Weights: {said}.")
-    used = [
-        (float(used_N), float(least_N))
-        for r in readings
-        if r.get("outcome") in ("held", "averted")
-        and (used_N := r.get("force_used_N"))
-        and (least_N := r.get("least_force_N"))
-    ]
-    if used:
-        ratio = statistics.median(force / least for force, least in used)
+        counts = ", ".join(f"{name} {outcomes[name]}" for name in OUTCOMES)
+        meaning = " (averted: at rest after a squeeze)" if outcomes["averted"] else ""
+        sentences.append(f"Weights: {counts}{meaning}.")
+    kept = [r for r in readings if r.get("outcome") in ("held", "averted")]
+    if shown := _ratios(kept, "least_force_N"):
+        text = f"at least {statistics.median(shown):.2f} by the largest F_t/F_n that a trial showed"
+        if true := _ratios(kept, "least_force_true_N"):
+            text += f", {statistics.median(true):.2f} by the simulation's coefficient of friction"
         sentences.append(
-            f"Force used over the least that would have held: {ratio:.2f} (median of {len(used)}; "
-            "the least by the largest F_t/F_n of each trial)."
+            f"Force used over the least that would have held: {text} (median of {len(shown)})."
         )
     return {"grip": sentences} if sentences else {}
+
+
+def _ratios(readings: Sequence[Reading], least: str) -> list[float]:
+    """Return the force used over the least that would have held, of the readings that have both."""
+    return [
+        float(used_N) / float(least_N)
+        for one in readings
+        if (used_N := one.get("force_used_N")) and (least_N := one.get(least))
+    ]

@@ -52,6 +52,8 @@ class SlipTrialRecord(TrialRecord):
     """Largest way of a weight from there."""
     lost: bool = False
     """Whether a weight has gone further than `lost_mm`, or x to the end of its way."""
+    weight_rested: bool = False
+    """Whether a weight has rested for `hold_for_s`."""
 
 
 def reading_of(run: Run, record: SlipTrialRecord) -> Reading:
@@ -82,11 +84,12 @@ def _weight(
 ) -> Reading:
     """Return what became of a weight, the force used, and the least that would have held it: by the
     largest F_t/F_n that the contact has shown in this trial and, on a simulated bench, by the
-    World's static coefficient."""
+    World's static coefficient. A weight that never rested is lost, too: it still slides."""
     load_N = settings.hold_at_N
     if load_N is None or not len(t):
         return dict.fromkeys(WEIGHT_KEYS, None) | {"outcome": ""}
-    outcome = "lost" if record.lost else "averted" if record.squeezes else "held"
+    kept = record.weight_rested and not record.lost
+    outcome = "lost" if not kept else "averted" if record.squeezes else "held"
     used_N = float(force[t >= t[-1] - USED_S, 0].mean())
     pressed = force[:, 0] > PRESSED_SHARE * settings.normal_force_N
     shown = float(np.max(np.abs(force[pressed, 1]) / force[pressed, 0], initial=0.0))
@@ -131,7 +134,7 @@ def _friction(
         found = friction(force[:, 0], np.abs(force[:, 1]), travel, rate_Hz=rate_Hz)
     except FrictionError as error:
         # A weight that holds does not slide, and is not to slide further.
-        holds = run.settings.hold_at_N is not None and not record.lost
+        holds = run.settings.hold_at_N is not None and record.weight_rested
         why = f"the weight did not slide away ({error})" if holds else error.one_line()
         run.event("info" if holds else "warning", "friction", f"trial {record.number}: {why}")
         return {**dict.fromkeys(FRICTION_COLUMNS), "no_friction": why}

@@ -44,10 +44,10 @@ class SlipTrialSettings(GripSettings):
     """Tangential force that a ramp holds from there on, as a weight does; by default it ends
     instead, at --ramp-to."""
     hold_for_s: float = Field(default=1.0, gt=0, le=60, json_schema_extra=WEIGHTS_ONLY)
-    """Time for which --hold-at is held, from the moment at which the ramp arrives there."""
+    """Time for which the weight of --hold-at has to rest on the contact to be held."""
     lost_mm: float = Field(default=0.5, gt=0, json_schema_extra=WEIGHTS_ONLY)
     """Travel of the skin, from the first alarm or else from the end of the ramp, beyond which the
-    weight of --hold-at is lost."""
+    weight of --hold-at is lost; one that never comes to rest is lost, too."""
     direction: Literal["+x", "-x"] = "+x"
     """Direction of the slide."""
     start_mm: float = 10.0

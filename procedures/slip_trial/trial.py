@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from procedures.pressed.axes import ArrivalWatch
 from procedures.pressed.series import PressedSeries
@@ -14,6 +14,7 @@ from procedures.slip_trial.reading import SlipTrialRecord, reading_of
 from procedures.slip_trial.settings import SLID_ON_mm
 from rig.control.force_ramp import ForceRamp, SLOWEST_mm_s
 from rig.control.force_servo import ContactShift
+from rig.control.weight import RestingWeight
 
 if TYPE_CHECKING:
     from procedures.slip_trial.settings import SlipTrialSettings
@@ -28,6 +29,17 @@ class SlipSeries(PressedSeries):
 
     shift: ContactShift | None = None
     """Change of the contact that the first slide has shown; the servo knew none in that slide."""
+
+
+class Loading(NamedTuple):
+    """State of a ramp in a tick, since its first one."""
+
+    since_s: float
+    travel_mm: float
+    force_N: float
+    """Rise of the tangential force."""
+    asked_mm_s: float
+    """Speed of x that the ramp asks for."""
 
 
 class SlipTrialRun(PressedTrial):
@@ -102,7 +114,7 @@ class SlipTrialRun(PressedTrial):
         def pull(tick: Tick) -> bool:
             nonlocal slipped_mm, speed_mm_s
             self.hold_tick(tick)
-            since_s, travel_mm, asked_mm_s = ask(tick)
+            since_s, travel_mm, _, asked_mm_s = ask(tick)
             if asked_mm_s != speed_mm_s:
                 speed_mm_s = asked_mm_s
                 self.x.start_move(settings.end_mm, speed_mm_s)
@@ -115,13 +127,12 @@ class SlipTrialRun(PressedTrial):
 
         return pull
 
-    def _asking(self, ramp: ForceRamp) -> Callable[[Tick], tuple[float, float, float]]:
-        """Begin to count way and force from here; the returned function of a tick returns the time
-        since the first one in s, the way of x in mm, and the speed in mm/s that the ramp asks."""
+    def _asking(self, ramp: ForceRamp) -> Callable[[Tick], Loading]:
+        """Begin to count way and force from here; the returned function of a tick asks the ramp."""
         along, force = self.settings.along, self.recorder.force
         first_mm, first_N, begin_s = self.x.latest.position_mm, force.tangential_N, 0.0
 
-        def ask(tick: Tick) -> tuple[float, float, float]:
+        def ask(tick: Tick) -> Loading:
             nonlocal begin_s
             if tick.number == 0:
                 begin_s = tick.began_s
@@ -129,13 +140,14 @@ class SlipTrialRun(PressedTrial):
             travel_mm = along * (polled.position_mm - first_mm)
             force_N = along * (force.tangential_N - first_N)
             polled_s, measured_s = polled.at_s - begin_s, force.measured_s - begin_s
-            return since_s, travel_mm, ramp.step(since_s, polled_s, travel_mm, measured_s, force_N)
+            asked_mm_s = ramp.step(since_s, polled_s, travel_mm, measured_s, force_N)
+            return Loading(since_s, travel_mm, force_N, asked_mm_s)
 
         return ask
 
     def _weight(self, load_N: float) -> Callable[[Tick], bool]:
         """Begin to lower a weight; the returned tick loads the contact with it and holds F_n, until
-        it was held for long enough or is lost."""
+        the weight has rested for long enough or is lost."""
         settings, record, x = self.settings, self.record, self.x
         ramp = ForceRamp(
             settings.ramp_N_s,
@@ -145,14 +157,14 @@ class SlipTrialRun(PressedTrial):
             holds_N=load_N,
         )
         ask = self._asking(ramp)
+        weight = RestingWeight(load_N, settings.speed_mm_s)
         from_mm: float | None = None
-        held_s = load_N / settings.ramp_N_s + settings.hold_for_s
         speed_mm_s = 0.0
 
         def pull(tick: Tick) -> bool:
             nonlocal speed_mm_s, from_mm
             self.hold_tick(tick)
-            since_s, travel_mm, asked_mm_s = ask(tick)
+            since_s, travel_mm, force_N, asked_mm_s = ask(tick)
             if asked_mm_s != speed_mm_s:
                 speed_mm_s = asked_mm_s
                 to_mm = settings.end_mm if speed_mm_s > 0 else settings.start_mm
@@ -166,8 +178,10 @@ class SlipTrialRun(PressedTrial):
             if from_mm is None and record.alarms:
                 from_mm = record.slid_from_mm = travel_mm
             record.slid_mm = max(record.slid_mm, travel_mm - record.slid_from_mm)
+            weight.add(since_s, force_N, travel_mm)
+            record.weight_rested = weight.rested_s >= settings.hold_for_s
             record.lost = record.slid_mm > settings.lost_mm or travel_mm >= settings.distance_mm
-            return not record.lost and since_s < held_s
+            return not record.lost and not record.weight_rested
 
         return pull
 

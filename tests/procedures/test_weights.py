@@ -6,6 +6,7 @@ from typing import Any
 
 import pytest
 
+from procedures.pressed.grip_summary import grip_summary
 from rig.files.runfile.reader import RunFile
 
 
@@ -27,3 +28,40 @@ def test_a_weight_is_lost_where_the_contact_cannot_hold_it_also_if_it_comes_fast
     assert reading["outcome"] == outcome
     assert (reading["slid_mm"] > 0.5) == (outcome == "lost")
     assert f"{outcome} 1" in " ".join(done.object["summary"]["grip"])
+
+
+@pytest.mark.thorough
+@pytest.mark.usefixtures("quick_ways")
+def test_a_weight_that_slides_slowly_and_without_end_is_lost(rig: Any) -> None:
+    """5 N on a contact that holds some 2.9 N: at 0.2 mm/s it has slid 0.4 mm when a weight that
+    rests would be held."""
+    done = rig.run(
+        "slip-trial", "--json", "--no-figures", "--loading", "ramp", "--detector", "none",
+        "--hold-at", "5N", "--speed", "0.2mm/s", "--rest", "100ms",
+        "--force-error-peak", "1000", "--force-error-rms", "1000",
+    )  # fmt: skip
+    assert done.code in (0, 5), done.stderr
+    with RunFile.open(rig.folder / done.object["file"]) as run:
+        (reading,) = run.readings()
+    assert reading["outcome"] == "lost"
+
+
+def trial(outcome: str, used_N: float, shown_N: float, true_N: float | None) -> dict[str, Any]:
+    """Return what the reading of a weight says of forces."""
+    return {
+        "outcome": outcome,
+        "force_used_N": used_N,
+        "least_force_N": shown_N,
+        "least_force_true_N": true_N,
+    }
+
+
+def test_the_force_used_is_stated_as_a_bound_and_by_the_true_coefficient_of_a_simulation() -> None:
+    kept = [trial("averted", 4.8, 4.8, 3.75), trial("lost", 4.0, 2.0, 6.25)]
+    weights, force = grip_summary(kept)["grip"]
+    assert weights == "Weights: held 0, averted 1, lost 1 (averted: at rest after a squeeze)."
+    assert "at least 1.00 by the largest F_t/F_n" in force
+    assert "1.28 by the simulation's coefficient of friction (median of 1)" in force
+    weights, force = grip_summary([trial("held", 4.8, 4.8, None)])["grip"]
+    assert weights == "Weights: held 1, averted 0, lost 0."
+    assert "simulation" not in force
