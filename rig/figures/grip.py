@@ -121,9 +121,15 @@ def _draw_column(panels: Sequence[Axes], run: RunFile, number: int, point: str) 
     difference.plot(t, v_d, linewidth=0.7, color=BLUE, label="$v_d$")
     difference.set_ylabel("$v_d$ (mV)")
     detections = from_text(str(reading.get("detections") or ""))
-    found = [one for one in detections if one.time_s >= begin_s]
-    for kind, label, marker in (("predictive", "$P_A$", "^"), (SLIP, "$P_B$, alarm", "v")):
-        at = [one.sample for one in found if one.kind == kind and one.sample < len(v_d)]
+    begin = int(np.searchsorted(t, 0.0))
+    for kind, label, marker in (
+        ("predictive", "$P_A$, motion begun", "^"), (SLIP, "$P_B$, alarm", "v"),
+    ):  # fmt: skip
+        at = [one.sample for one in detections if one.kind == kind and one.sample < len(v_d)]
+        before, at = [n for n in at if n < begin], [n for n in at if n >= begin]
+        # One that the detector has found in the press already is in force as the motion begins.
+        if kind == "predictive" and before and begin < len(v_d):
+            at = [begin, *at]
         if at:
             difference.plot(t[at], v_d[at], marker, color=VERMILLION, markersize=4, label=label)
     force = series["force"]

@@ -59,6 +59,8 @@ BEFORE_SLIP_S, AFTER_SLIP_S = 0.24, 0.06
 before the slip, where P_A and the neighbour's event are."""
 IMPULSE_S = 0.01
 """Half width of P_B. The impulse of a slip takes a few ms."""
+NEAR_SLIP_S = 0.02
+"""Time before and after the slip in which its impulse is looked for."""
 BRACKETS = 0.3
 """Room for the brackets above the signal, as a share of its span."""
 TITLE_PT = 200.0
@@ -135,19 +137,22 @@ def _zoom(
     axes.set_ylabel("$v_d$ (mV)")
     what = f"the slip, {BEFORE_SLIP_S + AFTER_SLIP_S:g} s enlarged; lines: colours of (g)"
     axes.set_title(what, loc="left")
-    if not inside.any():
+    if np.count_nonzero(inside) < 2:
         return
     scale_to(axes, [v_d_mV[inside]])
-    _mark_as_figure_10(axes, t[inside], v_d_mV[inside], instants, motion[0])
+    _mark_as_figure_10(axes, t[inside], v_d_mV[inside], at, instants, motion[0])
     mark((axes,), instants, top=1 / (1 + BRACKETS))
 
 
 def _mark_as_figure_10(
-    axes: Axes, t: Reals, v_d_mV: Reals, instants: SlipInstants, begin_s: float
-) -> None:
+    axes: Axes, t: Reals, v_d_mV: Reals, slip_s: float, instants: SlipInstants, begin_s: float
+) -> None:  # fmt: skip
     """Mark the phases P_A (low-frequency pattern before the slip) and P_B (impulse of the slip) by
-    brackets above the signal, and on a simulated bench the slip of a neighbouring ridge."""
-    peak = int(np.abs(v_d_mV).argmax())
+    brackets above the signal, and on a simulated bench the slip of a neighbouring ridge. P_B is the
+    steepest change of v_d near the slip: the slow pattern before it may be as high, and what comes
+    later, of a further slip or a squeeze, steeper."""
+    near = np.abs(t - slip_s) <= NEAR_SLIP_S
+    peak = int(np.where(near, np.abs(np.gradient(v_d_mV)), -1.0).argmax())
     low, high = axes.get_ylim()
     room = BRACKETS * (high - low)
     height = high + 0.35 * room
@@ -164,9 +169,11 @@ def _mark_as_figure_10(
                 name, ((begin + end) / 2, height), (0, 2), textcoords="offset points",
                 ha="center", va="bottom", fontsize=SMALLEST_PT,
             )  # fmt: skip
-    towards = -1.0 if v_d_mV[peak] < 0 else 1.0
     for ridge, at_s in _neighbours(instants, p_a):
         value = float(np.interp(at_s, t, v_d_mV))
+        # Above the line only where the two lines of the text do not reach the brackets.
+        rises = v_d_mV[peak] >= 0 and value + 2.4 * room <= high
+        towards = 1.0 if rises else -1.0
         axes.annotate(
             f"ridge {ridge} slips\n(true)", (at_s, value + towards * 0.1 * room),
             (at_s, value + towards * 1.6 * room), ha="center",
