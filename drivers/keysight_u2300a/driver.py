@@ -362,7 +362,10 @@ class U2300ADaq:
         return [t for t in range(101, 101 + self.model.terminals) if t not in wanted]
 
     def _scan_order(self, acquisition: Acquisition) -> tuple[InputChannel, ...]:
-        """A scan list keeps its order; simultaneous channels come in the terminals' order."""
+        """Return the channels in the order of their samples.
+
+        A scan list keeps its order; simultaneous channels come in the terminals' order.
+        """
         if self.model.simultaneous:
             return tuple(sorted(acquisition.channels, key=self._terminal))
         return acquisition.channels

@@ -168,9 +168,9 @@ class AzLine:
 
     @classmethod
     def shared(cls, path: str, baudrate: int, parity: str, clock: Clock, device: str) -> AzLine:
-        """The line at `path`, which all its drives use together; each lets go by `release`.
+        """Return the line at `path`, which all its drives share; each gives it up by `release`.
 
-        InstrumentError where it is in use with other settings.
+        Raises InstrumentError if it is in use with other settings.
         """
         with cls._opening:
             line = cls._open.get(path)

@@ -148,7 +148,7 @@ class StageInterlock:
 
     @contextmanager
     def stopping(self, rearm: bool = False) -> Iterator[StopUnderWay]:
-        """A stop: the body commands it and returns when it has seen the stage at rest.
+        """Stop the stage: the body commands it and returns when it has seen the stage at rest.
 
         Tickets taken before become invalid at once. With `rearm` the end of the body re-arms a
         stage that had been made safe before; what the body raises leaves the state as it was.

@@ -240,6 +240,6 @@ def _each_once(errors: Sequence[str]) -> Iterator[str]:
 
 
 def _first(message: str) -> str:
-    """A message as it is shown: its first command, and whether more came with it."""
+    """Return what is shown of a message: its first command, and whether it had more."""
     first, separator, _ = message.partition(";")
     return first + (" ..." if separator else "")

@@ -55,7 +55,7 @@ class AnalogueInputPort(TimePort, Protocol):
     """The World's side of a data acquisition unit's input terminals."""
 
     def begin_acquisition(self) -> int:
-        """A fresh acquisition number; it keys the noise of that acquisition."""
+        """Return a new acquisition number, which seeds the noise of that acquisition."""
         ...
 
     def volts(
@@ -90,7 +90,7 @@ class ForcePort(TimePort, Protocol):
 
     @property
     def noise_key(self) -> tuple[int, ...]:
-        """Keys the amplifier's noise from now on: seed, run and point, for instance."""
+        """Seeds of the amplifier's noise from now on: seed, run and point, for instance."""
         ...
 
     def force_N(  # noqa: N802 - the unit keeps its capital

@@ -119,7 +119,7 @@ class ZaberLink:
     # --- what goes wrong ---------------------------------------------------------------------
 
     def _timed_out(self, what: str, charge: bool) -> InstrumentTimeoutError:
-        """A time-out is wall time; the bench's clock has to hear of it, once."""
+        """Return the error of a time-out, whose wall time is charged once to the bench's clock."""
         if charge and not self.charging:
             self.charging = True
             try:

@@ -62,7 +62,7 @@ class LiveDetection:
     """
 
     def __init__(self, name: str, clock: Clock):
-        """Starts the detector, which may take seconds. Raises RigError if it cannot be used."""
+        """Start the detector, which may take seconds. Raises RigError if it cannot be used."""
         self.name = name
         self.woken = threading.Event()
         """Set while `news` or `failure` has something to return."""

@@ -40,7 +40,10 @@ class EarlierPress:
     """The reference for presses of one kind with one force, if there is one."""
 
     def __init__(self, run: Run, force_N: float, what: str = ""):
-        """`what` distinguishes presses with the same force, see `PressedSettings.kind_of_press`."""
+        """Look up the reference of presses with `force_N`.
+
+        `what` distinguishes presses with the same force, see `PressedSettings.kind_of_press`.
+        """
         self._run, self._force_N = run, force_N
         self._kind = f"{force_N:g} N {what}"
         self._reference = run.references.of(self._kind)

@@ -54,7 +54,7 @@ class Press:
         earlier: EarlierPress,
         torque: TorqueWatch,
     ):
-        """The press with the record's `normal_force_N`."""
+        """Prepare the press with the record's `normal_force_N`."""
         self._run, self._series, self._record = run, series, record
         self._force_N = record.normal_force_N
         self._z, self._recorder, self._ticks = z, recorder, ticks

@@ -357,7 +357,7 @@ def _stretch(
 
 
 def _smoothed(force_N: npt.NDArray[np.float64], rate_S_s: float) -> npt.NDArray[np.float64]:
-    """Running mean over `SERVO_ERROR_S`: the error of a servo is not the sensor's noise."""
+    """Return the mean over `SERVO_ERROR_S`: the error of a servo is not the sensor's noise."""
     frames = 2 * round((SERVO_ERROR_S * rate_S_s - 1) / 2) + 1
     kernel = np.full(frames, 1 / frames)
     return np.convolve(np.pad(force_N, frames // 2, mode="edge"), kernel, "valid")

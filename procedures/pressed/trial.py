@@ -69,8 +69,10 @@ class PressedTrial:
         record: TrialRecord,
         most_polls_Hz: float = math.inf,
     ):
-        """A trial of a series that presses with the record's `normal_force_N`; its axes are polled
-        `most_polls_Hz` times a second at most."""
+        """Prepare a trial that presses with the record's `normal_force_N`.
+
+        Its axes are polled `most_polls_Hz` times a second at most.
+        """
         self.run, self.series, self.record = run, series, record
         self.settings: PressedSettings = run.settings
         rates, bench = series.rates, run.bench

@@ -14,7 +14,7 @@ MOST_DIGITS = 12
 
 
 def decimals(half_width: float) -> int:
-    """Returns the digits after the decimal point up to the second figure of a half-width, which has
+    """Return the digits after the decimal point up to the second figure of a half-width, which has
     to be finite and above 0.
 
     >>> decimals(0.123), decimals(45.0)
@@ -24,7 +24,7 @@ def decimals(half_width: float) -> int:
 
 
 def with_error(value: float, half_width: float) -> str:
-    """Returns a value and its half-width as text, to the second figure of the half-width.
+    """Return a value and its half-width as text, to the second figure of the half-width.
 
     >>> with_error(12.3456, 0.123)
     '+12.35 ± 0.12'
@@ -60,13 +60,13 @@ class Estimate:
 
     @classmethod
     def normal(cls, value: float, standard_error: float, unit: str) -> Estimate:
-        """Returns the estimate of a quantity with a normal error."""
+        """Return the estimate of a quantity with a normal error."""
         half = COVERAGE_95 * standard_error
         return cls(value, standard_error, value - half, value + half, unit)
 
     @classmethod
     def of_logarithm(cls, logarithm: float, standard_error: float, unit: str) -> Estimate:
-        """Returns the estimate of a quantity whose natural logarithm has a normal error.
+        """Return the estimate of a quantity whose natural logarithm has a normal error.
 
         The interval is asymmetric and never reaches below zero.
         """
@@ -78,7 +78,7 @@ class Estimate:
 
     @classmethod
     def of_inverse(cls, inverse: float, standard_error: float, unit: str) -> Estimate:
-        """Returns the estimate of a quantity whose inverse has a normal error.
+        """Return the estimate of a quantity whose inverse has a normal error.
 
         The interval has no upper end if the inverse may be zero. If ``inverse`` is zero or
         negative, the value is infinite and only the lower end is meaningful.
@@ -91,11 +91,11 @@ class Estimate:
         return cls(value, error, low, high, unit)
 
     def covers(self, truth: float) -> bool:
-        """Returns whether the 95 % interval contains ``truth``."""
+        """Return whether the 95 % interval contains ``truth``."""
         return self.low <= truth <= self.high
 
     def as_dict(self) -> dict[str, float | str | None]:
-        """Returns plain values for JSON; numbers that are not finite become None."""
+        """Return plain values for JSON; numbers that are not finite become None."""
         numbers = {
             "value": self.value,
             "standard_error": self.standard_error,
@@ -108,7 +108,7 @@ class Estimate:
         return {**plain, "unit": self.unit}
 
     def __str__(self) -> str:
-        """Returns value, unit and interval, to two figures of the interval's half-width."""
+        """Return value, unit and interval, to two figures of the interval's half-width."""
         half = COVERAGE_95 * self.standard_error
         if not math.isfinite(half) or half <= 0:
             return f"{self.value:.6g} {self.unit} (95 %: {self.low:.6g} to {self.high:.6g})".strip()

@@ -73,7 +73,7 @@ class LowPassSummary:
 
 
 def low_pass_curves(low_pass: LowPass) -> LowPassCurves:
-    """Returns gain, phase, group delay and step response of a filter."""
+    """Return gain, phase, group delay and step response of a filter."""
     frequency = np.geomspace(LOWEST_Hz, low_pass.rate_Hz / 2, POINTS)
     taps = low_pass.taps
     return LowPassCurves(
@@ -88,7 +88,7 @@ def low_pass_curves(low_pass: LowPass) -> LowPassCurves:
 
 
 def low_pass_summary(low_pass: LowPass) -> LowPassSummary:
-    """Returns the characteristic numbers of a filter, to compare with its specification."""
+    """Return the characteristic numbers of a filter, to compare with its specification."""
     asked, step = low_pass.settings, low_pass.step_response()
     lag_Hz = asked.lag_Hz
     even = np.linspace(0.0, low_pass.rate_Hz / 2, 8 * max(low_pass.taps.size, POINTS))
@@ -115,7 +115,7 @@ def low_pass_summary(low_pass: LowPass) -> LowPassSummary:
 
 
 def _crossing(x: Reals, y: Reals, value: float) -> float:
-    """Returns where y first passes a value, interpolated between the samples."""
+    """Return where y first passes a value, interpolated between the samples."""
     after = int(np.flatnonzero((y[:-1] - value) * (y[1:] - value) <= 0)[0])
     share = (value - y[after]) / (y[after + 1] - y[after])
     return float(x[after] + share * (x[after + 1] - x[after]))

@@ -14,7 +14,7 @@ NO_SCATTER = 1e-7
 
 
 def explaining_error(residuals: Reals, variances: Reals, degrees: float) -> float:
-    """Returns the additional error of every point that reduces chi-square to ``degrees``, by
+    """Return the additional error of every point that reduces chi-square to ``degrees``, by
     bisection; 0 if none is needed (Mandel and Paule 1970)."""
     squares = np.square(residuals)
     if (squares / variances).sum() <= degrees:

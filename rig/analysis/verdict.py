@@ -46,13 +46,13 @@ class Verdict:
     """What the answer rests on, in words with numbers."""
 
     def sentence(self, statement: str) -> str:
-        """Returns the answer as a sentence about ``statement``."""
+        """Return the answer as a sentence about ``statement``."""
         data = " by these data" if self.answer == "cannot be decided" else ""
         return f"{statement}: {self.answer}{data} ({self.reason})."
 
 
 def equivalence(found: Estimate, expected: float, bound: float, chosen_of: int = 1) -> Verdict:
-    """Returns whether ``found`` differs from ``expected`` by less than ``bound``, all in its unit.
+    """Return whether ``found`` differs from ``expected`` by less than ``bound``, all in its unit.
 
     If ``found`` is the worst of several differences (``chosen_of``), chance alone makes it large:
     it is beyond the bound only if the worst of so many would be so in 5 % of the cases.
@@ -90,7 +90,7 @@ def equivalence(found: Estimate, expected: float, bound: float, chosen_of: int =
 
 
 def _interval(found: Estimate, one_side: float) -> tuple[float, float]:
-    """Returns the interval beyond each end of which the truth lies with probability
+    """Return the interval beyond each end of which the truth lies with probability
     ``one_side``."""
     scale = NormalDist().inv_cdf(1 - one_side) / COVERAGE_95
     low = found.value - scale * (found.value - found.low)
@@ -98,7 +98,7 @@ def _interval(found: Estimate, one_side: float) -> tuple[float, float]:
 
 
 def all_of(verdicts: Iterable[Verdict]) -> Verdict:
-    """Returns the verdict on a statement that is true if all of its parts are: the worst of them.
+    """Return the verdict on a statement that is true if all of its parts are: the worst of them.
 
     >>> parts = (Verdict("holds", "slope"), Verdict("cannot be decided", "gain at 10 N"))
     >>> all_of(parts).sentence("The gain does not depend on the load")

@@ -69,7 +69,7 @@ class Mean:
     """Number of samples."""
 
     def drifts(self, tolerated: float | Reals) -> NDArray[np.bool_]:
-        """Returns which channels changed during the reading, significantly and by more than is
+        """Return which channels changed during the reading, significantly and by more than is
         tolerated."""
         clear: NDArray[np.bool_] = np.abs(self.trend) > np.maximum(
             CLEAR_TREND * self.trend_error, tolerated
@@ -78,7 +78,7 @@ class Mean:
 
 
 def mean_of(samples: ArrayLike, resolution: float = 0.0) -> Mean:
-    """Returns the mean of samples (n,) or (n, k), with a standard error from the scatter of ten
+    """Return the mean of samples (n,) or (n, k), with a standard error from the scatter of ten
     blocks.
 
     Correlated noise, for example from the mains, is thus included correctly. ``resolution`` is the
@@ -140,7 +140,7 @@ class Line:
 
 
 def fit_line(forces: ArrayLike, readings: ArrayLike, standard_errors: ArrayLike) -> Line:
-    """Fits readings (n,) over forces (n, axes) in N by weighted least squares.
+    """Fit readings (n,) over forces (n, axes) in N by weighted least squares.
 
     Raises WeighingError for values that are not finite, errors that are not positive, and forces
     that leave a coefficient undetermined or no degree of freedom.
@@ -206,12 +206,12 @@ class ForceFit(WeighingFit):
     percent."""
 
     def half_widths(self) -> Reals:
-        """Returns the half-widths of the 95 % intervals of the matrix, (3, 3)."""
+        """Return the half-widths of the 95 % intervals of the matrix, (3, 3)."""
         half: Reals = self.coverage * self.matrix_error
         return half
 
     def coefficients(self, forces: Sequence[Vector], means: Sequence[Mean]) -> dict[str, Any]:
-        """Returns the entries of the sensor's calibration record, by field name."""
+        """Return the entries of the sensor's calibration record, by field name."""
         return {
             "coverage": self.coverage,
             "zero_mV_V": self.zero.tolist(),
@@ -239,7 +239,7 @@ def fit_force(
     standard_errors: ArrayLike,
     tolerance: float = 0.0,
 ) -> ForceFit:
-    """Fits a three-axis sensor: forces (n, 3) in N, readings and standard errors (n, 3) in mV/V.
+    """Fit a three-axis sensor: forces (n, 3) in N, readings and standard errors (n, 3) in mV/V.
 
     ``tolerance`` is the limit of the relative error common to all weights.
 
@@ -281,7 +281,7 @@ class CellFit(WeighingFit):
     """Sensitivity, in V/N."""
 
     def coefficients(self, loads: Sequence[float], means: Sequence[Mean]) -> dict[str, Any]:
-        """Returns the entries of the cell's calibration record, by field name."""
+        """Return the entries of the cell's calibration record, by field name."""
         return {
             "coverage": self.coverage,
             "zero_V": self.zero.as_dict(),
@@ -303,7 +303,7 @@ class CellFit(WeighingFit):
 def fit_load_cell(
     loads: ArrayLike, readings: ArrayLike, standard_errors: ArrayLike, tolerance: float = 0.0
 ) -> CellFit:
-    """Fits a load cell: loads (n,) in N, readings and standard errors (n,) in V.
+    """Fit a load cell: loads (n,) in N, readings and standard errors (n,) in V.
 
     ``tolerance`` is the limit of the relative error common to all weights.
 
@@ -329,7 +329,7 @@ def fit_load_cell(
 
 
 def refuse_outlier(forces: ArrayLike, residuals: Reals) -> None:
-    """Raises WeighingError if a reading lies off the fit by more than 1 % of the largest force.
+    """Raise WeighingError if a reading lies off the fit by more than 1 % of the largest force.
 
     Such a distance is not scatter: another weight, axis or direction was used than was asked for.
     Forces and residuals are (n,) or (n, axes), in N.
@@ -348,7 +348,7 @@ def refuse_outlier(forces: ArrayLike, residuals: Reals) -> None:
 
 
 def sequence(axes: Sequence[Vector], weights_N: Sequence[float]) -> list[Vector]:
-    """Returns the known forces of a calibration in order: none, then each axis with increasing
+    """Return the known forces of a calibration in order: none, then each axis with increasing
     weights and none again, so that a drift of the zero shows.
 
     >>> sequence([(0.0, 0.0, 1.0)], [2.0, 1.0])
@@ -366,7 +366,7 @@ def _estimate(value: float, error: float, coverage: float, unit: str) -> Estimat
 
 
 def _standard(tolerance: float) -> float:
-    """Returns the standard error of a quantity that lies anywhere within ± tolerance."""
+    """Return the standard error of a quantity that lies anywhere within ± tolerance."""
     return tolerance / math.sqrt(3)
 
 
@@ -381,7 +381,7 @@ def _least_squares(design: Reals, values: Reals, errors: Reals) -> tuple[Reals, 
 
 
 def _excess(design: Reals, values: Reals, errors: Reals, degrees: int) -> float:
-    """Returns the common additional error that reduces chi-square to its degrees of freedom."""
+    """Return the common additional error that reduces chi-square to its degrees of freedom."""
 
     def chi_square(excess: float) -> float:
         total = np.hypot(errors, excess)

@@ -301,7 +301,7 @@ class Queue:
         return _condition_of(row)
 
     def rows(self, states: Sequence[RunState] = ()) -> Iterator[RunRow]:
-        """Runs in the order of the queue, a few at a time: memory does not grow with the queue."""
+        """Yield the runs in the order of the queue, in constant memory."""
         where = f"WHERE state IN ({','.join('?' * len(states))})" if states else ""
         cursor = self._sql.execute(
             "SELECT number, condition, repeat, state, code, reason, bench_s, points_done,"
@@ -330,7 +330,7 @@ class Queue:
         return [_condition_of(row) for row in rows.fetchall()]
 
     def summaries(self, condition: str) -> list[tuple[int, dict[str, Any]]]:
-        """Number and summary of the runs of a condition that are done, in their order."""
+        """Yield number and summary of the runs of a condition that are done, in their order."""
         rows = self._sql.execute(
             "SELECT number, summary FROM run WHERE condition = ? AND state = 'done'"
             " AND summary IS NOT NULL ORDER BY number",
@@ -410,7 +410,7 @@ class Queue:
 
     @_patient
     def finish(self, claim: Claim, ended: AttemptResult, state: RunState) -> None:
-        """The attempt is over, and the run in this state: ``queued`` if it is to be continued."""
+        """End an attempt and set the run's state: ``queued`` if it is to be continued."""
         now = _now()
         with self._transaction():
             self._sql.execute(
@@ -471,7 +471,7 @@ class Queue:
     # --- files of finished runs -----------------------------------------------------------------
 
     def unprocessed(self) -> list[tuple[int, str]]:
-        """Number and procedure of the finished runs whose files are still to be made."""
+        """Return number and procedure of the finished runs whose files are still to be made."""
         rows = self._sql.execute(
             "SELECT number, procedure FROM run JOIN condition ON condition.id = run.condition"
             " WHERE processed IS NULL AND state IN ('done', 'failed') ORDER BY number"

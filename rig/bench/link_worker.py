@@ -169,8 +169,10 @@ class LinkWorker:
     # --- keeping the drive alive ----------------------------------------------------------------
 
     def poll(self) -> None:
-        """Called in every slice of the procedure's wait: raise, once, the exception of a
-        keep-alive. In virtual time the keep-alive itself is sent here."""
+        """Raise, once, the exception of a keep-alive. Call it in every slice of a wait.
+
+        In virtual time the keep-alive itself is sent here.
+        """
         if self._thread is None:
             self._feed_now()
         if self._feed_failure is not None and not self._making_safe:
@@ -275,8 +277,7 @@ class LinkWorkers(Mapping[str, LinkWorker]):
         return len(self._workers)
 
     def poll(self) -> None:
-        """Called in every slice of a wait: raise the exception of a keep-alive; see
-        `LinkWorker.poll`."""
+        """Raise the exception of a keep-alive of any link; see `LinkWorker.poll`."""
         for worker in tuple(self._workers.values()):
             worker.poll()
 

@@ -173,7 +173,7 @@ def parse_to_make_safe(text: str, source: str) -> Restable:
 def rehearsal(
     real: BenchPlan, simulated: BenchPlan, models: Mapping[str, str] | None = None
 ) -> BenchPlan:
-    """The simulated bench under a real bench file's limits: its fixture, its load limit, the
+    """Return the simulated bench under a real bench file's limits: its fixture, its load limit, the
     extent of its skin and its drivers' settings, except for those that a driver marks as `Wiring`.
 
     `models` names the simulated instruments by role, for the lines about those that stand in for

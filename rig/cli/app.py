@@ -155,4 +155,4 @@ def _first_line(docstring: str | None) -> str:
 
 
 def _not_asked() -> None:
-    """Placeholder in the list for the commands that this command line does not call."""
+    """Stand in the list for the commands that this command line does not call."""

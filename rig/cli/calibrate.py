@@ -181,7 +181,7 @@ def load_cell(
 
 
 def _refuse_changed(file: Path) -> None:
-    """Raises FoundWrongError if the run file is not, byte by byte, the one that was written."""
+    """Raise FoundWrongError if the run file is not, byte by byte, the one that was written."""
     from rig.files.checksum import checksum_findings
 
     if findings := list(checksum_findings(file)):
@@ -198,8 +198,8 @@ def _refuse_changed(file: Path) -> None:
 def _at_the_bench(
     options: WeighingOptions, wanted: RecordOptions, *roles: str
 ) -> Iterator[tuple[Bench, WeighingOperator, Path]]:  # fmt: skip
-    """The bench with these instruments connected and no others, who puts the weights on, and the
-    folder for the record, which takes one."""
+    """Connect these instruments alone; yield the bench, the person who puts the weights on, and
+    the folder for the record, in which files can be written."""
     from rig.cli.streams import say_at_once
     from rig.cli.weigh import WeighingOperator
     from rig.instruments.calibration import require_folder
@@ -261,7 +261,7 @@ def _refuse_weightless(bench: Bench, slaved: bool, yes: bool) -> None:
 
 @contextlib.contextmanager
 def _stoppable(as_json: bool) -> Iterator[None]:
-    """A stop by signal or q as one line and its exit code: nothing has been written then."""
+    """Report a stop by signal or q in one line, with its exit code; nothing was written."""
     try:
         yield
     except RigError as stopped:

@@ -253,8 +253,10 @@ class _DetectionProgress:
             self._bar.stop()
 
     def done(self, number: int, file: Path) -> None:
-        """`number` files are done, `file` is the latest. (The bar, which is a thread, begins here:
-        by then every process has been forked.)"""
+        """Show that `number` files are done, the latest of which is `file`.
+
+        The bar, which is a thread, begins here: by then every process has been forked.
+        """
         if not self._console.is_terminal:
             say(f"{number}/{self._files} {file.name}")
             return

@@ -21,13 +21,13 @@ EITHER = {"lag_deg": "stop_Hz", "stop_Hz": "lag_deg"}
 
 
 def low_pass_values(named: LowPassSettings, changes: Mapping[str, Any]) -> dict[str, Any]:
-    """Returns the values of a low-pass filter with some of them changed."""
+    """Return the values of a low-pass filter with some of them changed."""
     replaced = {other: None for given, other in EITHER.items() if given in changes}
     return named.model_dump() | replaced | dict(changes)
 
 
 def detector_with_settings(name: str, file: Path | None) -> ChosenDetector:
-    """Returns the named detector, its parameters overridden by those in a TOML file.
+    """Return the named detector, its parameters overridden by those in a TOML file.
 
     Raises ConfigurationError for an unknown name, a package that cannot be used, an unknown
     parameter or an invalid value.
@@ -65,7 +65,7 @@ def _network(file: Path) -> Any:
 
 
 def _changed(settings: Settings, changes: Mapping[str, Any]) -> dict[str, Any]:
-    """Returns the values of settings with some of them changed, tables within tables, too."""
+    """Return the values of settings with some of them changed, tables within tables, too."""
     from rig.core.settings import Settings
     from rig.detector.low_pass import LowPassSettings
 

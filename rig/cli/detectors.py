@@ -42,7 +42,7 @@ def detectors(
 
 
 def _cells(one: ChosenDetector) -> tuple[str, str, str]:
-    """Returns name, version and package of a detector, as they stand in its line."""
+    """Return name, version and package of a detector, as they stand in its line."""
     name = f"{one.name} (default)" if one.name == DEFAULT_DETECTOR else one.name
     return name, one.version, f"{one.package} {one.package_version}"
 

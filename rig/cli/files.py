@@ -416,10 +416,10 @@ def _is_text_list(value: Any) -> bool:
 
 @contextlib.contextmanager
 def _world_of(bench_toml: str, source: str) -> Iterator[tuple[Path | None, str | None]]:
-    """The World settings of a run on a bench that its command had started, as a file again, and
-    its stages.
+    """Write the World settings of a run to a file again; yield the file and the stages.
 
-    None for any other bench: that one's file is read from where it was.
+    This is for a bench that the run's command had started. Yield None for any other bench, whose
+    file is read from where it was.
     """
     from rig.bench.plan import parse_bench
     from rig.core.toml_files import toml_value

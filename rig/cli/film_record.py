@@ -27,7 +27,7 @@ POOR_LEVEL_DB = 0.5
 
 
 def analysed(run: RunFile) -> SweepAnalysis:
-    """Returns the gain-curve analysis of a complete sweep.
+    """Return the gain-curve analysis of a complete sweep.
 
     Raises ConfigurationError for any other file and for a sweep with too few frequencies.
     """
@@ -70,7 +70,7 @@ def analysed(run: RunFile) -> SweepAnalysis:
 def film_record(
     run: RunFile, analysis: SweepAnalysis, film: str, fields: dict[str, Any]
 ) -> FilmCalibration:
-    """Returns the calibration record of the run's film.
+    """Return the calibration record of the run's film.
 
     Raises ConfigurationError if the film is unknown, or if the record would already have expired.
     """
@@ -112,7 +112,7 @@ def film_record(
 
 
 def _column(run: RunFile, name: str) -> NDArray[Any] | None:
-    """Returns an optional column of a sweep; None if it or one of its values is missing."""
+    """Return an optional column of a sweep; None if it or one of its values is missing."""
     import numpy as np
 
     if name not in run.columns():
@@ -122,7 +122,7 @@ def _column(run: RunFile, name: str) -> NDArray[Any] | None:
 
 
 def _film_of(run: RunFile) -> dict[str, Any]:
-    """Returns the [film] table of the bench file that the run recorded."""
+    """Return the [film] table of the bench file that the run recorded."""
     with contextlib.suppress(ConfigurationError):
         table = parse_toml(run.header.bench_toml, str(run.path)).get("film")
         return table if isinstance(table, dict) else {}
@@ -130,7 +130,7 @@ def _film_of(run: RunFile) -> dict[str, Any]:
 
 
 def _load_cell_error(calibrations: Sequence[dict[str, Any]]) -> float | None:
-    """Returns the relative standard error of the load cell from the run's copy of its record."""
+    """Return the relative standard error of the load cell from the run's copy of its record."""
     for record in calibrations:
         if record.get("kind") == "load-cell":
             with contextlib.suppress(KeyError, TypeError, ZeroDivisionError):
@@ -140,7 +140,7 @@ def _load_cell_error(calibrations: Sequence[dict[str, Any]]) -> float | None:
 
 
 def sentences(record: FilmCalibration, analysis: SweepAnalysis) -> Iterator[str]:
-    """Yields the results as lines of text."""
+    """Yield the results as lines of text."""
     mark = "SIMULATED " if record.simulated else ""
     yield (
         f"{mark}film {record.sensor!r}: {record.points} points, "
@@ -155,7 +155,7 @@ def sentences(record: FilmCalibration, analysis: SweepAnalysis) -> Iterator[str]
 
 
 def doubts(record: FilmCalibration) -> list[str]:
-    """Returns warnings to be read before the record is used."""
+    """Return warnings to be read before the record is used."""
     warnings = []
     if record.load_cell_error_percent is None:
         warnings.append(
@@ -171,7 +171,7 @@ def doubts(record: FilmCalibration) -> list[str]:
 
 
 def in_words(quantity: Quantity) -> str:
-    """Returns a quantity as text, to the figures that its interval justifies."""
+    """Return a quantity as text, to the figures that its interval justifies."""
     from rig.analysis.estimate import Estimate
 
     value, error, low, high = (

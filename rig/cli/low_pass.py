@@ -123,7 +123,7 @@ def _specification(name: str, texts: dict[str, str | None]) -> LowPassSettings:
 
 
 def _designed(settings: LowPassSettings, rate_Hz: float) -> LowPass:
-    """Designs the filter. Raises ConfigurationError, with the bound, if no filter can do it."""
+    """Design the filter. Raises ConfigurationError, with the bound, if no filter can do it."""
     from rig.detector.low_pass import design_low_pass
 
     if not 0 < rate_Hz < float("inf"):
@@ -135,7 +135,7 @@ def _designed(settings: LowPassSettings, rate_Hz: float) -> LowPass:
 
 
 def _by_options(message: str) -> str:
-    """Returns a message with the names of fields replaced by those of options."""
+    """Return a message with the names of fields replaced by those of options."""
     import re
 
     names = "|".join(sorted(OPTIONS, key=len, reverse=True))
@@ -152,7 +152,7 @@ def _quantity(option: str, text: str, unit: str) -> float:
 
 
 def _stem(name: str, changed: bool, low_pass: LowPass) -> str:
-    """Returns a file name that is the same for the same specification and rate."""
+    """Return a file name that is the same for the same specification and rate."""
     from rig.core.settings import fingerprint
 
     shown = fingerprint(low_pass.settings)[:8] if changed else name
@@ -177,7 +177,7 @@ def _save(results: Path, stem: str, figure: Any, curves: LowPassCurves) -> list[
 
 
 def _table(path: Path, curves: LowPassCurves, columns: Sequence[str]) -> Path:
-    """Writes columns as CSV with all digits of the numbers."""
+    """Write columns as CSV with all digits of the numbers."""
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(columns)

@@ -10,7 +10,7 @@ from rig.core.errors import ConfigurationError, RigError
 
 @contextmanager
 def model_errors(remedy: str | None = None) -> Iterator[None]:
-    """Reports invalid values, and contact steps without a solution, as one-line errors.
+    """Report invalid values, and contact steps without a solution, as one-line errors.
 
     `remedy` is the hint for a step without a solution.
     """

@@ -102,8 +102,11 @@ def _is_list(info: FieldInfo) -> bool:
 
 
 def settings_from(model: type[Settings], given: Mapping[str, str | None]) -> Settings:
-    """Validated settings from option texts; ConfigurationError reports everything that is wrong. An
-    option that has no effect beside the others is refused (`_needs`, `_excluded_by`)."""
+    """Return validated settings from option texts.
+
+    ConfigurationError reports everything that is wrong. An option that has no effect together with
+    the others is refused (`_needs`, `_excluded_by`).
+    """
     values: dict[str, Any] = {}
     findings: list[str] = []
     for field, text in given.items():

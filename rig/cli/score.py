@@ -294,7 +294,7 @@ def _population(
 
 
 def _chosen(kinds: str | None, known: tuple[Word, ...]) -> tuple[Word, ...]:
-    """Returns the kinds of trials of the option --kinds, in their usual order."""
+    """Return the kinds of trials of the option --kinds, in their usual order."""
     if kinds is None:
         return known
     words = [word.strip() for word in kinds.split(",")]
@@ -315,7 +315,7 @@ def _wire_kinds(kinds: str | None) -> tuple[WireKind, ...]:
 def _wire(
     kinds: str | None, drawn: SeedRange, contenders: Sequence[Contender], roc: bool, jobs: int
 ) -> WireScore:
-    """Makes and scores the trials on the simulated bench."""
+    """Make and score the trials on the simulated bench."""
     from rig.core.cache import user_cache
     from rig.evaluation.wire.judging import judge_wire
 
@@ -361,7 +361,7 @@ def _with_options(
     youngs_modulus: str | None,
     speed: str | None,
 ) -> PopulationSettings:
-    """Returns the ranges with skin, ridge and speed of the options."""
+    """Return the ranges with skin, ridge and speed of the options."""
     from rig.core.units import quantity
     from rig.physics.population import PopulationSettings, Range
     from rig.physics.skin.settings import SkinSettings
@@ -427,7 +427,7 @@ def _baselines(wanted: bool, file: Path | None) -> list[BaselineSettings]:
 def _tuned(
     trials: Population, baselines: Sequence[BaselineSettings], file: Path, jobs: int
 ) -> list[BaselineSettings]:
-    """Chooses the thresholds of the baselines on these trials and writes them to `file`."""
+    """Choose the thresholds of the baselines on these trials and write them to `file`."""
     from rig.evaluation.scored_trials import tune_baselines
     from rig.evaluation.scoring.baselines import Baselines
 
@@ -444,7 +444,7 @@ def _tuned(
 
 
 def _check_new(out: Path) -> None:
-    """Raises ConfigurationError for a folder that contains a score, before anything is computed."""
+    """Raise ConfigurationError for a folder that contains a score, before anything is computed."""
     if (out / "score.json").exists():
         raise ConfigurationError(
             f"--out {out}: contains a score already",
@@ -453,7 +453,7 @@ def _check_new(out: Path) -> None:
 
 
 def read_settings(unless_given: Model, file: Path | None) -> Model:
-    """Returns the settings of a JSON file, or `unless_given` without one. Raises
+    """Return the settings of a JSON file, or `unless_given` without one. Raises
     ConfigurationError for a file that does not fit."""
     from pydantic import ValidationError
 

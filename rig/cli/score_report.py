@@ -111,7 +111,7 @@ def report(
     out: Path,
     as_json: bool,
 ) -> None:
-    """Writes tables and figures to `out` and prints the tables.
+    """Write tables and figures to `out` and print the tables.
 
     Trivial answers are scored beside the detectors. `said` goes into the JSON file.
     """
@@ -206,7 +206,7 @@ def _aligned(title: str, head: list[str], table: list[list[str]]) -> Iterator[st
 
 
 def _label(quantity: str) -> str:
-    """Returns the label of a quantity in a printed table.
+    """Return the label of a quantity in a printed table.
 
     >>> _label("after_node_5")
     'delay after first node slip, 5th percentile (ms)'
@@ -218,7 +218,7 @@ def _label(quantity: str) -> str:
 
 
 def _condition(trait: str, bin_: str) -> str:
-    """Returns a bin of a trait as text.
+    """Return a bin of a trait as text.
 
     >>> _condition("noise_mV", "0.2 to 0.5")
     'noise 0.2 to 0.5 mV'
@@ -228,7 +228,7 @@ def _condition(trait: str, bin_: str) -> str:
 
 
 def _shown(number: ScoredNumber | None) -> str:
-    """Returns a number with its 95 % interval; a rate also with the number of its cases."""
+    """Return a number with its 95 % interval; a rate also with the number of its cases."""
     if number is None or not number.of:
         return "-"
     if number.unit == "p":
@@ -280,7 +280,7 @@ def _draw(scored: Sequence[ContenderResult], use: str, simulated: bool, out: Pat
 
 
 def _identity(contender: Contender) -> dict[str, Any]:
-    """Returns version and package of a detector; nothing of a baseline, which has none."""
+    """Return version and package of a detector; nothing of a baseline, which has none."""
     from rig.evaluation.scoring.contenders import DetectorContender
 
     if not isinstance(contender, DetectorContender):
@@ -295,7 +295,7 @@ def _identity(contender: Contender) -> dict[str, Any]:
 
 
 def _plain(value: Any) -> Any:
-    """Returns a value for JSON; numbers that are not finite become None."""
+    """Return a value for JSON; numbers that are not finite become None."""
     if isinstance(value, float):
         return float(f"{value:.6g}") if math.isfinite(value) else None
     return value
@@ -310,7 +310,7 @@ def _write_csv(file: Path, head: Sequence[str], rows: Iterator[tuple[Any, ...]])
 
 
 def _cell(value: Any) -> Any:
-    """Returns a value for CSV: missing numbers are empty, flags 0 and 1."""
+    """Return a value for CSV: missing numbers are empty, flags 0 and 1."""
     if isinstance(value, bool):
         return int(value)
     plain = _plain(value)

@@ -304,7 +304,7 @@ def _report(
     stem: str,
     title: str,
 ) -> None:
-    """Draws a trial and prints its summary."""
+    """Draw a trial and print its summary."""
     from rig.figures import skin as figures
 
     drawn = {stem: figures.draw_trial(trial, skin.ridge, settings.ridge, title)}
@@ -330,7 +330,7 @@ def _report(
 def _instants(
     trial: SkinTrial, settings: Any, elastic: ElasticSkin, at: list[float] | None
 ) -> list[tuple[str, Any]]:
-    """Returns the section at the requested times, or at rest, at slip and at the end."""
+    """Return the section at the requested times, or at rest, at slip and at the end."""
     import numpy as np
 
     from rig.physics.skin.field import deformed, relaxed_forces
@@ -352,7 +352,7 @@ def _instants(
 
 
 def _steps(at: list[float] | None, last: int) -> list[int]:
-    """Returns the requested steps, or one of each part of the history."""
+    """Return the requested steps, or one of each part of the history."""
     if at:
         _within(at, 1, last, "(a step)")
         return sorted({round(step) for step in at})
@@ -373,7 +373,7 @@ def _times(at: list[str] | None) -> list[float] | None:
 
 
 def _number(text: str, unit: str, option: str) -> float:
-    """Returns the number in an option's text, with or without its unit."""
+    """Return the number in an option's text, with or without its unit."""
     from rig.core.units import quantity
 
     try:
@@ -418,7 +418,7 @@ def _show(settings: Any) -> None:
 
 
 def _plain(values: float | NDArray[np.float64]) -> Any:
-    """Returns rounded numbers for JSON; None for events that did not happen."""
+    """Return rounded numbers for JSON; None for events that did not happen."""
     import numpy as np
 
     if np.ndim(values) > 0:
@@ -439,7 +439,7 @@ def _print_summary(summary: dict[str, Any], files: list[Path], as_json: bool) ->
 
 
 def _lines(name: str, value: Any) -> Iterator[str]:
-    """Returns a value as text: a list in one line, a table with one line per row below its name."""
+    """Return a value as text: a list in one line, a table with one line per row below its name."""
     if isinstance(value, dict):
         yield f"{name}:"
         for key, part in value.items():
@@ -454,7 +454,7 @@ def _lines(name: str, value: Any) -> Iterator[str]:
 
 
 def _word(value: Any) -> str:
-    """Returns a value as text. Events that did not happen are None."""
+    """Return a value as text. Events that did not happen are None."""
     if value is None:
         return "never"
     return f"{value:g}" if isinstance(value, float) else str(value)

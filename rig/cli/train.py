@@ -151,7 +151,7 @@ class Sources:
     """Number of trials by source, as far as they have been read."""
 
     def words(self, population: Path | None, front_end: Path | None) -> list[str]:
-        """Returns the options of the command that names these sources."""
+        """Return the options of the command that names these sources."""
         given = {
             "--seeds": self.seeds, "--wire": self.wire, "--files": self.files,
             "--population": population, "--front-end": front_end,
@@ -160,11 +160,11 @@ class Sources:
         return [*words, "--all"] if self.everything else words
 
     def said(self) -> str:
-        """Returns how many trials of each source there were, in words."""
+        """Return how many trials of each source there were, in words."""
         return ", ".join(f"{count} {source}" for source, count in self.counted.items())
 
     def lessons(self) -> Iterator[Lesson]:
-        """Yields all lessons, source by source. Raises ConfigurationError for a file that cannot
+        """Yield all lessons, source by source. Raises ConfigurationError for a file that cannot
         be used."""
         for source, lessons in (
             ("trials of the skin model", self._of_the_model()),
@@ -258,7 +258,7 @@ def _tuning_seeds(option: str, text: str | None) -> SeedRange | None:
 def _trained(
     sources: Sources, members: int, units: int, epochs: int, seed: int, command: str
 ) -> tuple[Network, list[Lesson]]:
-    """Returns the network, and the lessons that were held out."""
+    """Return the network, and the lessons that were held out."""
     import rig
     from rig.detector.detector import DETECTOR_VERSION
     from rig.detector.kernel import INPUTS
@@ -309,7 +309,7 @@ def _trained(
 
 
 def _judge(network: Network, held_out: list[Lesson]) -> None:
-    """Prints how the network does on what it has not seen."""
+    """Print how the network does on what it has not seen."""
     from rig.evaluation.lessons import judged
 
     typer.echo("held out (a fifth of the seeds, samples and days):")
@@ -318,5 +318,5 @@ def _judge(network: Network, held_out: list[Lesson]) -> None:
 
 
 def _rounded(weights: Floats) -> tuple[tuple[float, ...], ...]:
-    """Rounds weights to six digits: readable, and more than the training determines."""
+    """Round weights to six digits: readable, and more than the training determines."""
     return tuple(tuple(float(f"{one:.6g}") for one in row) for row in weights)

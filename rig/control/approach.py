@@ -52,7 +52,7 @@ KEPT = 4000
 
 
 def closing_speed_mm_s(missing_N: float, stiffness_N_mm: float, delay_s: float) -> float:
-    """Returns the speed in mm/s at which the missing force falls to 1/e within `CLOSING` delays.
+    """Return the speed in mm/s at which the missing force falls to 1/e within `CLOSING` delays.
 
     >>> round(closing_speed_mm_s(1.0, stiffness_N_mm=150.0, delay_s=0.0145), 3)  # 1 N missing
     0.115
@@ -74,7 +74,7 @@ class ContactStiffness:
         self._forces: deque[float] = deque(maxlen=KEPT)
 
     def add(self, seen_s: float, position_mm: float, felt_s: float, force_N: float) -> None:
-        """Adds one poll: the position at `seen_s` and the force at `felt_s`, both on the same
+        """Add one poll: the position at `seen_s` and the force at `felt_s`, both on the same
         clock."""
         self._seen_s.append(seen_s)
         self._positions.append(position_mm)
@@ -84,7 +84,7 @@ class ContactStiffness:
     def at_N_mm(  # noqa: N802 - the unit keeps its capital, here and below
         self, force_N: float
     ) -> float | None:
-        """Returns the stiffness near `force_N` in N/mm, or None if there are too few points near
+        """Return the stiffness near `force_N` in N/mm, or None if there are too few points near
         it.
 
         The points used have forces between `LOCAL` times `force_N` and `force_N` / `LOCAL`.
@@ -97,7 +97,7 @@ class ContactStiffness:
         return slope if slope is not None and slope > 0 else None
 
     def secant_N_mm(self) -> float:  # noqa: N802
-        """Returns the mean stiffness from the first poll to the latest in N/mm; 0 if the axis has
+        """Return the mean stiffness from the first poll to the latest in N/mm; 0 if the axis has
         not moved."""
         positions, forces = self._pairs()
         if len(forces) < LEAST_POINTS or positions[-1] <= positions[0]:
@@ -105,7 +105,7 @@ class ContactStiffness:
         return max(0.0, float((forces[-1] - forces[0]) / (positions[-1] - positions[0])))
 
     def _pairs(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Returns positions and forces at the same times, as far as positions were recorded."""
+        """Return positions and forces at the same times, as far as positions were recorded."""
         if not self._seen_s:
             return np.empty(0), np.empty(0)
         seen_s, felt_s = np.array(self._seen_s), np.array(self._felt_s)
@@ -186,7 +186,7 @@ class Approach:
         force_N: float,
         behind_s: float = 0.0,
     ) -> ApproachStep:
-        """Returns the move to command.
+        """Return the move to command.
 
         `position_mm` is the position of the axis at `seen_s`, and `force_N` the mean force of some
         milliseconds about `felt_s`. An error of these times appears in the measured stiffness.
@@ -211,7 +211,7 @@ class Approach:
 
 
 def _slope(x: NDArray[np.float64], y: NDArray[np.float64]) -> float | None:
-    """Returns the slope at the last x of a parabola through the points, or of a line through few
+    """Return the slope at the last x of a parabola through the points, or of a line through few
     points."""
     spread = float(np.ptp(x))
     if spread <= 0:

@@ -74,13 +74,13 @@ class ForceRamp:
         return self._late_s <= self._closing_s
 
     def wanted_N(self, since_s: float) -> float:  # noqa: N802 - the unit keeps its capital
-        """Returns the force that the ramp requires `since_s` after its start, in N."""
+        """Return the force that the ramp requires `since_s` after its start, in N."""
         return min(self.rate_N_s * since_s, self.holds_N)
 
     def step(
         self, since_s: float, seen_s: float, travel_mm: float, felt_s: float, force_N: float
     ) -> float:
-        """Returns the speed along the ramp in mm/s, `since_s` after the start of the ramp; negative
+        """Return the speed along the ramp in mm/s, `since_s` after the start of the ramp; negative
         is back, which only a held force asks for.
 
         `travel_mm` is the latest known travel, measured at `seen_s`, and `force_N` the mean force

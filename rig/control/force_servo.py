@@ -101,7 +101,7 @@ def settings_from(
     evenly: bool = False,
     largest_speed_mm_s: float = math.inf,
 ) -> ServoSettings:
-    """Returns the settings of a servo for this contact, tick and delay.
+    """Return the settings of a servo for this contact, tick and delay.
 
     With `evenly`, moves are spread over the whole tick: the strips then feel no jump from tick to
     tick, but a fast change of the force is followed less well. Use it where the force changes
@@ -155,12 +155,12 @@ class ContactShift:
         self._shifts: list[float] = []
 
     def add(self, since_s: float, shift_mm: float) -> None:
-        """Adds the shift found `since_s` after the start of the slide. Times must ascend."""
+        """Add the shift found `since_s` after the start of the slide. Times must ascend."""
         self._times.append(since_s)
         self._shifts.append(shift_mm)
 
     def smoothed(self, within_s: float) -> ContactShift:
-        """Returns the shift with each value replaced by the mean of those less than `within_s` away
+        """Return the shift with each value replaced by the mean of those less than `within_s` away
         from it, weighted by how near they are. So is the first value, to which all others refer.
 
         >>> shift = ContactShift()
@@ -182,7 +182,7 @@ class ContactShift:
         return found
 
     def at_mm(self, since_s: float) -> float:
-        """Returns the shift in mm at a time after the start of the slide, relative to the first
+        """Return the shift in mm at a time after the start of the slide, relative to the first
         one.
 
         Values between the added ones are interpolated. The shift is 0 before the first one and
@@ -228,7 +228,7 @@ class ForceServo:
         """The shift found so far in the current slide."""
 
     def slide_begins(self, expected: ContactShift | None = None) -> None:
-        """Declares that the next step is the first of a slide.
+        """Declare that the next step is the first of a slide.
 
         `expected` is the `shift` of an earlier slide with the same tick, delay and starting force.
         """
@@ -237,7 +237,7 @@ class ForceServo:
         self.shift = ContactShift()
 
     def hold_at(self, target_N: float, largest_speed_mm_s: float = math.inf) -> None:
-        """Changes the set point, from the next step on, and the speed in mm/s that no move exceeds
+        """Change the set point, from the next step on, and the speed in mm/s that no move exceeds
         there. The stiffness is taken to stay what it is.
 
         Raises ValueError for a force or a speed that is not above 0, and for a force that is not
@@ -251,7 +251,7 @@ class ForceServo:
         self.settings = replace(self.settings, target_N=target_N, speed_mm_s=speed_mm_s)
 
     def lead(self, rise_N: float, after_s: float) -> ServoStep:
-        """Returns a move to command at once, between two steps, after the set point was raised by
+        """Return a move to command at once, between two steps, after the set point was raised by
         `rise_N` (`hold_at`); the next step continues from it.
 
         `after_s` is the time since the latest step. The move is at most what a step may command.
@@ -276,7 +276,7 @@ class ForceServo:
     def step(
         self, force_N: float, ticks: int = 1, late_s: float = 0.0, older_s: float = 0.0
     ) -> ServoStep:
-        """Returns the move to command, given the mean force of the last few milliseconds.
+        """Return the move to command, given the mean force of the last few milliseconds.
 
         `ticks` is the number of ticks since the previous step: more than one if some were missed.
         `late_s` is how much later than `delay_s` assumes the previous target reached the axis, and
@@ -319,7 +319,7 @@ class ForceServo:
         return ServoStep(increment, speed_mm_s)
 
     def correct(self, difference_mm: float) -> None:
-        """Adds `difference_mm` to the latest increment, because another one was commanded.
+        """Add `difference_mm` to the latest increment, because another one was commanded.
 
         Call it if the resolution of the axis is coarser than the increment, or a limit cut it off.
         """
@@ -352,7 +352,7 @@ class _AxisAccount:
         first is the one that was valid before."""
 
     def seen_mm(self, ticks: int, late_s: float, older_s: float) -> float:
-        """Advances by `ticks` and returns the position at which the present force was felt.
+        """Advance by `ticks` and return the position at which the present force was felt.
 
         The latest target arrived `late_s` too late; the force is `older_s` older than usual.
         """
@@ -365,19 +365,19 @@ class _AxisAccount:
         return self._past[-1 - self._delay - round(older_s / self._dt)]
 
     def command(self, increment_mm: float, speed_mm_s: float) -> None:
-        """Sets a new target, from now on, and the speed to approach it."""
+        """Set a new target, from now on, and the speed to approach it."""
         self._orders = [(0.0, self.target_mm, self._speed)]
         self.command_between(increment_mm, speed_mm_s, 0.0)
         self._commanded = True
 
     def command_between(self, increment_mm: float, speed_mm_s: float, after_s: float) -> None:
-        """Sets a new target `after_s` after the latest `command`."""
+        """Set a new target `after_s` after the latest `command`."""
         self.target_mm += increment_mm
         self._speed = speed_mm_s
         self._orders.append((after_s, self.target_mm, speed_mm_s))
 
     def correct(self, difference_mm: float) -> None:
-        """Shifts the current target."""
+        """Shift the current target."""
         self.target_mm += difference_mm
         if self._orders:
             at_s, target_mm, speed_mm_s = self._orders[-1]

@@ -56,12 +56,12 @@ class StreamConsumer(Protocol):
     """A reader that takes the bytes of a stream off its link."""
 
     def bytes_handled(self) -> int:
-        """Number of bytes whose samples have been processed."""
+        """Return the number of bytes whose samples have been processed."""
         ...
 
     def await_bytes(self, count: int, patience_s: float) -> int:
         """Wait until `count` bytes have been handled, the reader has ended, or `patience_s` of wall
-        time have passed. Returns how many bytes have been handled."""
+        time have passed. Return how many bytes have been handled."""
         ...
 
 

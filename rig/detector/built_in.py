@@ -23,12 +23,12 @@ class _OwnDetector(IncipientSlipDetector):
 
     @classmethod
     def default_settings(cls) -> DetectorSettings:
-        """Returns the parameters of this detector."""
+        """Return the parameters of this detector."""
         return named_detectors()[cls.name]
 
     @classmethod
     def seeds_seen(cls, settings: core_settings.Settings) -> tuple[int, int] | None:
-        """Returns the first and last seed on which the network was trained, if it has one."""
+        """Return the first and last seed on which the network was trained, if it has one."""
         network = cast(DetectorSettings, settings).network
         return None if network is None else (network.first_seed, network.last_seed)
 
@@ -45,7 +45,7 @@ class Rig(_OwnDetector):
     def with_threshold(
         cls, settings: core_settings.Settings, factor: float
     ) -> core_settings.Settings:
-        """Returns the parameters with the odds of a slip multiplied by the square of `factor`."""
+        """Return the parameters with the odds of a slip multiplied by the square of `factor`."""
         own = cast(RigSettings, settings)
         changed = {}
         for name in ("fire_probability", "fire_probability_with_x"):
@@ -61,7 +61,7 @@ class _Published(_OwnDetector):
     def with_threshold(
         cls, settings: core_settings.Settings, factor: float
     ) -> core_settings.Settings:
-        """Returns the parameters with `factor` times both thresholds of a slip."""
+        """Return the parameters with `factor` times both thresholds of a slip."""
         own = cast(DetectorSettings, settings)
         fire = {"fire_mV": factor * own.fire_mV, "fire_sigmas": factor * own.fire_sigmas}
         return settings.model_copy(update=fire)
@@ -82,7 +82,7 @@ class Impulse(_Published):
 
     @classmethod
     def seeds_seen(cls, settings: core_settings.Settings) -> tuple[int, int] | None:
-        """Returns the seeds of the trials on which the thresholds were chosen."""
+        """Return the seeds of the trials on which the thresholds were chosen."""
         return 0, 30
 
 

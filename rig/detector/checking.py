@@ -61,7 +61,7 @@ class CheckedDetector(Detector):
         settings: Settings,
         rate_Hz: float,
     ):
-        """Makes the detector with `make`. Raises ValueError for a rate that it does not judge,
+        """Make the detector with `make`. Raises ValueError for a rate that it does not judge,
         DetectorError for anything else that it raises."""
         super().__init__(settings, rate_Hz)
         self._name, self._package = name, package
@@ -73,27 +73,27 @@ class CheckedDetector(Detector):
         return self._ask("low_pass", lambda: self._inner.low_pass)
 
     def predictive(self, v_d: Reals) -> Reals:
-        """Returns v_d (n,) behind `low_pass`. DetectorError where that is not one number a row."""
+        """Return v_d (n,) behind `low_pass`. DetectorError where that is not one number a row."""
         found = np.asarray(self._ask("predictive", self._inner.predictive, v_d.copy()))
         if found.shape != v_d.shape or not np.isfinite(found).all():
             raise self._error("returned a predictive signal that is not one number for each row")
         return found.astype(np.float64)
 
     def reset(self) -> None:
-        """Does nothing: the other detector resets itself at a gap."""
+        """Do nothing: the other detector resets itself at a gap."""
 
     def judge(self, volts: Reals) -> list[SlipEvent]:
-        """Returns the checked events of further rows (n, 2) in V."""
+        """Return the checked events of further rows (n, 2) in V."""
         first = self.rows
         found = self._ask("judging", self._inner.add, volts.copy(), first)
         return self._checked_events(found, first, first + len(volts))
 
     def command(self, given: Command) -> None:
-        """Passes a command on to the other detector."""
+        """Pass a command on to the other detector."""
         self._ask("a command", self._inner.command, given)
 
     def end(self) -> list[SlipEvent]:
-        """Returns the checked events due at the end of a recording."""
+        """Return the checked events due at the end of a recording."""
         found = self._ask("its end", self._inner.finish)
         return self._checked_events(found, 0, self.rows)
 
@@ -133,7 +133,7 @@ def asked(
     *arguments: Any,
     refusals: type[Exception] | tuple[()] = (),
 ) -> Given:
-    """Returns what a function of a package's detector returns; what it prints goes to stderr.
+    """Return what a function of a package's detector returns; what it prints goes to stderr.
 
     Raises DetectorError, which says at `what` it failed, for all that it raises but `refusals`.
     """
@@ -151,7 +151,7 @@ def asked(
 
 
 def event_fault(event: Any, first: int, end: int, rate_Hz: float) -> str | None:
-    """Returns what is wrong with an event that was decided in rows `first` to `end` (excluded) at a
+    """Return what is wrong with an event that was decided in rows `first` to `end` (excluded) at a
     rate, as the end of "the detector returned ..."; None if nothing is."""
     if not isinstance(event, SlipEvent):
         return f"{type(event).__name__} where an event is expected"
@@ -183,7 +183,7 @@ def event_fault(event: Any, first: int, end: int, rate_Hz: float) -> str | None:
 
 
 def _plain(event: SlipEvent) -> SlipEvent:
-    """Returns an event with plain Python numbers, as files and JSON need them."""
+    """Return an event with plain Python numbers, as files and JSON need them."""
     return SlipEvent(
         event.kind,
         int(event.sample),

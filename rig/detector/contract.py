@@ -55,7 +55,7 @@ class Detector(ABC):
     """Rate to which recordings at other rates are resampled for it."""
 
     def __init__(self, settings: core_settings.Settings, rate_Hz: float):
-        """Raises ValueError for a rate at which this detector does not judge rows."""
+        """Raise ValueError for a rate at which this detector does not judge rows."""
         if not self.accepts(rate_Hz):
             raise ValueError(
                 f"rate {rate_Hz:g} Hz must be between {self.slowest_Hz:g} and "
@@ -78,17 +78,17 @@ class Detector(ABC):
 
     @classmethod
     def accepts(cls, rate_Hz: float) -> bool:
-        """Returns whether it judges rows at this rate as they are."""
+        """Return whether it judges rows at this rate as they are."""
         return bool(cls.slowest_Hz <= rate_Hz <= cls.fastest_Hz)
 
     @classmethod
     def default_settings(cls) -> core_settings.Settings:
-        """Returns the parameters that are used where none are given."""
+        """Return the parameters that are used where none are given."""
         return cls.Settings()
 
     @classmethod
     def seeds_seen(cls, settings: core_settings.Settings) -> tuple[int, int] | None:
-        """Returns the first and the last seed of the simulated trials on which these parameters
+        """Return the first and the last seed of the simulated trials on which these parameters
         were chosen, which scoring refuses; None where there are none."""
         return None
 
@@ -96,35 +96,40 @@ class Detector(ABC):
     def with_threshold(
         cls, settings: core_settings.Settings, factor: float
     ) -> core_settings.Settings:
-        """Returns the parameters with `factor` times the threshold of a slip, for the ROC of
+        """Return the parameters with `factor` times the threshold of a slip, for the ROC of
         `rig score`; unchanged, if the detector has no such threshold."""
         return settings
 
     @abstractmethod
     def reset(self) -> None:
-        """Forgets all rows. Called before the first rows, and again after rows that are missing."""
+        """Forget all rows. Called before the first rows, and again after rows that are missing."""
 
     @abstractmethod
     def judge(self, volts: Reals) -> list[SlipEvent]:
-        """Returns the events (see `event`) decided in further rows (n, 2) of v_1 and v_2 in V. All
+        """Return the events (see `event`) decided in further rows (n, 2) of v_1 and v_2 in V. All
         values are finite; n may be any number, also 0. Do not keep or change the array."""
 
     def commanded(  # noqa: B027 - a hook
         self, before_mm_s: float, after_mm_s: float
     ) -> None:
-        """Called before the row at which the commanded speed of x changes, in a trial of which the
-        commands are known; and after `reset` with the speed that x has, twice, once it has had a
-        command. Optional: it does nothing."""
+        """Take note that the commanded speed of x changes at the next row. Optional; does nothing.
+
+        It is called in trials of which the commands are known, before the row of each change, and
+        after `reset` with the present speed as both, once x has had a command.
+        """
 
     def commanded_force(  # noqa: B027 - a hook
         self, before_N: float | None, after_N: float
     ) -> None:
-        """Called before the row from which on another normal force is to be held, in a trial of
-        which the commands are known; `before_N` is None at the first one. After `reset` it is
-        called with the present one as both, as `commanded` is. Optional: it does nothing."""
+        """Take note that another normal force is to be held from the next row on. Optional; does
+        nothing.
+
+        It is called in trials of which the commands are known; `before_N` is None at the first
+        force. After `reset` it is called with the present force as both, as `commanded` is.
+        """
 
     def end(self) -> list[SlipEvent]:
-        """Returns the events due at the end of a recording. `row` of `event` must then be -1."""
+        """Return the events due at the end of a recording. `row` of `event` must then be -1."""
         return []
 
     def event(
@@ -135,7 +140,7 @@ class Detector(ABC):
         reason: str = "",
         features: Mapping[str, float] | None = None,
     ) -> SlipEvent:
-        """Returns an event that was decided in row `row` of the rows that are being judged, counted
+        """Return an event that was decided in row `row` of the rows that are being judged, counted
         from 0."""
         sample = self._rows + int(row)
         shown = {} if features is None else dict(features)
@@ -152,11 +157,11 @@ class Detector(ABC):
         return design_low_pass(LowPassSettings(), self.rate_Hz)
 
     def predictive(self, v_d: Reals) -> Reals:
-        """Returns v_d (n,) behind `low_pass`, for files and figures. The rows are consecutive."""
+        """Return v_d (n,) behind `low_pass`, for files and figures. The rows are consecutive."""
         return StreamingFir(self.low_pass.taps, 1).add(v_d[:, None])[:, 0]
 
     def add(self, volts: ArrayLike, first_sample: int | None = None) -> list[SlipEvent]:
-        """Takes further rows (n, 2) of v_1 and v_2 in V and returns the events found in them.
+        """Take further rows (n, 2) of v_1 and v_2 in V and return the events found in them.
 
         `first_sample` is the index of the first of these rows, if it is known. Missing rows are
         reported as time that was not judged, and the detector begins anew after them.
@@ -191,12 +196,12 @@ class Detector(ABC):
         return events
 
     def _next_changes(self, end: int) -> deque[tuple[int, float]] | None:
-        """Returns the changes of which the first is the next one before a row; None without one."""
+        """Return the changes of which the first is the next one before a row; None without one."""
         known = [one for one in (self._speeds, self._forces) if one and one[0][0] < end]
         return min(known, key=lambda one: one[0][0], default=None)
 
     def command(self, given: Command) -> None:
-        """Takes a move of x or a normal force that was commanded, in the order of the commands. It
+        """Take a move of x or a normal force that was commanded, in the order of the commands. It
         takes the place of what earlier ones of its kind say of later rows, and begins at the next
         row at the earliest."""
         sample = max(given.sample, self._rows)
@@ -211,11 +216,11 @@ class Detector(ABC):
             changes.append((max(given.until, sample + 1), 0.0))
 
     def finish(self) -> list[SlipEvent]:
-        """Returns the events due at the end of a recording."""
+        """Return the events due at the end of a recording."""
         return self.end() if self._begun else []
 
     def checked(self, volts: ArrayLike) -> Reals:
-        """Returns rows as an array (n, 2) of floats. Raises ValueError where they are no such
+        """Return rows as an array (n, 2) of floats. Raises ValueError where they are no such
         rows, or not finite."""
         rows = np.ascontiguousarray(volts, dtype=np.float64)
         if rows.ndim != 2 or rows.shape[1] != 2:

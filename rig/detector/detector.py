@@ -72,7 +72,7 @@ class IncipientSlipDetector(Detector):
     settings: DetectorSettings
 
     def __init__(self, settings: DetectorSettings, rate_Hz: float):
-        """Raises ValueError for a rate, or a network, with which these settings cannot be used."""
+        """Raise ValueError for a rate, or a network, with which these settings cannot be used."""
         if not SLOWEST_Hz <= rate_Hz <= FASTEST_Hz:
             raise ValueError(
                 f"rate {rate_Hz:g} Hz must be between {SLOWEST_Hz:g} and {FASTEST_Hz:g} Hz: the "
@@ -124,13 +124,13 @@ class IncipientSlipDetector(Detector):
         return self._low_pass
 
     def reset(self) -> None:
-        """Forgets all rows: offset and noise are measured anew."""
+        """Forget all rows: offset and noise are measured anew."""
         self._first = self.rows
         self._state = np.zeros(1, kernel.STATE)
         self._x_before_force: float | None = None
 
     def judge(self, volts: Reals) -> list[SlipEvent]:
-        """Returns the events decided in further rows (n, 2) of v_1 and v_2 in V."""
+        """Return the events decided in further rows (n, 2) of v_1 and v_2 in V."""
         events: list[SlipEvent] = []
         for begin in range(0, len(volts), _SLICE):
             first, rows = int(self._state["row"][0]), volts[begin : begin + _SLICE]
@@ -143,7 +143,7 @@ class IncipientSlipDetector(Detector):
         return events
 
     def commanded(self, before_mm_s: float, after_mm_s: float) -> None:
-        """Notes what x is commanded to do, for the logics ``impulse`` and ``rig``."""
+        """Note what x is commanded to do, for the logics ``impulse`` and ``rig``."""
         if self._knows_forces and not self._state["force_known"]:
             # Files of before decision 0123 have the moves of x alone, with which a network of
             # `kernel.INPUTS` was not taught: for it, the commands are known once both are.
@@ -157,7 +157,7 @@ class IncipientSlipDetector(Detector):
             self._state["x_braked"] = 1.0
 
     def commanded_force(self, before_N: float | None, after_N: float) -> None:
-        """Notes which normal force z is commanded to hold, for a network of `kernel.INPUTS`."""
+        """Note which normal force z is commanded to hold, for a network of `kernel.INPUTS`."""
         state = self._state
         if not state["force_known"]:
             state["force_known"], state["force_share"] = 1, 1.0
@@ -169,7 +169,7 @@ class IncipientSlipDetector(Detector):
         state["force_changes"] += change
 
     def end(self) -> list[SlipEvent]:
-        """Returns one event if there never was a quiet piece to measure offset and noise on, and
+        """Return one event if there never was a quiet piece to measure offset and noise on, and
         that has not been reported yet."""
         state = self._state[0]
         if state["ready"] or state["unjudged"] or not state["row"]:
@@ -178,7 +178,7 @@ class IncipientSlipDetector(Detector):
         return [self.event("cannot judge", -1, 0.0, kernel.REASONS[kernel.NOT_QUIET], unjudged)]
 
     def network_inputs(self, volts: ArrayLike, commands: Iterable[Command] = ()) -> NetworkInputs:
-        """Returns the inputs of the network over a whole recording (n, 2) in V with these commands,
+        """Return the inputs of the network over a whole recording (n, 2) in V with these commands,
         for training."""
         inputs = self._seen.shape[1]
         self._seen, self._looked = np.zeros((_SLICE, inputs)), np.zeros(_SLICE, np.bool_)
@@ -228,7 +228,7 @@ class IncipientSlipDetector(Detector):
 
 
 def _constants(settings: DetectorSettings, rate_Hz: float, low_pass: LowPass) -> NDArray[np.void]:
-    """Converts the settings to rows and mV, as the kernel needs them."""
+    """Convert the settings to rows and mV, as the kernel needs them."""
     ms = rate_Hz / 1e3
     c = np.zeros(1, kernel.CONSTANTS)
     c["logic"] = _LOGICS[settings.logic]
@@ -282,7 +282,7 @@ def _constants(settings: DetectorSettings, rate_Hz: float, low_pass: LowPass) ->
 
 @lru_cache(maxsize=32)
 def _high_pass(corner_Hz: float, rate_Hz: float) -> Reals:
-    """Returns the second-order sections of a Butterworth high-pass filter of order 3."""
+    """Return the second-order sections of a Butterworth high-pass filter of order 3."""
     # Imported here because scipy.signal takes 0.6 s to import, which every trial would pay.
     from scipy.signal import butter
 

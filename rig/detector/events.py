@@ -50,7 +50,7 @@ class SlipEvent:
 
 
 def unjudged_s(events: Iterable[SlipEvent], record_s: float) -> tuple[tuple[float, float], ...]:
-    """Returns the intervals of a recording, in s, in which a detector did not judge.
+    """Return the intervals of a recording, in s, in which a detector did not judge.
 
     `events` are all events of the recording in their order, and `record_s` is its length.
 

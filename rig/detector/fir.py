@@ -24,7 +24,7 @@ this many points that changes the response by at most 1e-6."""
 
 
 def kaiser_shape(stop_dB: float) -> float:
-    """Returns β of Kaiser's window for a stop-band attenuation in dB (Kaiser 1974).
+    """Return β of Kaiser's window for a stop-band attenuation in dB (Kaiser 1974).
 
     >>> round(kaiser_shape(60.0), 2)
     5.65
@@ -36,7 +36,7 @@ def kaiser_shape(stop_dB: float) -> float:
 
 
 def kaiser_low_pass(pass_Hz: float, stop_Hz: float, stop_dB: float, rate_Hz: float) -> Reals:
-    """Returns the linear-phase taps (n,), n odd, of a low-pass filter with gain 1 at 0 Hz.
+    """Return the linear-phase taps (n,), n odd, of a low-pass filter with gain 1 at 0 Hz.
 
     The gain is flat up to `pass_Hz` and `stop_dB` down from `stop_Hz` on. Length and shape of the
     window follow Kaiser's formulas (Kaiser 1974), which are accurate to about 1 dB.
@@ -52,7 +52,7 @@ def kaiser_low_pass(pass_Hz: float, stop_Hz: float, stop_dB: float, rate_Hz: flo
 
 
 def minimum_phase(taps: ArrayLike) -> Reals:
-    """Returns taps (n,) with the same magnitude response and the least possible delay.
+    """Return taps (n,) with the same magnitude response and the least possible delay.
 
     No zero of the result lies outside the unit circle. It is computed from the real cepstrum,
     folded onto its causal half (Oppenheim and Schafer, Discrete-Time Signal Processing, ch. 13).
@@ -70,7 +70,7 @@ def minimum_phase(taps: ArrayLike) -> Reals:
 
 
 def frequency_response(taps: ArrayLike, frequency_Hz: ArrayLike, rate_Hz: float) -> Complexes:
-    """Returns the complex response (k,) of taps (n,) at frequencies (k,) in Hz."""
+    """Return the complex response (k,) of taps (n,) at frequencies (k,) in Hz."""
     given = np.asarray(taps, dtype=np.float64)
     turns = np.outer(np.atleast_1d(frequency_Hz), np.arange(given.size)) / rate_Hz
     response: Complexes = np.exp(-2j * np.pi * turns) @ given
@@ -93,7 +93,7 @@ class StreamingFir:
         self._rows = 0
 
     def add(self, samples: ArrayLike) -> Reals:
-        """Filters further rows (n, channels) and returns the outputs due, (m, channels); m may be
+        """Filter further rows (n, channels) and return the outputs due, (m, channels); m may be
         0.
 
         Raises ValueError for rows of another shape.

@@ -368,9 +368,9 @@ def advance(
     seen: Any,
     looked: Any,
 ) -> int:
-    """Takes rows of volts (n, 2), fills `events` (n, columns) and returns the number of events.
+    """Take rows of volts (n, 2), fill `events` (n, columns) and return the number of events.
 
-    Returns -1 if a value is not finite; no row was taken then.
+    Return -1 if a value is not finite; no row was taken then.
 
     `line` (taps,) and `piece` (4, quiet rows) are part of the state, `room` (quiet rows,) and
     `units` are work space. `hidden` (inputs + 1, units) and `output` (2, units + 1) are the weights
@@ -422,7 +422,7 @@ def advance(
 
 @njit(cache=True, error_model="numpy")
 def _check_channels(first: float, second: float, s: Any, c: Any) -> None:
-    """Suppresses events until 50 ms after a channel was saturated or dead."""
+    """Suppress events until 50 ms after a channel was saturated or dead."""
     if s.suppressed_rows > 0:
         s.suppressed_rows -= 1
     now = round(50.0 * c.ms) + 1
@@ -446,7 +446,7 @@ def _check_channels(first: float, second: float, s: Any, c: Any) -> None:
 
 @njit(cache=True, error_model="numpy")
 def _say_whether_it_judges(s: Any, c: Any, events: Any, reported: int) -> int:
-    """Reports when nothing can be judged from now on, with the reason, and when that is over."""
+    """Report when nothing can be judged from now on, with the reason, and when that is over."""
     reason = NO_REASON
     if s.suppressed_rows > 0:
         reason = s.suppressed_by
@@ -478,7 +478,7 @@ def _say_whether_it_judges(s: Any, c: Any, events: Any, reported: int) -> int:
 def _filter(
     first: float, second: float, s: Any, line: Any, c: Any, taps: Any, sections: Any
 ) -> None:
-    """Applies the low-pass to v_d and the high-pass to v_d and v_s, as if the first row had been
+    """Apply the low-pass to v_d and the high-pass to v_d and v_s, as if the first row had been
     present forever."""
     _low_pass(first - second, s, line, taps)
     for channel in range(2):
@@ -497,7 +497,7 @@ def _filter(
 
 @njit(cache=True, error_model="numpy")
 def _low_pass(x: float, s: Any, line: Any, taps: Any) -> None:
-    """Runs the filter in its transposed form.
+    """Run the filter in its transposed form.
 
     Its partial sums do not depend on one another, so that the compiler may use vector instructions
     without changing the order of any sum.
@@ -516,7 +516,7 @@ def _low_pass(x: float, s: Any, line: Any, taps: Any) -> None:
 
 @njit(cache=True, error_model="numpy")
 def _rest(x: float, memory: Any, sections: Any) -> None:
-    """Sets the memory of the high-pass sections to its value after a constant input."""
+    """Set the memory of the high-pass sections to its value after a constant input."""
     y = x
     for q in range(sections.shape[0]):
         b0, b1, b2 = sections[q, 0], sections[q, 1], sections[q, 2]
@@ -531,7 +531,7 @@ def _rest(x: float, memory: Any, sections: Any) -> None:
 def _judge_quiet(
     first: float, second: float, s: Any, piece: Any, room: Any, c: Any, events: Any, reported: int
 ) -> int:
-    """Measures offset and noise on the last piece if it was quiet.
+    """Measure offset and noise on the last piece if it was quiet.
 
     They are medians, so that single spikes have no influence. Before the first quiet piece nothing
     else is judged.
@@ -579,7 +579,7 @@ def _judge_quiet(
 def _adapt(
     first: float, second: float, s: Any, piece: Any, room: Any, c: Any, events: Any, reported: int
 ) -> int:
-    """Measures offset and noise without waiting for quiet.
+    """Measure offset and noise without waiting for quiet.
 
     Both are known from the first rows, and follow from then on. The noise is the second least of
     the latest pieces. The four signals' pieces end at different rows, so that no row has to wait
@@ -624,7 +624,7 @@ def _adapt(
 
 @njit(cache=True, error_model="numpy")
 def _take_noise(j: int, noise: float, s: Any) -> None:
-    """Takes the noise of a signal's latest piece: v_d, v_s, both above impulse_Hz."""
+    """Take the noise of a signal's latest piece: v_d, v_s, both above impulse_Hz."""
     s.noises[j, s.noise_pieces[j] % NOISE_PIECES] = noise
     s.noise_pieces[j] += 1
     least, second = math.inf, math.inf
@@ -643,7 +643,7 @@ def _take_noise(j: int, noise: float, s: Any) -> None:
 
 @njit(cache=True, error_model="numpy")
 def _middle_and_noise(values: Any, room: Any, c: Any) -> tuple[float, float]:
-    """Returns the median, and the median distance from it as a standard deviation."""
+    """Return the median, and the median distance from it as a standard deviation."""
     n = values.size
     for i in range(n):
         room[i] = values[i]
@@ -655,7 +655,7 @@ def _middle_and_noise(values: Any, room: Any, c: Any) -> tuple[float, float]:
 
 @njit(cache=True, error_model="numpy")
 def _median(values: Any) -> float:
-    """Returns the median; partly sorts the values (Hoare's quickselect)."""
+    """Return the median; partly sorts the values (Hoare's quickselect)."""
     n = values.size
     wanted = n // 2
     low, high = 0, n - 1
@@ -688,7 +688,7 @@ def _median(values: Any) -> float:
 
 @njit(cache=True, error_model="numpy")
 def _is_quiet(values: Any, middle: float, noise: float) -> bool:
-    """Returns whether a piece neither drifted nor jumped."""
+    """Return whether a piece neither drifted nor jumped."""
     n = values.size
     half = n // 2
     moved, largest = 0.0, 0.0
@@ -704,7 +704,7 @@ def _is_quiet(values: Any, middle: float, noise: float) -> bool:
 
 @njit(cache=True, error_model="numpy")
 def _hum(values: Any, middle: float, c: Any) -> float:
-    """Returns the amplitude at the mains frequency, the larger of 50 and 60 Hz."""
+    """Return the amplitude at the mains frequency, the larger of 50 and 60 Hz."""
     n = values.size
     largest = 0.0
     for j in range(2):
@@ -720,7 +720,7 @@ def _hum(values: Any, middle: float, c: Any) -> float:
 def _update_features(
     first: float, second: float, s: Any, c: Any, events: Any, reported: int
 ) -> int:
-    """Updates averages, peaks, powers and sums with the new row, and the first touch."""
+    """Update averages, peaks, powers and sums with the new row, and the first touch."""
     d = first - second - s.offset[0]
     v = first + second - s.offset[1]
     for j in range(_A):
@@ -749,7 +749,7 @@ def _update_features(
 
 @njit(cache=True, error_model="numpy")
 def _follow_charges(difference: float, total: float, s: Any, c: Any) -> None:
-    """Updates the sums of v_d and v_s, of which the new row has `difference` and `total`, the long
+    """Update the sums of v_d and v_s, of which the new row has `difference` and `total`, the long
     peaks, and the memory of commands.
 
     The sums have offsets of their own, from the end of the touch-down: those that follow the signal
@@ -772,7 +772,7 @@ def _follow_charges(difference: float, total: float, s: Any, c: Any) -> None:
 
 @njit(cache=True, error_model="numpy")
 def _follow_drift(d: float, v: float, s: Any, c: Any) -> None:
-    """Moves the offsets towards v_d and v_s, which deviate from them by `d` and `v`.
+    """Move the offsets towards v_d and v_s, which deviate from them by `d` and `v`.
 
     Not in a touch-down: that is not drift. Before it, the offsets become means of all rows so far.
     """
@@ -786,14 +786,14 @@ def _follow_drift(d: float, v: float, s: Any, c: Any) -> None:
 
 @njit(cache=True, error_model="numpy")
 def _has_touched(s: Any) -> bool:
-    """Returns whether a touch-down is over and no other, which would replace it, is under way."""
+    """Return whether a touch-down is over and no other, which would replace it, is under way."""
     touched: bool = s.stage == TOUCHED or s.stage == TOUCHING_AGAIN
     return touched
 
 
 @njit(cache=True, error_model="numpy")
 def _follow_touch(s: Any, c: Any) -> None:
-    """Follows the first touch-down; at its end its size becomes the unit of the network's inputs,
+    """Follow the first touch-down; at its end its size becomes the unit of the network's inputs,
     and what v_d and v_s are then becomes their offset.
 
     A light one, which may have been a drift, is replaced by the next that is not light. Until that
@@ -848,7 +848,7 @@ def _follow_touch(s: Any, c: Any) -> None:
 
 @njit(cache=True, error_model="numpy")
 def _touch_threshold(j: int, s: Any, c: Any) -> float:
-    """Returns the average over 16 ms above which something touches: of v_d (0) or v_s (1)."""
+    """Return the average over 16 ms above which something touches: of v_d (0) or v_s (1)."""
     floor_mV = 0.15 if c.adapts else 0.5
     threshold: float = 5.0 * s.noise[j] / math.sqrt(16.0 * c.ms) + floor_mV
     return threshold
@@ -856,7 +856,7 @@ def _touch_threshold(j: int, s: Any, c: Any) -> float:
 
 @njit(cache=True, error_model="numpy")
 def _touch(s: Any, c: Any, events: Any, reported: int) -> int:
-    """Learns the polarity from the first touch: pressing drives both strips alike and v_s
+    """Learn the polarity from the first touch: pressing drives both strips alike and v_s
     negative."""
     for j in range(2):
         if abs(s.average[j, 4]) > _touch_threshold(j, s, c):
@@ -872,14 +872,14 @@ def _touch(s: Any, c: Any, events: Any, reported: int) -> int:
 
 @njit(cache=True, error_model="numpy")
 def _unit(s: Any, c: Any) -> float:
-    """Returns the factor on thresholds in mV: the unit of the touch, 1 where nothing adapts."""
+    """Return the factor on thresholds in mV: the unit of the touch, 1 where nothing adapts."""
     unit: float = s.unit if c.adapts else 1.0
     return unit
 
 
 @njit(cache=True, error_model="numpy")
 def _arm(s: Any, c: Any, events: Any, reported: int) -> int:
-    """Arms the detector while the predictive signal is above its threshold."""
+    """Arm the detector while the predictive signal is above its threshold."""
     if s.silent_rows > 0:
         s.silent_rows -= 1
     if s.mute_rows > 0:
@@ -905,7 +905,7 @@ def _arm(s: Any, c: Any, events: Any, reported: int) -> int:
 
 @njit(cache=True, error_model="numpy")
 def _compare(first: float, second: float, s: Any, c: Any, events: Any, reported: int) -> int:
-    """Published logics: reports a slip where the signal is above its threshold while armed."""
+    """Report a slip (published logics) where the signal exceeds its threshold while armed."""
     if c.logic == LITERAL:
         level, noise = abs(first - second - s.offset[0]), s.noise[0]
     else:
@@ -947,7 +947,7 @@ def _compare_with_touch(s: Any, c: Any, events: Any, reported: int) -> int:
 
 @njit(cache=True, error_model="numpy")
 def _network_due(s: Any, c: Any) -> bool:
-    """Returns whether the network is evaluated at this row."""
+    """Return whether the network is evaluated at this row."""
     threshold = max(c.look[0] * _unit(s, c), c.look[1] * s.fast_noise[0])
     if abs(s.fast[0]) > threshold:
         s.look_rows = c.look_rows
@@ -961,14 +961,14 @@ def _network_due(s: Any, c: Any) -> bool:
 
 @njit(cache=True, error_model="numpy")
 def _gather_fixed_inputs(s: Any, c: Any, x: Any) -> None:
-    """Computes the inputs of a network of `FIXED_INPUTS`."""
+    """Compute the inputs of a network of `FIXED_INPUTS`."""
     _gather(1.0, s, c, x)
     _compress(x)
 
 
 @njit(cache=True, error_model="numpy")
 def _gather_inputs(s: Any, c: Any, x: Any) -> None:
-    """Computes the inputs of a network of `ADAPTED_INPUTS`, or of the longer ones, which begin
+    """Compute the inputs of a network of `ADAPTED_INPUTS`, or of the longer ones, which begin
     alike."""
     _gather(s.unit, s, c, x)
     at = _FIXED
@@ -989,7 +989,7 @@ def _gather_inputs(s: Any, c: Any, x: Any) -> None:
 
 @njit(cache=True, error_model="numpy")
 def _gather_charges_and_commands(s: Any, x: Any) -> None:
-    """Computes the inputs that `CHARGED_INPUTS` has after `ADAPTED_INPUTS`.
+    """Compute the inputs that `CHARGED_INPUTS` has after `ADAPTED_INPUTS`.
 
     The factors bring them to the order of 1 to 10, like the others.
     """
@@ -1024,7 +1024,7 @@ def _gather_charges_and_commands(s: Any, x: Any) -> None:
 
 @njit(cache=True, error_model="numpy")
 def _gather_force(s: Any, x: Any) -> None:
-    """Computes the inputs that `INPUTS` has after `CHARGED_INPUTS`."""
+    """Compute the inputs that `INPUTS` has after `CHARGED_INPUTS`."""
     at = _CHARGED
     x[at] = s.force_known
     x[at + 1] = 10.0 * s.force_changes[0]
@@ -1040,7 +1040,7 @@ def _gather_force(s: Any, x: Any) -> None:
 
 @njit(cache=True, error_model="numpy")
 def _gather(unit: float, s: Any, c: Any, x: Any) -> None:
-    """Computes the inputs that all networks have, with voltages in units of `unit` times 0.5 mV."""
+    """Compute the inputs that all networks have, with voltages in units of `unit` times 0.5 mV."""
     sign = 1.0 if s.average[0, 5] >= 0.0 else -1.0
     pressed = -1.0 if s.touch[1] > 0.0 else 1.0
     mV = 2.0 / unit
@@ -1077,7 +1077,7 @@ def _gather(unit: float, s: Any, c: Any, x: Any) -> None:
 
 @njit(cache=True, error_model="numpy")
 def _compress(x: Any) -> None:
-    """Compresses large numbers, so that none of them rules a weighted sum alone."""
+    """Compress large numbers, so that none of them rules a weighted sum alone."""
     for i in range(x.size):
         # A loop of its own, so that the compiler can use vector instructions.
         x[i] = x[i] / math.sqrt(1.0 + abs(x[i]))
@@ -1085,7 +1085,7 @@ def _compress(x: Any) -> None:
 
 @njit(cache=True, error_model="numpy")
 def _evaluate_network(x: Any, hidden: Any, output: Any, units: Any, s: Any) -> None:
-    """Computes the probabilities of a slip now and of a roll under way."""
+    """Compute the probabilities of a slip now and of a roll under way."""
     inputs, n = x.size, units.size
     for u in range(n):
         units[u] = hidden[inputs, u]

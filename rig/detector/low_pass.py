@@ -84,34 +84,34 @@ class LowPass:
     """Taps (n,), for the newest sample first; the gain at 0 Hz is 1."""
 
     def response(self, frequency_Hz: ArrayLike) -> NDArray[np.complex128]:
-        """Returns the complex gain (k,) at frequencies (k,) in Hz."""
+        """Return the complex gain (k,) at frequencies (k,) in Hz."""
         return frequency_response(self.taps, frequency_Hz, self.rate_Hz)
 
     def level(self, frequency_Hz: ArrayLike) -> Reals:
-        """Returns the gain in dB (k,) at frequencies (k,) in Hz."""
+        """Return the gain in dB (k,) at frequencies (k,) in Hz."""
         gain: Reals = 20 * np.log10(np.maximum(np.abs(self.response(frequency_Hz)), 1e-12))
         return gain
 
     def lag_deg(self, frequency_Hz: float) -> float:
-        """Returns the phase lag in degrees at a frequency of the pass band."""
+        """Return the phase lag in degrees at a frequency of the pass band."""
         return _lag_deg(self.response(frequency_Hz))
 
     def group_delay_s(self, frequency_Hz: ArrayLike) -> Reals:
-        """Returns the group delay in s (k,) at frequencies (k,) in Hz."""
+        """Return the group delay in s (k,) at frequencies (k,) in Hz."""
         place = np.arange(self.taps.size)
         weighted = frequency_response(self.taps * place, frequency_Hz, self.rate_Hz)
         delay: Reals = np.real(weighted / self.response(frequency_Hz)) / self.rate_Hz
         return delay
 
     def step_response(self) -> Reals:
-        """Returns the response to a unit step (n,), beginning with the first sample of the step."""
+        """Return the response to a unit step (n,), beginning with the first sample of the step."""
         answer: Reals = np.cumsum(self.taps)
         return answer
 
 
 @lru_cache(maxsize=32)
 def design_low_pass(settings: LowPassSettings, rate_Hz: float) -> LowPass:
-    """Returns the filter for a specification at a sampling rate.
+    """Return the filter for a specification at a sampling rate.
 
     Raises ValueError, with the bound, if no causal filter or none of this family meets it.
 
@@ -135,7 +135,7 @@ def design_low_pass(settings: LowPassSettings, rate_Hz: float) -> LowPass:
 def least_lag_deg(
     half_power_Hz: float, stop_Hz: float, stop_dB: float, rate_Hz: float, lag_Hz: float
 ) -> float:
-    """Returns the least lag in degrees at `lag_Hz` of any causal filter of the specified shape.
+    """Return the least lag in degrees at `lag_Hz` of any causal filter of the specified shape.
 
     This is Bode's integral on the unit circle for the magnitude with the least lag among those that
     never amplify: 0 dB up to `half_power_Hz`, 3 dB down to `stop_Hz`, and `stop_dB` down beyond it.
@@ -156,7 +156,7 @@ def least_lag_deg(
 
 
 def _with_stop_band_from(settings: LowPassSettings, stop_Hz: float, rate_Hz: float) -> Reals:
-    """Returns the shortest linear-phase prototype whose stop band begins at `stop_Hz`."""
+    """Return the shortest linear-phase prototype whose stop band begins at `stop_Hz`."""
     if stop_Hz >= rate_Hz / 2:
         raise ValueError(
             f"stop_Hz {stop_Hz:g} Hz must be below half the sampling rate of {rate_Hz:g} Hz"
@@ -173,7 +173,7 @@ def _with_stop_band_from(settings: LowPassSettings, stop_Hz: float, rate_Hz: flo
 
 
 def _with_lag(settings: LowPassSettings, lag_deg: float, rate_Hz: float) -> Reals:
-    """Returns the linear-phase prototype whose minimum-phase form has exactly this lag.
+    """Return the linear-phase prototype whose minimum-phase form has exactly this lag.
 
     The length is chosen to the nearest tap, and the attenuation is adjusted for the remainder.
     """
@@ -216,7 +216,7 @@ def _with_lag(settings: LowPassSettings, lag_deg: float, rate_Hz: float) -> Real
 def _shortest(
     settings: LowPassSettings, rate_Hz: float, holds: Callable[[int], bool], asked: str
 ) -> int:
-    """Returns the fewest taps on either side of the middle one for which the filter can be -3 dB at
+    """Return the fewest taps on either side of the middle one for which the filter can be -3 dB at
     the required frequency and `holds` is true.
 
     `holds` must be monotonic: what is true for some number of taps is true for more.
@@ -244,7 +244,7 @@ def _shortest(
 
 
 def _prototype(settings: LowPassSettings, half: int, stop_dB: float, rate_Hz: float) -> Reals:
-    """Returns linear-phase taps (2 half + 1,) with gain 1 at 0 Hz and -3 dB where the settings ask
+    """Return linear-phase taps (2 half + 1,) with gain 1 at 0 Hz and -3 dB where the settings ask
     for it."""
     from scipy.optimize import brentq
 

@@ -74,11 +74,11 @@ class Network(Settings):
         return self
 
     def weights(self) -> tuple[Reals, Reals]:
-        """Returns the hidden weights (inputs + 1, units) and the output weights (2, units + 1) as
+        """Return the hidden weights (inputs + 1, units) and the output weights (2, units + 1) as
         arrays."""
         return np.ascontiguousarray(np.array(self.hidden).T), np.array(self.output)
 
 
 def trained_network() -> Network:
-    """Returns the network of this version, read from its file in the package."""
+    """Return the network of this version, read from its file in the package."""
     return Network.model_validate_json(files(__package__).joinpath(FILE).read_bytes())

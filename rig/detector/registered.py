@@ -75,7 +75,7 @@ class ChosenDetector:
         return "" if self.is_own else _digest_of(self.kind)
 
     def seeds_seen(self) -> tuple[int, int] | None:
-        """Returns the first and last seed of the simulated trials on which its parameters were
+        """Return the first and last seed of the simulated trials on which its parameters were
         chosen; None where there are none. DetectorError where its package fails."""
         found = asked(self.name, self.package, "seeds_seen", self.kind.seeds_seen, self.settings)
         if found is None:
@@ -87,7 +87,7 @@ class ChosenDetector:
         return found
 
     def at_threshold(self, factor: float) -> ChosenDetector:
-        """Returns it with `factor` times its threshold, or as it is where it has none.
+        """Return it with `factor` times its threshold, or as it is where it has none.
         DetectorError where its package fails."""
         changed = asked(
             self.name, self.package, "with_threshold",
@@ -99,7 +99,7 @@ class ChosenDetector:
         return replace(self, settings=changed)
 
     def make(self, rate_Hz: float) -> Detector:
-        """Returns a new detector for a recording at a rate, which is resampled where it must be.
+        """Return a new detector for a recording at a rate, which is resampled where it must be.
 
         What another package's detector returns is checked; what it raises becomes a DetectorError,
         which names the package. Raises ValueError for a rate that no detector judges.
@@ -114,12 +114,12 @@ class ChosenDetector:
         return ResampledDetector(self.kind, self.settings, rate_Hz)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickles names and numbers only: who unpickles it may have another version, or none."""
+        """Pickle names and numbers only: who unpickles it may have another version, or none."""
         return chosen_detector, (self.name, self.settings.model_dump_json())
 
 
 def chosen_detector(name: str, settings_json: str = "") -> ChosenDetector:
-    """Returns a detector with parameters given as JSON, or with its own. ConfigurationError where
+    """Return a detector with parameters given as JSON, or with its own. ConfigurationError where
     it is unknown, its package cannot be used, or the parameters are not its."""
     kind = detector_class(name)
     if not settings_json:
@@ -131,18 +131,18 @@ def chosen_detector(name: str, settings_json: str = "") -> ChosenDetector:
 
 
 def is_own(name: str) -> bool:
-    """Returns whether a detector is one of this project; nothing is imported."""
+    """Return whether a detector is one of this project; nothing is imported."""
     return _package_of(name)[0] == OWN_PACKAGE
 
 
 def detector_names() -> tuple[str, ...]:
-    """Returns the names of all registered detectors, this project's first; nothing is imported."""
+    """Return the names of all registered detectors, this project's first; nothing is imported."""
     return tuple(sorted(names(DETECTORS), key=lambda name: (not is_own(name), name)))
 
 
 @cache
 def detector_class(name: str) -> type[Detector]:
-    """Returns the class of a registered detector. ConfigurationError where it is unknown, or its
+    """Return the class of a registered detector. ConfigurationError where it is unknown, or its
     package cannot be used."""
     with quiet_stdout():
         found: type[Detector] = load(DETECTORS, name, lambda value: _fault(name, value))
@@ -151,13 +151,13 @@ def detector_class(name: str) -> type[Detector]:
 
 @contextlib.contextmanager
 def quiet_stdout() -> Iterator[None]:
-    """Sends to stderr what code of another package prints: stdout carries the command's data."""
+    """Send to stderr what code of another package prints: stdout carries the command's data."""
     with contextlib.redirect_stdout(sys.stderr):
         yield
 
 
 def _fault(name: str, value: Any) -> str | None:
-    """Returns what is wrong with a registered class, as the end of a sentence; None if nothing."""
+    """Return what is wrong with a registered class, as the end of a sentence; None if nothing."""
     if _NAME.fullmatch(name) is None:
         return "has a name that is not of letters, digits, - and _, which file names need"
     if not (isinstance(value, type) and issubclass(value, Detector)):
@@ -183,7 +183,7 @@ def _fault(name: str, value: Any) -> str | None:
 
 @cache
 def _package_of(name: str) -> tuple[str, str]:
-    """Returns name and version of the package that registers a detector."""
+    """Return name and version of the package that registers a detector."""
     entry = find(DETECTORS, name)
     if entry is None:
         return "", ""
@@ -192,7 +192,7 @@ def _package_of(name: str) -> tuple[str, str]:
 
 @cache
 def _digest_of(kind: type[Detector]) -> str:
-    """Returns the SHA-256 of every file of the package around a class, or of its only module: a
+    """Return the SHA-256 of every file of the package around a class, or of its only module: a
     version that is kept by hand does not distinguish two states of the code."""
     top = import_module(kind.__module__.partition(".")[0])
     file = Path(top.__file__ or "")

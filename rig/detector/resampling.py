@@ -53,16 +53,16 @@ class Ratio:
         return self.up / self.down
 
     def row_of(self, output: int) -> int:
-        """Returns the latest input row on which an output depends."""
+        """Return the latest input row on which an output depends."""
         return output * self.down // self.up
 
     def outputs_before(self, row: int) -> int:
-        """Returns how many outputs depend on no input row from `row` on."""
+        """Return how many outputs depend on no input row from `row` on."""
         return -(-row * self.up // self.down)
 
 
 def ratio_of(rate_Hz: float, wanted_Hz: float) -> Ratio:
-    """Returns the ratio with the smallest terms that is right to `RATE_ERROR`.
+    """Return the ratio with the smallest terms that is right to `RATE_ERROR`.
 
     >>> ratio_of(25_600.0, 1000.0), ratio_of(44_100.0, 1000.0)
     (Ratio(up=5, down=128), Ratio(up=10, down=441))
@@ -100,7 +100,7 @@ class StreamingResampler:
         """Index of the next output."""
 
     def start_at(self, row: int) -> None:
-        """Begins anew with input row `row`, behind missing rows. At least one output is missing,
+        """Begin anew with input row `row`, behind missing rows. At least one output is missing,
         too, so that whoever takes the outputs sees the gap."""
         missing = int(self._latest is not None)
         self._latest = None
@@ -112,7 +112,7 @@ class StreamingResampler:
         return self.ratio.outputs_before(row + self._phases.shape[1] - 1)
 
     def add(self, samples: Reals) -> Reals:
-        """Takes further rows (n, channels) and returns the outputs due, (m, channels)."""
+        """Take further rows (n, channels) and return the outputs due, (m, channels)."""
         end = self.rows + len(samples)
         due = range(self.outputs, self.ratio.outputs_before(end))
         out = np.empty((len(due), self._channels))
@@ -153,7 +153,7 @@ class ResampledDetector(Detector):
     fastest_Hz: ClassVar[float] = HIGHEST_Hz
 
     def __init__(self, kind: type[Detector], settings: Settings, rate_Hz: float):
-        """Raises ValueError for a rate outside `LOWEST_Hz` to `HIGHEST_Hz`, and where `kind` cannot
+        """Raise ValueError for a rate outside `LOWEST_Hz` to `HIGHEST_Hz`, and where `kind` cannot
         be used with these settings."""
         if not self.accepts(rate_Hz):
             raise ValueError(
@@ -172,7 +172,7 @@ class ResampledDetector(Detector):
         return self._inner.low_pass
 
     def predictive(self, v_d: Reals) -> Reals:
-        """Returns v_d (n,) behind `low_pass`: between two judged rows, the earlier one's value; v_d
+        """Return v_d (n,) behind `low_pass`: between two judged rows, the earlier one's value; v_d
         itself before the first."""
         resampler = StreamingResampler(self.rate_Hz, self._inner.design_rate_Hz, 1)
         resampled = resampler.add(v_d[:, None])[:, 0]
@@ -185,18 +185,18 @@ class ResampledDetector(Detector):
         return np.where(latest < 0, v_d, judged[latest])
 
     def reset(self) -> None:
-        """Does nothing at the begin; behind missing rows the filter begins anew, and so does the
+        """Do nothing at the begin; behind missing rows the filter begins anew, and so does the
         detector, which is given the number of the next row that it judges."""
         self._resampler.start_at(self.rows)
 
     def judge(self, volts: Reals) -> list[SlipEvent]:
-        """Returns the events decided in further rows (n, 2) of v_1 and v_2 in V."""
+        """Return the events decided in further rows (n, 2) of v_1 and v_2 in V."""
         first = self._resampler.outputs
         rows = self._resampler.add(volts)
         return [] if not len(rows) else self._at_rows(self._inner.add(rows, first_sample=first))
 
     def command(self, given: Command) -> None:
-        """Passes a command on, at the judged rows that come next."""
+        """Pass a command on, at the judged rows that come next."""
         sample = max(given.sample, self.rows)
         due: Command
         if isinstance(given, HeldForce):
@@ -206,7 +206,7 @@ class ResampledDetector(Detector):
         self._inner.command(due.at_rows(self._resampler.ratio.outputs_before))
 
     def end(self) -> list[SlipEvent]:
-        """Returns the events due at the end of a recording."""
+        """Return the events due at the end of a recording."""
         return self._at_rows(self._inner.finish())
 
     def _step_over_gap(self, first_sample: int) -> list[SlipEvent]:
@@ -214,7 +214,7 @@ class ResampledDetector(Detector):
         return []  # the judged detector reports it, at the first row that it judges
 
     def _at_rows(self, events: list[SlipEvent]) -> list[SlipEvent]:
-        """Returns events of the judged rows as events of the recording's."""
+        """Return events of the judged rows as events of the recording's."""
         return [self._at_row(event) for event in events]
 
     def _at_row(self, event: SlipEvent) -> SlipEvent:
@@ -225,7 +225,7 @@ class ResampledDetector(Detector):
 
 @lru_cache(maxsize=8)
 def _phases(ratio: Ratio, rate_Hz: float) -> tuple[Reals, float]:
-    """Returns the taps of each phase (up, length), the latest row's last, and the delay in s.
+    """Return the taps of each phase (up, length), the latest row's last, and the delay in s.
 
     Each phase has gain 1 at 0 Hz: else an offset would become a tone.
     """

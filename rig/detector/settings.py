@@ -130,7 +130,7 @@ class ImpulseSettings(DetectorSettings):
 
 
 def settings_from_json(text: str) -> DetectorSettings:
-    """Returns the parameters of a detector of this project from the JSON in a processed file.
+    """Return the parameters of a detector of this project from the JSON in a processed file.
 
     Raises ValueError for a text that is not of such parameters.
     """
@@ -142,7 +142,7 @@ def settings_from_json(text: str) -> DetectorSettings:
 
 @lru_cache(maxsize=1)
 def named_detectors() -> dict[str, DetectorSettings]:
-    """Returns the parameters of all detectors that have a name.
+    """Return the parameters of all detectors that have a name.
 
     `rig.detector.DEFAULT_DETECTOR` is the name of the default.
     """

@@ -35,19 +35,19 @@ YOUNGS_MPa = 1.7
 
 
 def between(low: float, high: float) -> Range:
-    """Returns a range from which the logarithm is drawn evenly, or a value if both are the same."""
+    """Return a range from which the logarithm is drawn evenly, or a value if both are the same."""
     return Range(low=low, high=high, logarithmic=low > 0)
 
 
 def contact_break(kinds: tuple[Kind, ...], **ranges: Any) -> Break:
-    """Returns a break of skin, contact or motion: what it changes in the population."""
+    """Return a break of skin, contact or motion: what it changes in the population."""
     whole = PopulationSettings().model_dump() | ranges
     population = PopulationSettings.model_validate(whole)
     return Break(kinds, population, StripFrontEndSettings())
 
 
 def front_end_break(**ranges: Any) -> Break:
-    """Returns a break of amplifiers or converter, heard in slides and holds."""
+    """Return a break of amplifiers or converter, heard in slides and holds."""
     whole = StripFrontEndSettings().model_dump() | ranges
     front_end = StripFrontEndSettings.model_validate(whole)
     return Break(SLIPS_AND_HOLDS, PopulationSettings(), front_end)

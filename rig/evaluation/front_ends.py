@@ -15,7 +15,7 @@ Floats = NDArray[np.float64]
 def through_front_end(
     trial: LabelledTrial, front_end: StripFrontEndSettings, hearing: int = 0
 ) -> tuple[Floats, dict[str, float]]:
-    """Returns the volts (n, 2) that a bench would record, and what was added to them, by name and
+    """Return the volts (n, 2) that a bench would record, and what was added to them, by name and
     unit.
 
     `hearing` numbers the front ends. Each number draws new values from the trial's kind and seed.
@@ -27,7 +27,7 @@ def through_front_end(
 def recorded(
     volts: Floats, rate_Hz: float, front_end: StripFrontEndSettings, chance: np.random.Generator
 ) -> tuple[Floats, dict[str, float]]:
-    """Returns what a front end, drawn by `chance`, makes of the volts (n, 2) of the strips, and the
+    """Return what a front end, drawn by `chance`, makes of the volts (n, 2) of the strips, and the
     numbers that were drawn."""
     drawn = {name: getattr(front_end, name).draw(chance) for name in _FIRST}
     size = len(volts)
@@ -57,7 +57,7 @@ _LATER = (
 
 
 def _drift(time_s: Floats, constant_s: float, chance: np.random.Generator) -> Floats:
-    """Returns a drift of size 1 that begins at a random time and is mostly common to both."""
+    """Return a drift of size 1 that begins at a random time and is mostly common to both."""
     begin_s = chance.uniform(0.0, time_s[-1])
     both, sign = chance.uniform(0.5, 1.0, 2), chance.choice((-1.0, 1.0))
     gone = 1 - np.exp(-np.clip(time_s - begin_s, 0, None) / constant_s)
@@ -66,7 +66,7 @@ def _drift(time_s: Floats, constant_s: float, chance: np.random.Generator) -> Fl
 
 
 def _flicker(size: int, chance: np.random.Generator) -> Floats:
-    """Returns noise with a power of 1/f and an rms of 1, (size, 2)."""
+    """Return noise with a power of 1/f and an rms of 1, (size, 2)."""
     spectrum = np.fft.rfft(chance.standard_normal((size, 2)), axis=0)
     spectrum /= np.sqrt(np.maximum(np.arange(len(spectrum)), 1))[:, None]
     spectrum[0] = 0
@@ -76,7 +76,7 @@ def _flicker(size: int, chance: np.random.Generator) -> Floats:
 
 
 def _bursts(time_s: Floats, rate_Hz: float, chance: np.random.Generator) -> Floats:
-    """Returns bursts with an rms of 1, half of each common to both channels, (n, 2)."""
+    """Return bursts with an rms of 1, half of each common to both channels, (n, 2)."""
     seen = np.zeros((time_s.size, 1))
     for _ in range(chance.poisson(rate_Hz * time_s[-1])):
         begin_s = chance.uniform(0.0, time_s[-1])
@@ -88,7 +88,7 @@ def _bursts(time_s: Floats, rate_Hz: float, chance: np.random.Generator) -> Floa
 
 
 def _coupled(volts: Floats, corner_Hz: float, rate_Hz: float) -> Floats:
-    """Returns the volts behind a coupling capacitor that has settled before the first row."""
+    """Return the volts behind a coupling capacitor that has settled before the first row."""
     if corner_Hz == 0:
         return volts
     from scipy.signal import butter, lfilter, lfilter_zi

@@ -110,7 +110,7 @@ def judge_files(
     sweep: bool,
     done: Callable[[int, int], None],
 ) -> ListedTrials:
-    """Scores all trials of a list. ConfigurationError names the line that cannot be used.
+    """Score all trials of a list. ConfigurationError names the line that cannot be used.
 
     `sweep` runs the detectors at all thresholds of a ROC. `done` is called after each trial with
     its number and the number of all.
@@ -132,7 +132,7 @@ def judge_files(
 
 
 def listed_trials(listing: Path) -> Iterator[tuple[ListedTrial, int]]:
-    """Yields every trial of a list, with the number of all. ConfigurationError names the line that
+    """Yield every trial of a list, with the number of all. ConfigurationError names the line that
     cannot be used."""
     rows = _rows(listing)
     for number, row in enumerate(rows, 1):
@@ -185,7 +185,7 @@ def _rows(listing: Path) -> list[dict[str, str]]:
 
 
 def _recorded(path: Path, point: str, where: str) -> _Recorded:
-    """Returns what a file holds of a point."""
+    """Return what a file holds of a point."""
     with RunFile.open(path) as run:
         points = run.point_ids()
         if not point and len(points) == 1:
@@ -223,7 +223,7 @@ def _recorded(path: Path, point: str, where: str) -> _Recorded:
 
 
 def _known(run: RunFile, point: str, reading: dict[str, Any], record_s: float) -> dict[str, Any]:
-    """Returns label, times and quiet intervals that a simulated bench stored; of any other, when
+    """Return label, times and quiet intervals that a simulated bench stored; of any other, when
     the motion began and that a roll trial is a roll."""
     times = simulated_truth.times_of(reading, record_s)
     if stated := reading.get("label"):  # at the import of a recording

@@ -91,7 +91,7 @@ def labelled_trial(
     population: PopulationSettings | None = None,
     cache: Cache | None = None,
 ) -> LabelledTrial:
-    """Returns the trial of a kind and seed, from the cache if it is there.
+    """Return the trial of a kind and seed, from the cache if it is there.
 
     If a step of the contact has no solution the trial is drawn again. Raises ConvergenceError after
     the 20th draw.
@@ -159,19 +159,19 @@ class _TrialDraw:
         self.ramp_s = self.draw_further("ramp_s")
 
     def draw(self, name: str) -> float:
-        """Returns a number of the population and records it among the traits."""
+        """Return a number of the population and record it among the traits."""
         within: Range = getattr(self.population, name)
         self.traits[name] = within.draw(self.chance)
         return self.traits[name]
 
     def draw_further(self, name: str) -> float:
-        """Returns a number that was added to the population later, and records it."""
+        """Return a number that was added to the population later, and record it."""
         within: Range = getattr(self.population, name)
         self.traits[name] = within.draw(self.further)
         return self.traits[name]
 
     def draw_skin(self, cache: Cache) -> None:
-        """Draws modulus and place of the strips of the skin."""
+        """Draw modulus and place of the strips of the skin."""
         youngs_MPa = self.draw_further("youngs_modulus_MPa")
         offset_mm = placed_mm(self.draw_further("strip_offset_mm"))
         self.traits["strip_offset_mm"] = offset_mm
@@ -180,7 +180,7 @@ class _TrialDraw:
         self.skin = build_skin(SkinSettings.model_validate(body), cache)
 
     def draw_sign(self, name: str) -> float:
-        """Returns +1 or -1 and records it among the traits."""
+        """Return +1 or -1 and record it among the traits."""
         self.traits[name] = float(self.chance.choice((-1.0, 1.0)))
         return self.traits[name]
 
@@ -190,20 +190,20 @@ class _TrialDraw:
         return self.loading_s + self.rest_s
 
     def times(self, duration_s: float) -> Floats:
-        """Returns the end of every step, from first touch to `duration_s` after the start of the
+        """Return the end of every step, from first touch to `duration_s` after the start of the
         motion."""
         step = self.contact.step_us * 1e-6
         times: Floats = step * np.arange(1.0, 1 + round((self.motion_s + duration_s) / step))
         return times
 
     def pressed(self, time_s: Floats) -> Floats:
-        """Returns the normal force: a raised cosine, then constant."""
+        """Return the normal force: a raised cosine, then constant."""
         share = np.clip(time_s / self.loading_s, 0, 1)
         force: Floats = self.force_N * (1 - np.cos(np.pi * share)) / 2
         return force
 
     def ticks(self, time_s: Floats) -> Floats:
-        """Returns the relative error of the normal force: at each tick of the servo it takes
+        """Return the relative error of the normal force: at each tick of the servo it takes
         another value, within 3 ms and not beyond the next tick."""
         if self.tick_share == 0:
             return np.zeros_like(time_s)
@@ -231,7 +231,7 @@ class _TrialDraw:
         body: Object | None = None,
         start_x_mm: float = 0.0,
     ) -> SkinTrial:
-        """Simulates a motion with the jitter of the stage."""
+        """Simulate a motion with the jitter of the stage."""
         body = Plate() if body is None else body
         times = self.contact.step_us * 1e-6 * np.arange(1.0, 1 + force_N.size)
         shaken = x_mm + self.jitter_mm * np.sin(2 * np.pi * self.jitter_Hz * times)
@@ -246,7 +246,7 @@ class _TrialDraw:
     def finish(
         self, trial: SkinTrial, label: Label | None = None, end_s: float = math.inf
     ) -> LabelledTrial:
-        """Returns the trial up to `end_s` after first touch, labelled by its truth unless a label
+        """Return the trial up to `end_s` after first touch, labelled by its truth unless a label
         is given. What happens after its end is not in its truth."""
         at, truth = self.population.ridge - 1, trial.truth
         rate = SlideSettings().sample.rate_Hz
@@ -280,7 +280,7 @@ class _TrialDraw:
         )
 
     def _slips_s(self, trial: SkinTrial, quiet_s: float, record_s: float) -> Floats:
-        """Returns begin and end of every slip of the whole ridge since the motion began."""
+        """Return begin and end of every slip of the whole ridge since the motion began."""
         step_us = round(self.contact.step_us)
         first = int(np.searchsorted(trial.time_s, trial.motion_s - 1e-9))
         slips = WholeSlips()
@@ -298,7 +298,7 @@ class _TrialDraw:
 
 
 def _label_of(kind: Kind, whole_s: float, lift_s: float) -> Label:
-    """Returns the label of a trial from its truth. A ridge that is let go slips before it leaves
+    """Return the label of a trial from its truth. A ridge that is let go slips before it leaves
     the object: a slip less than 0.1 s before it is part of the lift-off."""
     lifted, slipped = math.isfinite(lift_s), math.isfinite(whole_s)
     if kind == "roll":
@@ -311,12 +311,12 @@ def _label_of(kind: Kind, whole_s: float, lift_s: float) -> Label:
 
 
 def _rounded(values: Floats) -> Floats:
-    """Rounds to the precision of the cache, so that a trial is the same with and without it."""
+    """Round to the precision of the cache, so that a trial is the same with and without it."""
     return values.astype(np.float32).astype(np.float64)
 
 
 def _to_gross_slip(drawing: _TrialDraw) -> tuple[SkinTrial, float, float]:
-    """Returns a slide until everything slips, its velocity in mm/s, and the time of gross slip from
+    """Return a slide until everything slips, its velocity in mm/s, and the time of gross slip from
     first touch."""
     speed = drawing.draw("speed_mm_s")
     velocity = speed * drawing.draw_sign("direction")
@@ -342,7 +342,7 @@ def _slide(drawing: _TrialDraw) -> LabelledTrial:
 
 
 def _stroke(speed_mm_s: float, way_mm: float, ramp_s: float) -> tuple[Floats, Floats]:
-    """Returns times and speeds of a stroke that begins and ends at rest, and reaches its speed
+    """Return times and speeds of a stroke that begins and ends at rest, and reaches its speed
     within `ramp_s`."""
     acceleration = speed_mm_s / ramp_s
     peak = min(speed_mm_s, math.sqrt(acceleration * way_mm))
@@ -353,7 +353,7 @@ def _stroke(speed_mm_s: float, way_mm: float, ramp_s: float) -> tuple[Floats, Fl
 def _strokes(
     drawing: _TrialDraw, ways_mm: list[float], speed_mm_s: float, rest_s: float, after_s: float
 ) -> tuple[Floats, Floats]:
-    """Returns times and positions of strokes, forward and backward, with a rest after each and a
+    """Return times and positions of strokes, forward and backward, with a rest after each and a
     longer one after the last."""
     corners, speeds, begin_s = [np.zeros(1)], [np.zeros(1)], 1e-9
     for way_mm in ways_mm:
@@ -367,7 +367,7 @@ def _strokes(
 
 
 def _whole_way(drawing: _TrialDraw) -> tuple[float, float]:
-    """Returns the way of a slide to the slip of the whole ridge, with its sign, in mm, and the
+    """Return the way of a slide to the slip of the whole ridge, with its sign, in mm, and the
     speed of the slide in mm/s."""
     slide, velocity, gross = _to_gross_slip(drawing)
     whole = float(slide.truth.whole_slip_s[drawing.population.ridge - 1])
@@ -376,7 +376,7 @@ def _whole_way(drawing: _TrialDraw) -> tuple[float, float]:
 
 
 def _again(drawing: _TrialDraw) -> LabelledTrial:
-    """Simulates slides with stops between them: the ridge sticks, and slips anew."""
+    """Simulate slides with stops between them: the ridge sticks, and slips anew."""
     slide, velocity, gross = _to_gross_slip(drawing)
     row = int(np.searchsorted(slide.time_s, gross))
     way_mm = 1.15 * float(slide.block.position_mm[row])
@@ -388,7 +388,7 @@ def _again(drawing: _TrialDraw) -> LabelledTrial:
 
 
 def _reversal(drawing: _TrialDraw) -> LabelledTrial:
-    """Simulates shear to and fro below the slip of the ridge."""
+    """Simulate shear to and fro below the slip of the ridge."""
     way_mm, speed = _whole_way(drawing)
     sheared_mm = drawing.draw_further("sheared_share") * way_mm
     turns = int(drawing.draw_further("reversals"))
@@ -398,7 +398,7 @@ def _reversal(drawing: _TrialDraw) -> LabelledTrial:
 
 
 def _tremor(drawing: _TrialDraw) -> LabelledTrial:
-    """Simulates a hold under shear in which the object trembles."""
+    """Simulate a hold under shear in which the object trembles."""
     way_mm, speed = _whole_way(drawing)
     sheared_mm = drawing.draw_further("sheared_share") * way_mm
     rate_Hz, share = drawing.draw_further("tremor_Hz"), drawing.draw_further("tremor_share")
@@ -409,14 +409,14 @@ def _tremor(drawing: _TrialDraw) -> LabelledTrial:
 
 
 def _loaded(drawing: _TrialDraw, share: float, after_s: float) -> tuple[Floats, Floats, Floats]:
-    """Returns times, positions, and the time since 0.2 s after a shear has come to rest."""
+    """Return times, positions, and the time since 0.2 s after a shear has come to rest."""
     way_mm, speed = _whole_way(drawing)
     time, x = _strokes(drawing, [share * way_mm], speed, 0.2, after_s)
     return time, x, np.clip(time - time[-1] + after_s, 0.0, None)
 
 
 def _falling_force(drawing: _TrialDraw) -> LabelledTrial:
-    """Simulates a grip that loosens under a load until the load slips or is hardly held."""
+    """Simulate a grip that loosens under a load until the load slips or is hardly held."""
     share, fall_s = drawing.draw_further("loaded_share"), drawing.draw_further("fall_s")
     time, x, since = _loaded(drawing, share, fall_s + _SETTLE_S)
     falls = 1 - (1 - 0.5 * share) * np.clip(since / fall_s, 0.0, 1.0)
@@ -424,7 +424,7 @@ def _falling_force(drawing: _TrialDraw) -> LabelledTrial:
 
 
 def _re_grip(drawing: _TrialDraw) -> LabelledTrial:
-    """Simulates a firmer grip under a load."""
+    """Simulate a firmer grip under a load."""
     share, rise_s = drawing.draw_further("loaded_share"), drawing.draw_further("grip_s")
     rise = drawing.draw_further("grip_share")
     time, x, since = _loaded(drawing, share, rise_s + 0.4)
@@ -434,7 +434,7 @@ def _re_grip(drawing: _TrialDraw) -> LabelledTrial:
 
 
 def _lift_off(drawing: _TrialDraw) -> LabelledTrial:
-    """Simulates an object that is let go, with hardly any load."""
+    """Simulate an object that is let go, with hardly any load."""
     fall_s = drawing.draw_further("fall_s")
     time, x, since = _loaded(drawing, drawing.further.uniform(0.01, 0.15), fall_s + _SETTLE_S)
     falls = 1 - 0.98 * np.clip(since / fall_s, 0.0, 1.0)
@@ -442,7 +442,7 @@ def _lift_off(drawing: _TrialDraw) -> LabelledTrial:
 
 
 def _hold(drawing: _TrialDraw) -> LabelledTrial:
-    """Simulates a slide that stops short. If the ridge slips as a whole nevertheless, it is
+    """Simulate a slide that stops short. If the ridge slips as a whole nevertheless, it is
     labelled a slip."""
     whole, velocity, gross = _to_gross_slip(drawing)
     row = int(np.searchsorted(whole.time_s, gross))
@@ -468,7 +468,7 @@ def _roll(drawing: _TrialDraw) -> LabelledTrial:
 
 
 def _tap(drawing: _TrialDraw) -> LabelledTrial:
-    """Simulates a knock at the finger while an object rests on it."""
+    """Simulate a knock at the finger while an object rests on it."""
     duration = drawing.draw("tap_s")
     rise_N = drawing.draw("tap_share") * drawing.force_N
     sideways_mm = 1e-3 * drawing.draw("tap_um") * drawing.draw_sign("direction")

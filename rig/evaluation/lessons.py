@@ -111,7 +111,7 @@ class Lesson:
 
 
 def held_out(seed: int) -> bool:
-    """Returns whether the lessons of a seed are held out.
+    """Return whether the lessons of a seed are held out.
 
     >>> [seed for seed in range(10) if held_out(seed)]
     [4, 9]
@@ -120,14 +120,14 @@ def held_out(seed: int) -> bool:
 
 
 def front_end_of(number: int, base: StripFrontEndSettings) -> StripFrontEndSettings:
-    """Returns the front end with the fault of this number, counted round and round."""
+    """Return the front end with the fault of this number, counted round and round."""
     return base.model_copy(update=FAULTS[number % len(FAULTS)])
 
 
 def model_lessons(
     trial: LabelledTrial, base: StripFrontEndSettings, hearings: int
 ) -> Iterator[Lesson]:
-    """Yields a trial of the skin model through several front ends."""
+    """Yield a trial of the skin model through several front ends."""
     for hearing in range(hearings):
         key = [KINDS.index(trial.kind), trial.seed, 3, hearing]
         chance = np.random.default_rng(key)
@@ -148,7 +148,7 @@ def model_lessons(
 
 
 def bench_lessons(made: MadeTrial, hearings: int) -> Iterator[Lesson]:
-    """Yields a trial of the simulated bench as it was recorded, with its commands and without, and
+    """Yield a trial of the simulated bench as it was recorded, with its commands and without, and
     then with the gains and the fault of further front ends; nothing for one that could not be made.
 
     Every second hearing is without commands, as recordings of other programs are.
@@ -185,7 +185,7 @@ def bench_lessons(made: MadeTrial, hearings: int) -> Iterator[Lesson]:
 
 
 def file_lesson(listed: ListedTrial, held_out: bool) -> Lesson:
-    """Returns a trial of a run file as a lesson."""
+    """Return a trial of a run file as a lesson."""
     return Lesson(
         name=listed.name,
         held_out=held_out,
@@ -210,7 +210,7 @@ class Teacher:
         self._settings = named_detectors()["rig"].model_copy(update={"network": silent})
 
     def rows_of(self, lesson: Lesson) -> TrainingRows:
-        """Returns the rows of a lesson. ValueError for a recording that the detector refuses."""
+        """Return the rows of a lesson. ValueError for a recording that the detector refuses."""
         volts, ratio, commands = lesson.volts, Ratio(1, 1), lesson.commands
         if not Rig.accepts(lesson.rate_Hz):
             resampler = StreamingResampler(lesson.rate_Hz, NETWORK_RATE_Hz, 2)
@@ -239,7 +239,7 @@ class Teacher:
 def judged(
     network: Network, lessons: Sequence[Lesson]
 ) -> Iterator[tuple[str, int, int, float, float]]:
-    """Yields what a network finds in lessons: name of the share, hits, cases, and Wilson's 95 %
+    """Yield what a network finds in lessons: name of the share, hits, cases, and Wilson's 95 %
     interval."""
     settings = named_detectors()["rig"].model_copy(update={"network": network})
     contender = DetectorContender(network.name, ChosenDetector("rig", settings))
@@ -263,7 +263,7 @@ def judged(
 
 
 def sides_of(groups: Sequence[tuple[str, str]]) -> list[bool]:
-    """Returns which trials of these samples and days are held out: about a fifth of them, such that
+    """Return which trials of these samples and days are held out: about a fifth of them, such that
     no sample and no day is on both sides. Raises ConfigurationError where that cannot be.
 
     >>> sides_of([("a", "monday"), ("a", "tuesday"), ("b", "friday")])

@@ -66,7 +66,7 @@ class Population:
     """Cache of simulated trials."""
 
     def trials(self) -> list[tuple[Kind, int]]:
-        """Returns kind and seed of every trial; the kinds alternate."""
+        """Return kind and seed of every trial; the kinds alternate."""
         return [(kind, seed) for seed in self.seeds.seeds() for kind in self.kinds]
 
 
@@ -78,7 +78,7 @@ def judge_trials(
     jobs: int,
     done: Callable[[int], None],
 ) -> list[ScoredTrial]:
-    """Scores every trial of the population. `done` is called with the number of trials so far."""
+    """Score every trial of the population. `done` is called with the number of trials so far."""
 
     def work(trial: LabelledTrial, volts: Floats, traits: Traits) -> ScoredTrial:
         return judge_one(
@@ -103,7 +103,7 @@ def judge_one(
     sweep: bool,
     commands: tuple[Command, ...] = (),
 ) -> ScoredTrial:
-    """Scores one recording with these commands. Raises ValueError if a detector cannot process
+    """Score one recording with these commands. Raises ValueError if a detector cannot process
     it."""
     factors = (1.0, *FACTORS) if sweep else (1.0,)
     judged = [
@@ -128,7 +128,7 @@ def tune_baselines(
     jobs: int,
     done: Callable[[int], None],
 ) -> list[tuple[BaselineSettings, float]]:
-    """Returns the baselines with floor and threshold chosen on these trials, and the share of slips
+    """Return the baselines with floor and threshold chosen on these trials, and the share of slips
     found."""
     variants = [
         one.model_copy(update={"floor_mV": floor}) for one in baselines for floor in FLOORS_mV
@@ -160,7 +160,7 @@ def tune_baselines(
 
 
 def recorded_volts(population: Population, trial: LabelledTrial) -> tuple[Floats, Traits]:
-    """Returns the volts (n, 2) that the population's front end records, and the traits of the
+    """Return the volts (n, 2) that the population's front end records, and the traits of the
     trial."""
     if population.swapped_gains:
         turned = replace(trial, volts=trial.volts[:, ::-1])
@@ -177,7 +177,7 @@ def recorded_volts(population: Population, trial: LabelledTrial) -> tuple[Floats
 
 
 def truth_of(trial: LabelledTrial) -> Truth:
-    """Returns the truth of a trial. Its record ends at its last sample; the motion of a slide
+    """Return the truth of a trial. Its record ends at its last sample; the motion of a slide
     continues until then."""
     record_s = len(trial.volts) / trial.rate_Hz
     label: str = trial.label
@@ -216,7 +216,7 @@ _inherited: _Work[Any] | None = None
 
 
 def _begin_worker() -> None:
-    r"""Ignores Ctrl-C and Ctrl-\ in a worker, because the parent process handles them."""
+    r"""Ignore Ctrl-C and Ctrl-\ in a worker, because the parent process handles them."""
     for number in (signal.SIGINT, signal.SIGQUIT):
         signal.signal(number, signal.SIG_IGN)
 
@@ -229,7 +229,7 @@ def _work_inherited(drawn: tuple[Kind, int]) -> Any:
 def each_trial(
     population: Population, each: Each[Result], jobs: int, done: Callable[[int], None]
 ) -> Iterator[Result]:
-    """Yields the result of `each` for every trial, in order. `done` is called with the number so
+    """Yield the result of `each` for every trial, in order. `done` is called with the number so
     far."""
     for number, result in enumerate(_over(population, each, jobs), 1):
         done(number)
@@ -237,7 +237,7 @@ def each_trial(
 
 
 def _over(population: Population, each: Each[Result], jobs: int) -> Iterator[Result]:
-    """Yields the result of `each` for every trial, in the order of the trials."""
+    """Yield the result of `each` for every trial, in the order of the trials."""
     global _inherited
     work, trials = _Work(population, each), population.trials()
     if jobs == 1:

@@ -100,7 +100,7 @@ class TrainingRows:
 
 
 def rows_of(lesson: TrainingTrial) -> TrainingRows:
-    """Returns the training rows of a trial."""
+    """Return the training rows of a trial."""
     time = lesson.time_s
     right = np.zeros((time.size, 2), np.float32)
     weight = np.ones((time.size, 2), np.float32)
@@ -142,7 +142,7 @@ def rows_of(lesson: TrainingTrial) -> TrainingRows:
 def _pieces_of_lasting_slips(
     time_s: Reals, slips_s: Reals, usable: NDArray[np.bool_]
 ) -> NDArray[np.int64]:
-    """Returns the number of the piece of a lasting slip of which a row at `time_s` (m,) is one, -1
+    """Return the number of the piece of a lasting slip of which a row at `time_s` (m,) is one, -1
     for the others; `usable` (m,) are the rows that may be one."""
     numbers, count = np.full(time_s.size, -1), 0
     row_s = float(np.median(np.diff(time_s))) if time_s.size > 1 else 0.0
@@ -165,7 +165,7 @@ def learn_together(
     seed: int,
     on_epoch: Callable[[int, float], None] | None = None,
 ) -> tuple[Reals, Reals]:
-    """Returns the weights of `members` networks that were trained apart, as one network.
+    """Return the weights of `members` networks that were trained apart, as one network.
 
     Its log odds are the mean of theirs, so that what one of them has learnt by chance counts less.
     It has `members` times `units` hidden units.
@@ -184,7 +184,7 @@ def learn(
     seed: int = 0,
     on_epoch: Callable[[int, float], None] | None = None,
 ) -> tuple[Reals, Reals]:
-    """Returns hidden weights (units, inputs + 1) and output weights (2, units + 1).
+    """Return hidden weights (units, inputs + 1) and output weights (2, units + 1).
 
     `on_epoch` is called with the number and the mean loss of every epoch. Inputs are scaled during
     training; the returned weights apply to the inputs as they are.
@@ -231,7 +231,7 @@ def learn(
 
 
 def together(recordings: Sequence[TrainingRows]) -> TrainingRows:
-    """Returns the rows of several recordings as those of one; their slips are counted on."""
+    """Return the rows of several recordings as those of one; their slips are counted on."""
     count, slips = 0, list[NDArray[np.int64]]()
     for one in recordings:
         slips.append(np.where(one.slip < 0, -1, one.slip + count))
@@ -245,7 +245,7 @@ def together(recordings: Sequence[TrainingRows]) -> TrainingRows:
 
 
 def _scale(recordings: Sequence[TrainingRows]) -> tuple[Singles, Singles]:
-    """Returns mean and standard deviation of the inputs over all rows."""
+    """Return mean and standard deviation of the inputs over all rows."""
     count = sum(len(one.inputs) for one in recordings)
     sums = [one.inputs.sum(axis=0, dtype=np.float64) for one in recordings]
     middle = np.sum(sums, axis=0) / count
@@ -255,7 +255,7 @@ def _scale(recordings: Sequence[TrainingRows]) -> tuple[Singles, Singles]:
 
 
 def _slopes(x: Singles, rows: TrainingRows, weights: list[Singles]) -> tuple[float, list[Singles]]:
-    """Returns the mean loss of the rows of a batch, with the scaled inputs `x`, and its derivatives
+    """Return the mean loss of the rows of a batch, with the scaled inputs `x`, and its derivatives
     with respect to the weights."""
     into, bias, out, out_bias = weights
     total = x @ into.T + bias
@@ -278,7 +278,7 @@ def _slopes(x: Singles, rows: TrainingRows, weights: list[Singles]) -> tuple[flo
 
 
 def _of_slips(odds: Singles, slip: NDArray[np.int64], weight: Singles) -> tuple[Singles, Singles]:
-    """Returns the loss of rows of slips and its derivatives with respect to their log odds.
+    """Return the loss of rows of slips and its derivatives with respect to their log odds.
 
     The odds of a slip are the mean of the odds of its rows. Its loss is shared by them in
     proportion to their odds.

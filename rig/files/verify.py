@@ -193,7 +193,7 @@ def verdict_in_child(file: Path | str, patience_s: float = PATIENCE_S) -> FileVe
 
 
 def _guarded(check: Callable[[AnyFile], Iterator[str]], run: AnyFile) -> list[str]:
-    """A check's findings; its stumbling over damage is a finding too."""
+    """Return a check's findings; if damage makes the check fail, that is a finding, too."""
     found: list[str] = []
     try:
         found.extend(check(run))

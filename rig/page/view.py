@@ -55,14 +55,14 @@ class PointTimes:
     """Times of the latest points beyond what was expected of them."""
 
     def begin(self, now_s: float, fields: Mapping[str, Any]) -> None:
-        """A point begins, with what its record says of the time that is expected."""
+        """Begin a point, with the time that its record expects."""
         self.begun_s, self.kept = now_s, False
         self.expected_s = _seconds(fields.get("expected_s"))
         self.ahead_s = _seconds(fields.get("ahead_s")) or 0.0
         self.points_ahead = _count(fields.get("points_ahead"))
 
     def keep(self, now_s: float) -> None:
-        """The point has been recorded."""
+        """Record that the point was recorded, and the time that it took."""
         taken_s = max(0.0, now_s - self.begun_s)
         self.kept = True
         self.taken_s.append(taken_s)

@@ -42,7 +42,7 @@ class MapSettings(Settings):
     """Height of a strip."""
 
     def places(self) -> list[tuple[float, float]]:
-        """Returns every (offset, bottom) that is tried."""
+        """Return every (offset, bottom) that is tried."""
         return [(offset, bottom) for bottom in self.bottoms_mm for offset in self.offsets_mm]
 
 
@@ -62,7 +62,7 @@ class DesignMap:
 
 
 def design_map(settings: MapSettings) -> DesignMap:
-    """Simulates the slide and returns its map. Raises ValueError if a strip would leave the
+    """Simulate the slide and return its map. Raises ValueError if a strip would leave the
     rubber."""
     elastic = ElasticSkin(settings.skin)
     skin = condense_elements(elastic)

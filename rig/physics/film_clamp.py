@@ -42,7 +42,7 @@ class FilmClampSettings(Settings):
 def creep_step(
     settings: FilmClampSettings, fading_N: float, position_mm: Reals, step_s: float
 ) -> tuple[Reals, float]:
-    """Returns the forces (n,) in N at successive positions (n,), `step_s` apart, and the relaxing
+    """Return the forces (n,) in N at successive positions (n,), `step_s` apart, and the relaxing
     part at the end.
 
     `fading_N` is the relaxing part of the force at ``position_mm[0]``. The motion between two
@@ -67,7 +67,7 @@ def creep_step(
 def push_after(
     settings: FilmClampSettings, fading_N: float, from_mm: float, to_mm: float, step_s: float
 ) -> float:
-    """Returns the force in N at the end of one step of `creep_step`, without arrays."""
+    """Return the force in N at the end of one step of `creep_step`, without arrays."""
     before = max(from_mm - settings.contact_mm, 0.0)
     after = max(to_mm - settings.contact_mm, 0.0)
     if not after:
@@ -79,14 +79,14 @@ def push_after(
 
 
 def preload_gain(settings: FilmClampSettings, preload_N: Reals) -> Reals:
-    """Returns the factor on the film's response at a preload: 0 without contact."""
+    """Return the factor on the film's response at a preload: 0 without contact."""
     change_dB = settings.gain_per_newton_dB * (preload_N - settings.nominal_preload_N)
     factor: Reals = np.where(preload_N > 0, 10 ** (change_dB / 20), 0.0)
     return factor
 
 
 def load_gain(settings: FilmClampSettings, load_N: Reals) -> Reals:
-    """Returns the factor on the film's response under a sinusoidal load, peak in N; 1 without
+    """Return the factor on the film's response under a sinusoidal load, peak in N; 1 without
     one."""
     if not settings.gain_per_load_decade_dB:
         return np.ones_like(load_N)

@@ -28,7 +28,7 @@ class FrontEndSettings(Settings):
 
 
 def noise_rms(settings: FrontEndSettings, rate: float) -> float:
-    """Returns the standard deviation in V of one sample at ``rate`` (samples/s); samples are
+    """Return the standard deviation in V of one sample at ``rate`` (samples/s); samples are
     independent.
 
     Its square is density² * max(rate / 2, bandwidth). Below twice the bandwidth the noise folds,
@@ -40,7 +40,7 @@ def noise_rms(settings: FrontEndSettings, rate: float) -> float:
 
 
 def mains_hum(settings: FrontEndSettings, times: ArrayLike, phase_rad: float = 0.0) -> Reals:
-    """Returns the pick-up in V at ``times`` in s: a sine with ``phase_rad`` at time 0, shape of
+    """Return the pick-up in V at ``times`` in s: a sine with ``phase_rad`` at time 0, shape of
     ``times``."""
     turns = settings.mains_frequency_Hz * np.asarray(times, dtype=float)
     hum: Reals = 1e-3 * settings.mains_amplitude_mV * np.sin(2 * np.pi * turns + phase_rad)

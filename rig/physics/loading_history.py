@@ -118,7 +118,7 @@ class HistorySettings(Settings):
         return self
 
     def forces(self) -> tuple[Floats, Floats]:
-        """Returns F_n and F_t in N at the end of every substep, two arrays (steps * substeps,)."""
+        """Return F_n and F_t in N at the end of every substep, two arrays (steps * substeps,)."""
         at = np.arange(1, self.steps * self.substeps + 1) / self.substeps
         corners = [p.step for p in self.loads]
         normal = np.interp(at, corners, [p.normal_force_N for p in self.loads])
@@ -159,7 +159,7 @@ class History:
 
 
 def run_history(settings: HistorySettings, shots: tuple[int, ...] = ()) -> History:
-    """Simulates the history and records the whole section at the steps `shots`.
+    """Simulate the history and record the whole section at the steps `shots`.
 
     Raises ValueError, which names the limit, if the step is unstable.
     """
@@ -199,13 +199,13 @@ class _Body:
         self.gap = settings.skin.gap_at(x)
 
     def whole(self, u: Floats) -> Floats:
-        """Returns the displacements of all degrees of freedom, including the fixed ones."""
+        """Return the displacements of all degrees of freedom, including the fixed ones."""
         displacement = np.zeros(self._dofs)
         displacement[self._free] = u
         return displacement
 
     def stable_step_us(self) -> float:
-        """Returns the limit of central differences with lagged damping, from the largest
+        """Return the limit of central differences with lagged damping, from the largest
         eigenfrequency."""
         from scipy.sparse import diags
         from scipy.sparse.linalg import eigsh
@@ -286,7 +286,7 @@ class _Plate:
         self.friction_N = 0.0
 
     def touch(self, u: Floats, v: Floats, normal_N: float, tangential_N: float) -> None:
-        """Corrects the velocities `v` such that the end of the step satisfies contact and
+        """Correct the velocities `v` such that the end of the step satisfies contact and
         friction."""
         stiffness = 1.0 / (self._per_N * self._dt)
         height = self._gap - u[self._y] - self._dt * v[self._y]
@@ -317,7 +317,7 @@ class _Plate:
 
 
 def _pressing(height: Floats, stiffness: Floats, total_N: float) -> Floats:
-    """Returns the forces p = max(0, k (d - height)) with the approach d for which they add up to
+    """Return the forces p = max(0, k (d - height)) with the approach d for which they add up to
     the total."""
     if total_N <= 0:
         return np.zeros_like(height)
@@ -339,12 +339,12 @@ class _Drag:
     limit: Floats
 
     def forces(self, speed: float) -> Floats:
-        """Returns the force on each node when the plate moves at `speed`."""
+        """Return the force on each node when the plate moves at `speed`."""
         forces: Floats = np.clip(self.stiffness * (speed - self.velocity), -self.limit, self.limit)
         return forces
 
     def plate_speed(self, before: float, given_N: float, inertia: float) -> float:
-        """Returns the speed at which friction and inertia balance the given force, found exactly.
+        """Return the speed at which friction and inertia balance the given force, found exactly.
 
         Friction against speed is an increasing, piecewise linear function. Its corners are where a
         node starts or stops sticking.

@@ -51,13 +51,13 @@ class ZeroPoleGain:
     """Gain factor."""
 
     def __mul__(self, other: ZeroPoleGain) -> ZeroPoleGain:
-        """Returns the two functions in series, without loading each other."""
+        """Return the two functions in series, without loading each other."""
         return ZeroPoleGain(
             self.zeros + other.zeros, self.poles + other.poles, self.gain * other.gain
         )
 
     def response(self, frequency: ArrayLike) -> Complexes:
-        """Returns the complex response at frequencies in Hz, with the shape of ``frequency``."""
+        """Return the complex response at frequencies in Hz, with the shape of ``frequency``."""
         s = 2j * np.pi * np.asarray(frequency, dtype=float)
         value = np.full(s.shape, self.gain, dtype=complex)
         for zero in self.zeros:
@@ -81,7 +81,7 @@ class SineDrive:
     """Constant part."""
 
     def after(self, interval_s: float) -> SineDrive:
-        """Returns the same signal with its time origin moved later by ``interval_s``."""
+        """Return the same signal with its time origin moved later by ``interval_s``."""
         cycles = self.frequency_Hz * interval_s
         phase = self.phase_rad + 2 * math.pi * (cycles - math.floor(cycles))
         phase = math.remainder(phase, 2 * math.pi)
@@ -108,7 +108,7 @@ class ModalSystem:
 
     @classmethod
     def from_chains(cls, chains: Sequence[ZeroPoleGain]) -> ModalSystem:
-        """Returns the partial fractions of one transfer function per output; equal poles are
+        """Return the partial fractions of one transfer function per output; equal poles are
         shared.
 
         Raises ValueError for a chain that is improper, unstable, not real (a complex zero or pole
@@ -136,11 +136,11 @@ class ModalSystem:
         return len(self.direct)
 
     def rest(self) -> Complexes:
-        """Returns the state of a system that has never been driven, (n_modes,)."""
+        """Return the state of a system that has never been driven, (n_modes,)."""
         return np.zeros(len(self.poles), dtype=complex)
 
     def steady_state(self, frequency: ArrayLike) -> Complexes:
-        """Returns the complex response H of every output at frequencies in Hz, (..., n_outputs).
+        """Return the complex response H of every output at frequencies in Hz, (..., n_outputs).
 
         An input Re(U exp(j w t)) gives Re(H U exp(j w t)) once transients have decayed.
         """
@@ -153,17 +153,17 @@ class ModalSystem:
         return response
 
     def ring_down(self, fraction: float = 0.01) -> float:
-        """Returns the time in s after which the slowest mode has decayed to ``fraction`` of its
+        """Return the time in s after which the slowest mode has decayed to ``fraction`` of its
         start."""
         return float(math.log(1 / fraction) / np.min(-self.poles.real))
 
     def settled(self, drive: SineDrive) -> Complexes:
-        """Returns the state at t = 0 of a system that has been under ``drive`` forever,
+        """Return the state at t = 0 of a system that has been under ``drive`` forever,
         (n_modes,)."""
         return self._forced(drive, 0.0)
 
     def advance(self, state: Complexes, drive: SineDrive, interval_s: float) -> Complexes:
-        """Returns the state ``interval_s`` after t = 0 under ``drive``, given the state at t = 0.
+        """Return the state ``interval_s`` after t = 0 under ``drive``, given the state at t = 0.
 
         To continue with the same signal, pass ``drive.after(interval_s)`` next time.
         """
@@ -178,7 +178,7 @@ class ModalSystem:
         times: ArrayLike,
         outputs: Sequence[int] | None = None,
     ) -> Reals:
-        """Returns the outputs at ``times`` >= 0 (s after the state), (len(times), n_outputs).
+        """Return the outputs at ``times`` >= 0 (s after the state), (len(times), n_outputs).
 
         ``outputs`` selects some of them, in that order. The result is exact to rounding (about
         1e-15 times the number of radians since t = 0). The transient of a mode that at the first of
@@ -193,7 +193,7 @@ class ModalSystem:
         return self.driven(state, drive, rows).at(t)
 
     def driven(self, state: Complexes, drive: SineDrive, outputs: Sequence[int]) -> DrivenOutputs:
-        """Returns what `evaluate` needs for one state and drive, to be evaluated repeatedly."""
+        """Return what `evaluate` needs for one state and drive, to be evaluated repeatedly."""
         rows = list(outputs)
         return DrivenOutputs(
             frequency_Hz=drive.frequency_Hz,
@@ -204,7 +204,7 @@ class ModalSystem:
         )
 
     def _forced(self, drive: SineDrive, time_s: float) -> Complexes:
-        """Returns the particular solution: the state that remains periodic under ``drive``."""
+        """Return the particular solution: the state that remains periodic under ``drive``."""
         later = drive.after(time_s)
         omega = 2j * np.pi * drive.frequency_Hz
         up = later.phasor / 2 / (omega - self.poles)
@@ -229,7 +229,7 @@ class DrivenOutputs:
     """Complex amplitudes of the transients at t = 0, (k, m)."""
 
     def at(self, t: Reals) -> Reals:
-        """Returns the outputs at times >= 0 (s after the state), (len(t), k); `t` must not be
+        """Return the outputs at times >= 0 (s after the state), (len(t), k); `t` must not be
         empty."""
         size = np.abs(self.transient) * np.exp(self.poles.real * float(t.min()))
         limit = NEGLIGIBLE_TRANSIENT * (np.abs(self.steady) + np.abs(self.constant))
@@ -240,7 +240,7 @@ class DrivenOutputs:
 
 
 def resonance(frequency_Hz: float, quality: float, level_dB: float) -> ZeroPoleGain:
-    """Returns a second-order section: 1 far from ``frequency_Hz``, and ``level_dB`` high (or deep)
+    """Return a second-order section: 1 far from ``frequency_Hz``, and ``level_dB`` high (or deep)
     at it.
 
     The poles have the given quality factor. The zeros have the same frequency, and their damping is
@@ -251,13 +251,13 @@ def resonance(frequency_Hz: float, quality: float, level_dB: float) -> ZeroPoleG
 
 
 def lag(frequency_Hz: float) -> ZeroPoleGain:
-    """Returns a first-order low-pass with unit gain at DC and its corner at ``frequency_Hz``."""
+    """Return a first-order low-pass with unit gain at DC and its corner at ``frequency_Hz``."""
     omega = 2 * np.pi * frequency_Hz
     return ZeroPoleGain((), (complex(-omega),), omega)
 
 
 def _pair(frequency_Hz: float, quality: float) -> tuple[complex, complex]:
-    """Returns the two roots of s^2 + s w/Q + w^2."""
+    """Return the two roots of s^2 + s w/Q + w^2."""
     omega = 2 * math.pi * frequency_Hz
     half = 1 / (2 * quality)
     if half < 1:
@@ -284,12 +284,12 @@ def _check(chain: ZeroPoleGain) -> None:
 
 
 def _upper(poles: Sequence[complex]) -> list[complex]:
-    """Returns the real poles and the upper one of each conjugate pair."""
+    """Return the real poles and the upper one of each conjugate pair."""
     return [complex(pole) for pole in poles if pole.imag >= 0]
 
 
 def _union(chains: Sequence[Sequence[complex]]) -> list[complex]:
-    """Returns every pole once. Raises ValueError for poles of two chains that are nearly equal."""
+    """Return every pole once. Raises ValueError for poles of two chains that are nearly equal."""
     union: list[complex] = []
     for pole in (pole for chain in chains for pole in chain):
         nearest = min((abs(pole - other) for other in union), default=math.inf)
@@ -302,7 +302,7 @@ def _union(chains: Sequence[Sequence[complex]]) -> list[complex]:
 
 
 def _residue(chain: ZeroPoleGain, pole: complex) -> complex:
-    """Returns the residue at a simple pole. Numerator and denominator factors alternate, to avoid
+    """Return the residue at a simple pole. Numerator and denominator factors alternate, to avoid
     overflow."""
     others = list(chain.poles)
     others.remove(min(others, key=lambda other: abs(other - pole)))
@@ -317,7 +317,7 @@ def _residue(chain: ZeroPoleGain, pole: complex) -> complex:
 
 
 def _sum_of_exponentials(rates: Complexes, weights: Complexes, t: Reals) -> Reals:
-    """Returns Re(weights @ exp(rates t)), transposed: (len(t), n_outputs)."""
+    """Return Re(weights @ exp(rates t)), transposed: (len(t), n_outputs)."""
     step = _even_step(t)
     if step is None:
         return (weights @ _exp(rates[:, None] * t)).real.T
@@ -335,7 +335,7 @@ def _sum_of_exponentials(rates: Complexes, weights: Complexes, t: Reals) -> Real
 
 
 def _even_step(t: Reals) -> float | None:
-    """Returns the spacing if the times are an even grid to their own rounding, else None."""
+    """Return the spacing if the times are an even grid to their own rounding, else None."""
     if t.ndim != 1 or t.size < _SMALLEST_GRID:
         return None
     step = float(t[-1] - t[0]) / (t.size - 1)
@@ -347,11 +347,11 @@ def _even_step(t: Reals) -> float | None:
 
 
 def _reduced(rates: Complexes, t: Reals) -> Complexes:
-    """Returns ``rates`` times ``t`` with whole turns of the imaginary part removed."""
+    """Return ``rates`` times ``t`` with whole turns of the imaginary part removed."""
     turns = rates.imag[:, None] / (2 * np.pi) * t
     return rates.real[:, None] * t + 2j * np.pi * (turns - np.floor(turns))
 
 
 def _exp(exponents: Complexes) -> Complexes:
-    """Returns the exponential, exactly 0 below 1e-65: products with denormal numbers are slow."""
+    """Return the exponential, exactly 0 below 1e-65: products with denormal numbers are slow."""
     return np.where(exponents.real > _VANISHED, np.exp(exponents), 0)

@@ -28,7 +28,7 @@ class Range(Settings):
     """True if the logarithm of the number is drawn evenly."""
 
     def draw(self, chance: np.random.Generator) -> float:
-        """Returns a number of the range, evenly distributed in itself or in its logarithm."""
+        """Return a number of the range, evenly distributed in itself or in its logarithm."""
         if self.logarithmic:
             return math.exp(chance.uniform(math.log(self.low), math.log(self.high)))
         return float(chance.uniform(self.low, self.high))
@@ -47,7 +47,7 @@ STRIP_PLACE_mm = 0.05
 
 
 def placed_mm(offset_mm: float) -> float:
-    """Returns the nearest place at which a skin's strips may lie.
+    """Return the nearest place at which a skin's strips may lie.
 
     >>> placed_mm(0.337)
     0.35

@@ -62,20 +62,20 @@ SWEEP_FILM = CircuitSettings(film_capacitance_pF=98.0, input_resistance_ohm=1e12
 
 
 def printed(frequency: ArrayLike, settings: CircuitSettings) -> Complexes:
-    """Returns equation (4) exactly as printed, ohms plus siemens, in V/N at ``frequency`` in Hz."""
+    """Return equation (4) exactly as printed, ohms plus siemens, in V/N at ``frequency`` in Hz."""
     drive, a4 = _equation_4(frequency, settings)
     return (settings.output_resistance_ohm + a4) * drive
 
 
 def ohmic(frequency: ArrayLike, settings: CircuitSettings) -> Complexes:
-    """Returns equation (4) with 1/A4 for A4, dimensionally correct, in V/N at ``frequency`` in
+    """Return equation (4) with 1/A4 for A4, dimensionally correct, in V/N at ``frequency`` in
     Hz."""
     drive, a4 = _equation_4(frequency, settings)
     return (settings.output_resistance_ohm + 1 / a4) * drive
 
 
 def circuit(frequency: ArrayLike, settings: CircuitSettings) -> Complexes:
-    """Returns the response of the circuit by nodal analysis, in V/N at ``frequency`` in Hz.
+    """Return the response of the circuit by nodal analysis, in V/N at ``frequency`` in Hz.
 
     See :func:`polynomials` for its formula.
     """
@@ -86,7 +86,7 @@ def circuit(frequency: ArrayLike, settings: CircuitSettings) -> Complexes:
 
 
 def polynomials(settings: CircuitSettings) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Returns numerator and denominator of ``circuit`` in s (rad/s), highest power first.
+    """Return numerator and denominator of ``circuit`` in s (rad/s), highest power first.
 
         H(s) = G d33 R_PV R_i s / [R_PV (1 + s R_i C_i) + R_i (1 + s R_PV C_PV)
                                    + R_s (1 + s R_PV C_PV) (1 + s R_i C_i)],   R_s = R1 + R2
@@ -106,14 +106,14 @@ def polynomials(settings: CircuitSettings) -> tuple[tuple[float, ...], tuple[flo
 
 
 def zeros_poles_gain(settings: CircuitSettings) -> ZeroPoleGain:
-    """Returns ``circuit`` as a zero at the origin, one or two real poles (rad/s) and a gain."""
+    """Return ``circuit`` as a zero at the origin, one or two real poles (rad/s) and a gain."""
     numerator, denominator = polynomials(settings)
     poles = sorted((complex(root.real) for root in np.roots(denominator)), key=abs)
     return ZeroPoleGain((0j,), tuple(poles), numerator[0] / denominator[0])
 
 
 def corner_frequency(settings: CircuitSettings) -> float:
-    """Returns the frequency in Hz of the lowest pole of ``circuit``, where the rise of 20 dB/decade
+    """Return the frequency in Hz of the lowest pole of ``circuit``, where the rise of 20 dB/decade
     ends.
 
     >>> round(corner_frequency(SWEEP_FILM), -1)
@@ -123,14 +123,14 @@ def corner_frequency(settings: CircuitSettings) -> float:
 
 
 def level_at_one_hertz(settings: CircuitSettings) -> float:
-    """Returns ``b`` of equation (2) in dB re 1 V/N: the low-frequency asymptote of ``circuit`` at 1
+    """Return ``b`` of equation (2) in dB re 1 V/N: the low-frequency asymptote of ``circuit`` at 1
     Hz."""
     numerator, denominator = polynomials(settings)
     return float(20 * np.log10(2 * np.pi * numerator[0] / denominator[-1]))
 
 
 def _equation_4(frequency: ArrayLike, settings: CircuitSettings) -> tuple[Complexes, Complexes]:
-    """Returns G d33 j w / (A3 A2) and A4 of equations (5) to (8)."""
+    """Return G d33 j w / (A3 A2) and A4 of equations (5) to (8)."""
     r_film, r_in = settings.film_resistance_ohm, settings.input_resistance_ohm
     c_film, c_in = settings.film_capacitance_pF * 1e-12, settings.input_capacitance_pF * 1e-12
     r_out = settings.feedback_resistance_ohm + settings.output_resistance_ohm

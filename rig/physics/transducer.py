@@ -35,7 +35,7 @@ class TransducerSettings(Settings):
     """Voltage at which the output clips, in both directions (assumed)."""
 
     def response(self, frequency_Hz: ArrayLike) -> NDArray[np.complex128]:
-        """Returns the complex response in V per MPa of stress at the given frequencies, without
+        """Return the complex response in V per MPa of stress at the given frequencies, without
         clipping."""
         response: NDArray[np.complex128] = self.area_mm2 * pvdf.circuit(frequency_Hz, self.circuit)
         return response
@@ -54,7 +54,7 @@ class TransducerChain:
         self._last: Floats | None = None
 
     def advance(self, stress_MPa: Floats) -> Floats:
-        """Returns the volts (k, channels) for further stress (k, channels).
+        """Return the volts (k, channels) for further stress (k, channels).
 
         The first row of the first call is taken as the state of rest.
         """
@@ -73,7 +73,7 @@ class TransducerChain:
         return np.clip(volts, -self.settings.output_limit_V, self.settings.output_limit_V)
 
     def _states(self, drive: Floats) -> Floats:
-        """Returns the states after each step of a drive, both (k, order, channels)."""
+        """Return the states after each step of a drive, both (k, order, channels)."""
         # Table 1 gives a system of first order, for which plain numbers are ten times as fast.
         if drive.shape[1] == 1:
             a = float(self._A[0, 0])
@@ -89,7 +89,7 @@ class TransducerChain:
 
 
 def _state_space(numerator: Floats, denominator: Floats) -> tuple[Floats, Floats, Floats, float]:
-    """Returns the controllable canonical form (A, b, c, d) of a proper rational function."""
+    """Return the controllable canonical form (A, b, c, d) of a proper rational function."""
     order = denominator.size - 1
     a = denominator / denominator[0]
     n = np.concatenate([np.zeros(order + 1 - numerator.size), numerator]) / denominator[0]
@@ -103,7 +103,7 @@ def _state_space(numerator: Floats, denominator: Floats) -> tuple[Floats, Floats
 
 
 def _ramp_invariant(A: Floats, b: Floats, step_s: float) -> tuple[Floats, Floats, Floats]:
-    """Returns the exact step for an input that is linear between steps: x' = A x + b0 f_k + b1
+    """Return the exact step for an input that is linear between steps: x' = A x + b0 f_k + b1
     f_k+1."""
     order = b.size
     # Table 1 gives a system of first order: a closed form, without importing scipy.linalg.
@@ -123,7 +123,7 @@ def _ramp_invariant(A: Floats, b: Floats, step_s: float) -> tuple[Floats, Floats
 
 
 def _exponentials(a: float) -> tuple[float, float, float]:
-    """Returns exp(a), (exp(a) - 1) / a and (exp(a) - 1 - a) / a², accurate to the last digits."""
+    """Return exp(a), (exp(a) - 1) / a and (exp(a) - 1 - a) / a², accurate to the last digits."""
     # For small a the formulas below lose digits by cancellation; the series does not.
     if abs(a) > 1:
         decay, held = math.exp(a), math.expm1(a) / a

@@ -138,7 +138,7 @@ class SkinTrial:
 
 
 def slide(skin: CondensedSkin, settings: SlideSettings, *, keep_forces: bool = False) -> SkinTrial:
-    """Simulates pressing, rest and slide. Raises ConvergenceError if a step has no solution."""
+    """Simulate pressing, rest and slide. Raises ConvergenceError if a step has no solution."""
 
     def travel(t: Floats) -> tuple[Floats, Floats]:
         ramp = settings.ramp_s
@@ -151,7 +151,7 @@ def slide(skin: CondensedSkin, settings: SlideSettings, *, keep_forces: bool = F
 
 
 def roll(skin: CondensedSkin, settings: RollSettings, *, keep_forces: bool = False) -> SkinTrial:
-    """Simulates pressing, rest, roll and rest.
+    """Simulate pressing, rest, roll and rest.
 
     Raises ValueError for a plate, which cannot roll, and ConvergenceError if a step has no
     solution.
@@ -209,7 +209,7 @@ def follow(
     *,
     keep_forces: bool = False,
 ) -> SkinTrial:
-    """Simulates the trial of a script.
+    """Simulate the trial of a script.
 
     `settings` provides contact, object, transducer, sampling and ridge; its motion is not used.
 
@@ -248,7 +248,7 @@ def follow(
 def sample(
     volts: Floats, step_s: float, settings: SampleSettings
 ) -> tuple[Floats, NDArray[np.int64]]:
-    """Returns the volts (k, channels) behind the analogue filter, and the rows at which they are
+    """Return the volts (k, channels) behind the analogue filter, and the rows at which they are
     sampled.
 
     Raises ValueError if the sampling rate does not divide the step rate, or the filter is too fast
@@ -274,7 +274,7 @@ def sample(
 
 
 def high_frequency(signal: Floats, rate_Hz: float, corner_Hz: float = 100.0) -> Floats:
-    """Returns the part of a signal above `corner_Hz`, by a causal Butterworth filter of order 3."""
+    """Return the part of a signal above `corner_Hz`, by a causal Butterworth filter of order 3."""
     from scipy.signal import butter, sosfilt
 
     sections = butter(3, corner_Hz, "highpass", fs=rate_Hz, output="sos")

@@ -81,7 +81,7 @@ class VibratorSettings(Settings):
 
 
 def vibrator_line(settings: VibratorSettings, circuit: CircuitSettings) -> ModalSystem:
-    """Returns the line from generator volts to the four columns of :class:`VibratorOutput`."""
+    """Return the line from generator volts to the four columns of :class:`VibratorOutput`."""
     load = (
         ZeroPoleGain(gain=settings.force_constant_N_V)
         * resonance(settings.armature_resonance_Hz, settings.armature_Q, settings.armature_rise_dB)
@@ -98,7 +98,7 @@ def vibrator_line(settings: VibratorSettings, circuit: CircuitSettings) -> Modal
 def true_response(
     frequency: ArrayLike, settings: VibratorSettings, circuit: CircuitSettings
 ) -> Complexes:
-    """Returns film output over load on the cell, complex V/N at ``frequency`` in Hz: what a sweep
+    """Return film output over load on the cell, complex V/N at ``frequency`` in Hz: what a sweep
     measures.
 
     It is the drops times the circuit. Shaker and load cell do not appear in it.
@@ -109,7 +109,7 @@ def true_response(
 def drawn_film(
     seed: int, film: CircuitSettings = SWEEP_FILM
 ) -> tuple[VibratorSettings, CircuitSettings]:
-    """Returns one mounting of one film, with random properties drawn from ``seed``.
+    """Return one mounting of one film, with random properties drawn from ``seed``.
 
     Level ±3 dB, uniform in dB, as a change of d33; corner 1 to 4 kHz, log-uniform, as a change of
     C_PV; frequency of each drop ±20 %, pole Q 5 to 20 and depth 8 to 18 dB, uniform and independent
@@ -144,7 +144,7 @@ def drawn_film(
 
 
 def _transmission(settings: VibratorSettings) -> ZeroPoleGain:
-    """Returns film force over load: all drops in series."""
+    """Return film force over load: all drops in series."""
     line = ZeroPoleGain()
     for drop in settings.drops:
         line = line * resonance(drop.frequency_Hz, drop.pole_Q, -drop.depth_dB)

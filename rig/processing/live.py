@@ -110,40 +110,40 @@ class LiveDetector(ABC):
 
     @abstractmethod
     def begin(self) -> None:
-        """Begins a new recording: rows are counted from 0 again."""
+        """Begin a new recording: rows are counted from 0 again."""
 
     @abstractmethod
     def add(self, volts: Reals, first_sample: int) -> None:
-        """Hands over rows (n, 2) of v_1 and v_2 in V, the first of which has this index. Raises
+        """Hand over rows (n, 2) of v_1 and v_2 in V, the first of which has this index. Raises
         nothing and, unless the detector is patient, waits for nothing."""
 
     @abstractmethod
     def command(self, given: Command) -> None:
-        """Says what was commanded (`rig.detector.contract.Detector.command`), before the rows from
+        """Say what was commanded (`rig.detector.contract.Detector.command`), before the rows from
         which on it counts. Raises nothing and waits like `add`."""
 
     @abstractmethod
     def finish(self) -> None:
-        """Says that the recording has ended; what the detector reports of it follows."""
+        """Say that the recording has ended; what the detector reports of it follows."""
 
     @abstractmethod
     def settle(self, at_most_s: float) -> None:
-        """Waits until all that was handed over is judged, or the detector is dropped; no longer
+        """Wait until all that was handed over is judged, or the detector is dropped; no longer
         than this."""
 
     @abstractmethod
     def close(self) -> None:
-        """Ends it. May be called twice."""
+        """End it. May be called twice."""
 
     def take(self) -> list[LiveEvent]:
-        """Returns the events that came since the last call, in order."""
+        """Return the events that came since the last call, in order."""
         events = []
         while self._events:
             events.append(self._events.popleft())
         return events
 
     def dropped(self) -> str | None:
-        """Returns, once, why it is not used any more, as a sentence; None otherwise."""
+        """Return, once, why it is not used any more, as a sentence; None otherwise."""
         reason, self._reason = self._reason, None
         return reason
 
@@ -154,7 +154,7 @@ class LiveDetector(ABC):
             self._woken()
 
     def _drop(self, reason: str) -> None:
-        """Stops using it; only the first reason is reported."""
+        """Stop using it; only the first reason is reported."""
         if self.in_use:
             self.in_use = False
             self._reason = f"detector {self._name} {reason}: no longer used"
@@ -170,7 +170,7 @@ def start(
     longest_lag_s: float = LONGEST_LAG_S,
     woken: Callable[[], None] = lambda: None,
 ) -> LiveDetector:
-    """Starts a registered detector for recordings at a rate. It is done before anything moves: the
+    """Start a registered detector for recordings at a rate. It is done before anything moves: the
     first use of a compiled one on a computer takes up to a minute.
 
     `settings` are its parameters as JSON, its own ones if left out. `patient`: in virtual time.
@@ -184,7 +184,7 @@ def start(
 
 
 def identity_of(chosen: ChosenDetector) -> DetectorIdentity:
-    """Returns what a record states of a detector."""
+    """Return what a record states of a detector."""
     return DetectorIdentity(
         chosen.name,
         chosen.version,
@@ -344,7 +344,7 @@ class _InChild(LiveDetector):
             self.settle(PATIENCE_S)
 
     def _first_answer(self) -> DetectorIdentity:
-        """Returns the identity of the detector that is ready. Raises RigError where it is not."""
+        """Return the identity of the detector that is ready. Raises RigError where it is not."""
         name = self._name
         self._socket.settimeout(START_S)
         try:
@@ -361,7 +361,7 @@ class _InChild(LiveDetector):
         return DetectorIdentity(**said)
 
     def _read(self) -> None:
-        """Reads answers until the detector is dropped or closed (the body of a thread)."""
+        """Read answers until the detector is dropped or closed (the body of a thread)."""
         poller = select.poll()
         poller.register(self._socket, select.POLLIN)
         reset = False
@@ -413,7 +413,7 @@ class _InChild(LiveDetector):
             self._news.notify_all()
 
     def _events_of(self, content: bytes, sent: _Sent) -> list[SlipEvent]:
-        """Returns the events of an answer. ValueError or TypeError for anything else: the process
+        """Return the events of an answer. ValueError or TypeError for anything else: the process
         runs code that is not trusted."""
         events = [SlipEvent(*one) for one in json.loads(content)] if content else []
         for event in events:
@@ -423,20 +423,20 @@ class _InChild(LiveDetector):
         return events
 
     def _drop_as_late(self) -> None:
-        """Stops using a detector whose answers come too late, or not at all."""
+        """Stop using a detector whose answers come too late, or not at all."""
         late_s = time.monotonic() - self._sent[0].sent_s
         self._drop(f"fell behind by {1e3 * late_s:.0f} ms")
         self._kill()
 
     def _kill(self) -> None:
-        """Kills its process with all that it started; waits for nothing."""
+        """Kill its process with all that it started; wait for nothing."""
         # Nobody has asked for its exit code before, so its number still is that of its session.
         if self._process.returncode is None:
             with contextlib.suppress(ProcessLookupError, PermissionError):
                 os.killpg(self._process.pid, signal.SIGKILL)
 
     def _how_it_ended(self) -> str:
-        """Returns how its process ended, waiting for that, but leaves its exit code to `close`."""
+        """Return how its process ended, waiting for that, but leave its exit code to `close`."""
         until_s = time.monotonic() + ENDED_S
         options = os.WEXITED | os.WNOHANG | os.WNOWAIT
         ended: Any = None

@@ -96,7 +96,7 @@ def _forked(processes: int) -> Executor:
 
 
 def _serve() -> None:
-    """A worker leaves Ctrl-C and Ctrl-\\ to the command, and does not outlive it."""
+    """Leave Ctrl-C and Ctrl-\\ to the command, and end with it (in a worker)."""
     for number in (signal.SIGINT, signal.SIGQUIT):  # the terminal sends them to both
         signal.signal(number, signal.SIG_IGN)
     for number in (signal.SIGTERM, signal.SIGHUP):

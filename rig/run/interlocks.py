@@ -127,8 +127,10 @@ class InterlockWatch:
     # --- in the procedure's thread --------------------------------------------------------------
 
     def poll(self) -> None:
-        """Called in every slice of a wait, in any phase: look at the contacts, and let what follows
-        from an open one happen. Raises nothing."""
+        """Look at the contacts, and react to an open one. Raises nothing.
+
+        Call it in every slice of a wait, in any phase.
+        """
         if not self._begun or self._readings.under_way:
             return
         if self._clock.is_virtual:

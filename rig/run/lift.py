@@ -40,7 +40,7 @@ LONGEST_S = 10.0
 """Longest time that a lift may take, and with it the longest way."""
 
 Force = Callable[[], float | None]
-"""Returns the latest force in N, None where none is known."""
+"""Return the latest force in N, None where none is known."""
 
 
 class NotLiftedError(RigError):

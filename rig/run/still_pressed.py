@@ -142,8 +142,9 @@ def _why(error: BaseException) -> str:
 
 @contextlib.contextmanager
 def _others(whole: BenchPlan, bench: Bench) -> Iterator[dict[str, Bench | BaseException]]:
-    """The force sensor and the instruments that read contacts, by their roles, each connected by
-    itself as far as it can be; else the reason why not.
+    """Connect the force sensor and the instruments that read contacts, each by itself.
+
+    Yield them by their roles; for one that cannot be connected, the exception.
 
     They use the clock of z, so that a wait for one of them feeds every drive. Each is made safe at
     the end: connecting may have lifted a stop that stood.

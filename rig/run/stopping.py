@@ -61,7 +61,7 @@ class TimeLimit:
     name: str
     """The setting that sets it, for people: ``stop_by = 07:00:00``."""
     left_s: Callable[[], float]
-    """Returns the bench time that is left, in s."""
+    """Return the bench time that is left, in s."""
 
     def check(self) -> None:
         """Raise TimeOverError once no more time is left than making safe needs."""

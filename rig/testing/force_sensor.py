@@ -160,8 +160,10 @@ def _dropped(sensor: Any, service: Any) -> None:
 
 
 def _other_rate(sensor: Any, service: Any) -> None:
-    """The other rate is half of the usual one, or what the sensor has that is nearest: the same
-    where its rate is fixed."""
+    """Check a second rate: half of the usual one, or the nearest that the sensor has.
+
+    It is the same rate where that is fixed.
+    """
     half = max(_usual_rate(sensor) / 2, sensor.reach()["rate"].low)
     since = _begin(sensor, service, half)
     service.sleep(_slice_s(service))

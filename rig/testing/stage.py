@@ -38,25 +38,25 @@ class _Scale:
 
     @classmethod
     def of(cls, stage: Any) -> _Scale:
-        """The scale of a linear stage, which may go where its `reach` says."""
+        """Return the scale of a linear stage, which may go where its `reach` says."""
         position, speed = stage.reach()["position"], stage.reach()["speed"]
         way = position.high - position.low
         return cls(position.low, min(1.0, way / 80.0, speed.high / 500.0))
 
     @classmethod
     def of_rotary(cls, stage: Any) -> _Scale:
-        """The scale of a rotary stage."""
+        """Return the scale of a rotary stage."""
         reach = stage.reach()
         way = reach["angle"].high - reach["angle"].low
         limits = (way / 95.0, reach["speed"].high / 60.0, reach["acceleration"].high / 1000.0)
         return cls(reach["angle"].low + 5.0 * min(1.0, *limits), min(1.0, *limits))
 
     def at(self, position: float) -> float:
-        """The position or angle on this stage."""
+        """Return the position or angle on this stage."""
         return self.low + self.factor * position
 
     def __call__(self, value: float) -> float:
-        """The way, speed or acceleration on this stage."""
+        """Return the way, speed or acceleration on this stage."""
         return self.factor * value
 
 

@@ -591,7 +591,7 @@ def _low_bounds(state: ChannelState) -> SettingBounds:
 
 
 def _limit_high_bounds(state: ChannelState) -> SettingBounds:
-    """A limit that is on cannot be moved into the present wave (UNCONFIRMED)."""
+    """Return the bounds: a limit that is on cannot cut the present wave (UNCONFIRMED)."""
     wave = state.offset_V + state.swing if state.limited else state.limit_low_V
     return SettingBounds(wave, LARGEST_PEAK_V, LARGEST_PEAK_V)
 

@@ -320,7 +320,7 @@ class Gsv8(ForceSensorCore):
         }
 
     def _get_interface(self, request: GsvRequest) -> Answer:
-        """Flags, where there are any: 01 stream off, 10 on; bit 2 fast frames; bit 3 CRC-16.
+        """Apply the flags, if there are any: 01 stream off, 10 on; bit 2 fast frames; bit 3 CRC-16.
 
         That a request without bit 3 switches the CRC off, and the last two bytes of the reply, are
         UNCONFIRMED.
@@ -365,7 +365,7 @@ class Gsv8(ForceSensorCore):
         return DONE, struct.pack(">H", int(high and self._directions[group]))
 
     def _set_zero(self, request: GsvRequest) -> Answer:
-        """The mean since the last frame becomes zero; channel 0 means all."""
+        """Make the mean since the last frame zero; channel 0 means all."""
         which = request.parameters[0]
         if which > CHANNELS:
             raise RefusedError(BAD_ADDRESS)

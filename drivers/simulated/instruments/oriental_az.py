@@ -148,7 +148,7 @@ class AzDrive(SimulatedDrive[MoveFault]):
         self._heard_us = self._port.now_us
 
     def read(self, address: int, count: int, by: str) -> Sequence[int]:
-        """Registers that exist, in any stretch of them."""
+        """Return `count` successive registers; ModbusError if one of them does not exist."""
         return [self._register(one) for one in range(address, address + count)]
 
     def write(self, address: int, values: Sequence[int], by: str) -> None:
@@ -361,7 +361,7 @@ class AzDrive(SimulatedDrive[MoveFault]):
         return value & 0xFFFF if address & 1 else value >> 16 & 0xFFFF
 
     def direct_inputs(self) -> int:
-        """The levels of DIN0 to DIN9 in the lower register; the outputs are not simulated."""
+        """Return the levels of DIN0 to DIN9, in the lower register; outputs are not simulated."""
         levels = {
             bit: self._inputs.input_high(self.settings.name, f"DIN{bit}")
             for bit in range(DIRECT_INPUTS)
@@ -398,7 +398,7 @@ class AzDrive(SimulatedDrive[MoveFault]):
         return not self.alarm and not held and self.axis.finished(now)
 
     def _internal_outputs(self, now: int) -> int:
-        """Registers 0178h and 0179h."""
+        """Return registers 0178h and 0179h as one word of 32 bits."""
         upper = _word({0: self._home_end, 1: self.homed})
         lower = _word(
             {

@@ -60,7 +60,7 @@ def frame(unit: int, pdu: bytes) -> bytes:
 
 
 def _echo(pdu: bytes, device: Registers, by: str) -> bytes:
-    """Function 8: the only diagnosis there is sends back what it was given."""
+    """Answer function 8: the only diagnosis there is sends back what it was given."""
     if len(pdu) != 5 or pdu[1:3] != b"\0\0":
         raise ModbusError(ILLEGAL_FUNCTION)
     return pdu[1:]

@@ -86,27 +86,27 @@ def answer_of(
 
 
 def read_registers(pdu: bytes, device: Registers, by: str) -> bytes:
-    """Functions 3 and 4."""
+    """Answer functions 3 and 4, read registers."""
     address, count = _unpack(">HH", pdu[1:])
     return _registers(device, address, count, by)
 
 
 def write_register(pdu: bytes, device: Registers, by: str) -> bytes:
-    """Return the request of function 6, write one register."""
+    """Answer function 6, write one register."""
     address, value = _unpack(">HH", pdu[1:])
     device.write(address, [value], by)
     return pdu[1:]
 
 
 def write_registers(pdu: bytes, device: Registers, by: str) -> bytes:
-    """Return the request of function 16, write several registers."""
+    """Answer function 16, write several registers."""
     address, count = _unpack(">HH", pdu[1:5])
     device.write(address, _values(pdu[5:], count, MOST_WRITTEN), by)
     return pdu[1:5]
 
 
 def read_write_registers(pdu: bytes, device: Registers, by: str) -> bytes:
-    """Function 23: writes, then reads."""
+    """Answer function 23: write registers, then read registers."""
     read_address, read_count, address, count = _unpack(">HHHH", pdu[1:9])
     values = _values(pdu[9:], count, MOST_WRITTEN_WITH_READ)
     if not 1 <= read_count <= MOST_READ:
@@ -116,7 +116,7 @@ def read_write_registers(pdu: bytes, device: Registers, by: str) -> bytes:
 
 
 def _identify(pdu: bytes, device: RegisterDevice, by: str) -> bytes:
-    """Function 43, MEI type 14: codes 1 to 3 stream, 4 asks for one object."""
+    """Answer function 43, MEI type 14: codes 1 to 3 stream, 4 asks for one object."""
     kind, code, first = _unpack(">BBB", pdu[1:])
     if kind != 14:
         raise ModbusError(ILLEGAL_FUNCTION)

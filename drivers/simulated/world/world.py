@@ -177,7 +177,7 @@ class World:
 
     @property
     def noise_key(self) -> tuple[int, ...]:
-        """Keys the force sensor's noise."""
+        """Seeds of the force sensor's noise: those of the World and of the present point."""
         return (self._seed, *self._point_key, FORCE_NOISE)
 
     def mount(self, stage_z_mm: Where) -> None:

@@ -78,7 +78,7 @@ class Separability:
     by name."""
 
     def sentences(self) -> list[str]:
-        """Returns the list in words."""
+        """Return the list in words."""
         lines = [
             f"Only {self.fixed} combinations of circuit values can be determined from |H|. "
             "Not identifiable:"
@@ -123,7 +123,7 @@ class CircuitComparison:
     """The circuit values that the response determines, and those that it does not."""
 
     def sentences(self) -> list[str]:
-        """Returns the comparison in words."""
+        """Return the comparison in words."""
         offsets = "; ".join(
             f"{READING_NAMES[name]} {offset.value:+.2f} dB" for name, offset in self.offsets.items()
         )
@@ -160,7 +160,7 @@ class CircuitComparison:
 def compare_circuit(
     curve: ResponseCurve, level: Estimate, corner: Estimate, given: CircuitSettings
 ) -> CircuitComparison:
-    """Compares a fitted ``level`` (dB re 1 V/N at 1 Hz) and ``corner`` (Hz) with a given
+    """Compare a fitted ``level`` (dB re 1 V/N at 1 Hz) and ``corner`` (Hz) with a given
     circuit."""
     offsets = {
         name: Estimate.normal(
@@ -187,7 +187,7 @@ def compare_circuit(
 
 
 def _time_constant(corner: Estimate) -> Estimate:
-    """Returns 1 / (2 pi corner) in us. The ends of the interval are those of the corner,
+    """Return 1 / (2 pi corner) in us. The ends of the interval are those of the corner,
     inverted."""
     low, value, high = (
         1e6 / (2 * math.pi * frequency) for frequency in (corner.high, corner.value, corner.low)
@@ -196,14 +196,14 @@ def _time_constant(corner: Estimate) -> Estimate:
 
 
 def asymptote_dB(reading: Reading, circuit: CircuitSettings) -> float:  # noqa: N802
-    """Returns the level of a reading at 1 Hz as equation (2) defines it: its low-frequency
+    """Return the level of a reading at 1 Hz as equation (2) defines it: its low-frequency
     asymptote, in dB."""
     response = reading(np.array([_ASYMPTOTE_HZ]), circuit)
     return float(20 * np.log10(np.abs(response[0]) / _ASYMPTOTE_HZ))
 
 
 def matched(given: CircuitSettings, level_dB: float, corner_Hz: float) -> CircuitSettings:
-    """Returns the given circuit with C_PV and d33 changed to a level and, if it is finite, a
+    """Return the given circuit with C_PV and d33 changed to a level and, if it is finite, a
     corner."""
     values = given.model_dump()
     if math.isfinite(corner_Hz):
@@ -217,7 +217,7 @@ def matched(given: CircuitSettings, level_dB: float, corner_Hz: float) -> Circui
 
 
 def separability(curve: ResponseCurve, circuit: CircuitSettings) -> Separability:
-    """Returns which values of ``circuit`` the gains of ``curve``, with their errors, can
+    """Return which values of ``circuit`` the gains of ``curve``, with their errors, can
     distinguish."""
     columns = _sensitivities(curve, circuit)
     zero = {name for name, value in circuit.model_dump().items() if value == 0}
@@ -244,7 +244,7 @@ def separability(curve: ResponseCurve, circuit: CircuitSettings) -> Separability
 
 
 def _sensitivities(curve: ResponseCurve, circuit: CircuitSettings) -> dict[str, Reals]:
-    """Returns the sensitivity of ln|H| to the logarithm of each value, in standard errors, (n,)
+    """Return the sensitivity of ln|H| to the logarithm of each value, in standard errors, (n,)
     each.
 
     A value that is zero has no logarithm: it is varied in units of the film's resistance.
@@ -270,7 +270,7 @@ def _sensitivities(curve: ResponseCurve, circuit: CircuitSettings) -> dict[str, 
 
 
 def _parallel(names: list[str], columns: dict[str, Reals]) -> list[list[str]]:
-    """Returns the names in groups of parallel columns, the strongest of each group first."""
+    """Return the names in groups of parallel columns, the strongest of each group first."""
     ordered = sorted(names, key=lambda name: -float(np.linalg.norm(columns[name])))
     groups: list[list[str]] = []
     for name in ordered:
@@ -284,13 +284,13 @@ def _parallel(names: list[str], columns: dict[str, Reals]) -> list[list[str]]:
 
 
 def _sine(first: Reals, second: Reals) -> float:
-    """Returns the sine of the angle between two columns."""
+    """Return the sine of the angle between two columns."""
     unit = second / np.linalg.norm(second)
     return float(np.linalg.norm(first - unit * (unit @ first)) / np.linalg.norm(first))
 
 
 def _reduced(null: Reals) -> Reals:
-    """Returns the null directions (k, m) in reduced echelon form: as few values in each as
+    """Return the null directions (k, m) in reduced echelon form: as few values in each as
     possible."""
     rows = null.copy()
     for k in range(len(rows)):
@@ -314,7 +314,7 @@ def _exponents(direction: Reals, groups: list[list[str]]) -> dict[str, float]:
 def _smallest_seen(
     curve: ResponseCurve, circuit: CircuitSettings, name: str, basis: Reals
 ) -> float:
-    """Returns the size in ohm of a zero value at which |H| would differ by two standard errors.
+    """Return the size in ohm of a zero value at which |H| would differ by two standard errors.
 
     It is found from whole changes, not from derivatives: to first order a small series resistance
     changes |H| as the pole does. Level and corner follow the change, because C_PV and d33 are

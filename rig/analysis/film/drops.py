@@ -57,7 +57,7 @@ _TRIED_CORNERS = 120
 def fit_with_drops(
     curve: ResponseCurve, break_Hz: float | None = None, most_drops: int = MOST_DROPS
 ) -> FilmFit:
-    """Fits the circuit and all notches of a measured response together.
+    """Fit the circuit and all notches of a measured response together.
 
     With ``break_Hz`` the trend is that of a film with a break, searched from this frequency on. The
     caller has to check how well the model fits.
@@ -90,7 +90,7 @@ def _check_span(curve: ResponseCurve) -> None:
 
 
 def _searched(curve: ResponseCurve, break_Hz: float | None, most_drops: int) -> FilmModel:
-    """Returns the circuit with every significant notch."""
+    """Return the circuit with every significant notch."""
     tolerant = curve.with_relative_error(SEARCH_ERROR, SEARCH_ERROR)
     model = _first_trend(tolerant, break_Hz)
     candidates = _Candidates.over(tolerant)
@@ -103,7 +103,7 @@ def _searched(curve: ResponseCurve, break_Hz: float | None, most_drops: int) -> 
 
 
 def _first_trend(curve: ResponseCurve, break_Hz: float | None) -> FilmModel:
-    """Returns level and corner that notches do not affect: the least sum of ln(1 + (distance /
+    """Return level and corner that notches do not affect: the least sum of ln(1 + (distance /
     0.1)^2)."""
     f = curve.frequencies
     rise = 1.0 if break_Hz is None else 1 + 1j * f / break_Hz
@@ -134,7 +134,7 @@ class _Candidates:
 
     @classmethod
     def over(cls, curve: ResponseCurve) -> _Candidates:
-        """Returns candidates half a half-width apart for each Q, up to slightly beyond the
+        """Return candidates half a half-width apart for each Q, up to slightly beyond the
         curve."""
         f = curve.frequencies
         lowest, highest = float(f[0]), BEYOND_RANGE * float(f[-1])
@@ -149,7 +149,7 @@ class _Candidates:
 def _best_candidate(
     curve: ResponseCurve, model: FilmModel, candidates: _Candidates
 ) -> Notch | None:
-    """Returns the notch that saves most chi-square, or None if none is significant."""
+    """Return the notch that saves most chi-square, or None if none is significant."""
     f = curve.frequencies
     taken = curve.responses / model.response(f) - 1
     basis = np.linalg.qr(curve.whitened(model.log_jacobian(f)).T)[0]
@@ -175,7 +175,7 @@ def _best_candidate(
 
 
 def _least_likely(curve: ResponseCurve, fit: FilmFit) -> int | None:
-    """Returns the index of the shallowest notch that is not a real one, or None."""
+    """Return the index of the shallowest notch that is not a real one, or None."""
     doubtful = [
         k
         for k in range(len(fit.model.notches))
@@ -185,7 +185,7 @@ def _least_likely(curve: ResponseCurve, fit: FilmFit) -> int | None:
 
 
 def _is_distinct(curve: ResponseCurve, fit: FilmFit, index: int) -> bool:
-    """Returns whether a notch is deep, narrow and well enough known."""
+    """Return whether a notch is deep, narrow and well enough known."""
     notch, at = fit.model.notches[index], fit.model.first_notch + 3 * index
     variances = np.maximum(np.diag(fit.covariance)[at : at + 3], 0.0)
     frequency_error, _, depth_error = np.sqrt(variances)
@@ -198,7 +198,7 @@ def _is_distinct(curve: ResponseCurve, fit: FilmFit, index: int) -> bool:
 
 
 def _stands_without_nearest(curve: ResponseCurve, fit: FilmFit, index: int) -> bool:
-    """Returns whether more than the one frequency nearest to a notch requires it."""
+    """Return whether more than the one frequency nearest to a notch requires it."""
     f = curve.frequencies
     nearest = f[np.argmin(np.abs(np.log(f / fit.model.notches[index].frequency_Hz)))]
     rest = curve.with_relative_error(fit.gain_error, fit.phase_error).at(f != nearest)

@@ -193,7 +193,7 @@ class FilmFit:
             return chi_square(self.weighted, held) - best < COVERAGE_95**2
 
         def edge(inside: float, outside: float) -> float:
-            """Returns the end of the interval; ``outside`` itself if it is tolerable too."""
+            """Return the end of the interval; ``outside`` itself if it is tolerable too."""
             if tolerable(outside):
                 return outside
             for _ in range(_PROFILE_STEPS):
@@ -214,7 +214,7 @@ class FilmFit:
 
 
 def fit_film(curve: ResponseCurve, start: FilmModel) -> FilmFit:
-    """Fits all parameters of ``start`` to the curve and adds model errors where they are needed.
+    """Fit all parameters of ``start`` to the curve and add model errors where they are needed.
 
     The model errors are determined first, then the parameters, in turn until they no longer change.
     A start far from the points, or a model that never comes near them, is then no harder to fit.
@@ -244,7 +244,7 @@ def fit_film(curve: ResponseCurve, start: FilmModel) -> FilmFit:
 def minimised(
     curve: ResponseCurve, start: FilmModel, inverse_corner_s: float | None = None
 ) -> FilmModel:
-    """Returns the model of least chi-square near ``start``, with the covariances of the curve as
+    """Return the model of least chi-square near ``start``, with the covariances of the curve as
     they are.
 
     Levenberg-Marquardt, with each parameter scaled by its own derivative; steps end at the bounds.
@@ -281,7 +281,7 @@ def minimised(
 def _linearised(
     curve: ResponseCurve, model: FilmModel, low: Reals, high: Reals
 ) -> tuple[Reals, Reals, Reals]:
-    """Returns the normal matrix with unit diagonal, the gradient and the scale. Parameters at a
+    """Return the normal matrix with unit diagonal, the gradient and the scale. Parameters at a
     bound stay there."""
     derivatives = curve.whitened(model.log_jacobian(curve.frequencies))
     residual = curve.whitened(curve.log_ratio(model.response(curve.frequencies)))
@@ -295,13 +295,13 @@ def _linearised(
 
 
 def chi_square(curve: ResponseCurve, model: FilmModel) -> float:
-    """Returns the sum of squared whitened residuals."""
+    """Return the sum of squared whitened residuals."""
     residual = curve.whitened(curve.log_ratio(model.response(curve.frequencies)))
     return float(residual @ residual)
 
 
 def _explaining_errors(curve: ResponseCurve, model: FilmModel) -> tuple[float, float]:
-    """Returns the model errors of gain (relative) and phase (rad), each from its own part of the
+    """Return the model errors of gain (relative) and phase (rad), each from its own part of the
     residuals.
 
     Each part gets half of the degrees of freedom: a pole or a notch affects both alike.
@@ -316,7 +316,7 @@ def _explaining_errors(curve: ResponseCurve, model: FilmModel) -> tuple[float, f
 
 
 def _bounds(curve: ResponseCurve, model: FilmModel) -> tuple[Reals, Reals]:
-    """Returns wide limits that exclude meaningless parameters; only the break has a physical
+    """Return wide limits that exclude meaningless parameters; only the break has a physical
     band."""
     low, high = np.full(len(model.vector), -np.inf), np.full(len(model.vector), np.inf)
     if model.break_Hz is not None:
@@ -330,7 +330,7 @@ def _bounds(curve: ResponseCurve, model: FilmModel) -> tuple[Reals, Reals]:
 
 
 def _inverse(normal: Reals) -> Reals:
-    """Returns the inverse of the normal matrix; what is undetermined becomes huge.
+    """Return the inverse of the normal matrix; what is undetermined becomes huge.
 
     It is scaled to a unit diagonal first. Without a corner, for example, pole and delay look alike:
     their errors are then 1e6 times those of either alone, and not zero as a pseudo-inverse would

@@ -58,7 +58,7 @@ class FrequencyPlanSettings(Settings):
 
 
 def scan_frequencies_Hz(settings: FrequencyPlanSettings) -> tuple[float, ...]:  # noqa: N802
-    """Returns the frequencies of the scan: coarse up to ``fine_from_Hz``, fine above, clear of
+    """Return the frequencies of the scan: coarse up to ``fine_from_Hz``, fine above, clear of
     mains lines.
 
     >>> plan = FrequencyPlanSettings(lowest_Hz=10, highest_Hz=100, coarse_per_decade=4)
@@ -75,7 +75,7 @@ def scan_frequencies_Hz(settings: FrequencyPlanSettings) -> tuple[float, ...]:  
 
 
 def refine_Hz(settings: FrequencyPlanSettings, scanned: ResponseCurve) -> tuple[float, ...]:  # noqa: N802
-    """Returns the frequencies to measure after a scan: points within each half-width of each notch
+    """Return the frequencies to measure after a scan: points within each half-width of each notch
     found.
 
     For every notch these are its centre and ``points_per_half_width`` on either side, out to where
@@ -102,7 +102,7 @@ def refine_Hz(settings: FrequencyPlanSettings, scanned: ResponseCurve) -> tuple[
 
 
 def _geometric(low: float, high: float, per_decade: int) -> list[float]:
-    """Returns frequencies from ``low`` in equal ratios, without those at or above ``high``, then
+    """Return frequencies from ``low`` in equal ratios, without those at or above ``high``, then
     ``high``."""
     steps = math.ceil(per_decade * math.log10(high / low) - _SAME_FREQUENCY)
     return [*(low * 10 ** (k / per_decade) for k in range(steps)), high]

@@ -107,7 +107,7 @@ class SweepAnalysis:
         return self.fit.drops
 
     def sentences(self, truth: FilmTruth | None = None) -> list[str]:
-        """Returns the results in words, in the order of the paper.
+        """Return the results in words, in the order of the paper.
 
         With the film of a simulated bench each number is said to be recovered, beside what the
         World put in; without one it is said to be measured.
@@ -138,7 +138,7 @@ class SweepAnalysis:
         return lines
 
     def as_dict(self) -> dict[str, Any]:
-        """Returns plain values for JSON and HDF5 attributes; numbers that are not finite become
+        """Return plain values for JSON and HDF5 attributes; numbers that are not finite become
         None."""
         whole = {
             "points": self.points,
@@ -233,7 +233,7 @@ class SweepAnalysis:
         )
 
     def _at_load(self) -> str:
-        """Returns the load at which the level is stated, if there are several."""
+        """Return the load at which the level is stated, if there are several."""
         if self.curve.loads_N is None:
             return ""
         mean_N = 10 ** float(np.log10(self.curve.loads_N).mean())
@@ -249,7 +249,7 @@ class SweepAnalysis:
         )
 
     def _range_sentence(self) -> str:
-        """Returns what a part of the range hides; empty for the whole range."""
+        """Return what a part of the range hides; empty for the whole range."""
         highest = self.circuit.highest_Hz
         if highest >= WHOLE_RANGE_TO_HZ:
             return ""
@@ -291,7 +291,7 @@ def analyse(
     given: CircuitSettings = SKIN_STRIP,
     bounds: Bounds = DEFAULT_BOUNDS,
 ) -> SweepAnalysis:
-    """Analyses the points of a sweep: frequencies in Hz, responses in V/N, covariances (n, 2, 2).
+    """Analyse the points of a sweep: frequencies in Hz, responses in V/N, covariances (n, 2, 2).
 
     Points may be in any order. ``degrees`` (n,) are the degrees of freedom of each covariance and
     ``preloads`` (n,) the static forces in N, with ``preload_errors`` (see
@@ -336,7 +336,7 @@ def analyse(
 
 
 def _put_in(value: float | None, unit: str) -> str:
-    """Returns what the World put in as a remark; nothing on a real bench."""
+    """Return what the World put in as a remark; nothing on a real bench."""
     return "" if value is None else f" (World: {value:g} {unit}, put in)"
 
 
@@ -365,7 +365,7 @@ def _linearity_as_dict(linearity: LoadLinearity | None, bounds: Bounds) -> dict[
 
 
 def _plain(value: Any) -> Any:
-    """Returns lists and dicts of plain values, with NaN and infinities as None."""
+    """Return lists and dicts of plain values, with NaN and infinities as None."""
     if isinstance(value, dict):
         return {key: _plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):

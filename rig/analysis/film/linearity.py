@@ -86,7 +86,7 @@ class LoadLinearity:
         return float(self.frequencies[int(np.argmax(self.worst_deviations))])
 
     def beyond(self, bounds: Bounds) -> NDArray[np.bool_]:
-        """Returns True for frequencies (k,) whose own slope is significantly beyond the bound."""
+        """Return True for frequencies (k,) whose own slope is significantly beyond the bound."""
         sigmas = NormalDist().inv_cdf(1 - FALSE_ALARM / self.frequencies.size)
         surely: NDArray[np.bool_] = (
             np.abs(self.slopes) - sigmas * self.slope_errors > bounds.slope_dB_decade
@@ -94,7 +94,7 @@ class LoadLinearity:
         return surely
 
     def verdict(self, bounds: Bounds) -> Verdict:
-        """Returns whether the gain is independent of the load, within the bounds."""
+        """Return whether the gain is independent of the load, within the bounds."""
         low_N, high_N = self.differing_loads_N
         levels = equivalence(self.largest_difference, 0.0, bounds.gain_dB, self.differences)
         parts = [
@@ -108,7 +108,7 @@ class LoadLinearity:
         return all_of(parts)
 
     def sentence(self, bounds: Bounds) -> str:
-        """Returns the result in words."""
+        """Return the result in words."""
         quality = f"χ² = {self.chi_square:.0f} for {self.degrees} d.o.f."
         if self.probability < MISFIT_PROBABILITY:
             quality += (
@@ -141,7 +141,7 @@ class DistortionSummary:
     """Frequency of the largest distortion of the film's voltage."""
 
     def sentence(self) -> str:
-        """Returns the result in words."""
+        """Return the result in words."""
         return (
             f"Harmonic distortion: load {self.median_load:.2%} (worst {self.worst_load:.2%} at "
             f"{self.worst_load_Hz:g} Hz), film {self.median_film:.2%} (worst {self.worst_film:.2%} "
@@ -158,9 +158,9 @@ def load_linearity(
     preloads: ArrayLike | None = None,
     preload_errors: ArrayLike | None = None,
 ) -> LoadLinearity | None:
-    """Returns gain against load: arrays as in :meth:`ResponseCurve.of`, ``loads`` (n,) peak in N.
+    """Return gain against load: arrays as in :meth:`ResponseCurve.of`, ``loads`` (n,) peak in N.
 
-    Returns None if at no frequency the loads differ by half or more. Raises CurveError for loads
+    Return None if at no frequency the loads differ by half or more. Raises CurveError for loads
     that are not positive or not as many as frequencies.
     """
     load = np.asarray(loads, dtype=float)
@@ -181,7 +181,7 @@ def load_linearity(
 def distortion_summary(
     frequencies: ArrayLike, load_distortion: ArrayLike, film_distortion: ArrayLike
 ) -> DistortionSummary | None:
-    """Returns median and worst distortion of load and film, or None if either was never measured.
+    """Return median and worst distortion of load and film, or None if either was never measured.
 
     Distortions (n,) are NaN where they were not measured.
     """
@@ -213,7 +213,7 @@ class _Gains:
     """Variances of the values, (n,)."""
 
     def about_means(self, values: Reals) -> Reals:
-        """Returns values (..., n) without the weighted mean of each frequency."""
+        """Return values (..., n) without the weighted mean of each frequency."""
         weight = 1 / self.variances
         total = np.bincount(self.group, weight)
         rows = np.atleast_2d(values)
@@ -222,7 +222,7 @@ class _Gains:
         return left
 
     def fitted(self, columns: Reals) -> tuple[Reals, Reals, Reals]:
-        """Returns the coefficients (m,) of the columns (m, n), their covariance (m, m) and the
+        """Return the coefficients (m,) of the columns (m, n), their covariance (m, m) and the
         residuals (n,)."""
         white = self.about_means(columns) / np.sqrt(self.variances)
         gains = self.about_means(self.gains)
@@ -232,7 +232,7 @@ class _Gains:
 
 
 def _over_all(curve: ResponseCurve, decades: Reals) -> LoadLinearity:
-    """Fits the gains of a curve, each under the load 10^decades N (n,)."""
+    """Fit the gains of a curve, each under the load 10^decades N (n,)."""
     frequency, group = np.unique(curve.frequencies, return_inverse=True)
     preloads = [] if curve.preload_excess is None else [curve.preload_excess.real]
     columns = np.array([decades, *preloads])
@@ -271,7 +271,7 @@ def _over_all(curve: ResponseCurve, decades: Reals) -> LoadLinearity:
 
 
 def _slopes_alone(gains: _Gains, decades: Reals, bare: Reals) -> tuple[Reals, Reals]:
-    """Returns the slope at each frequency of gains ``bare`` (n,), and its standard error."""
+    """Return the slope at each frequency of gains ``bare`` (n,), and its standard error."""
     lever, weight = gains.about_means(decades), 1 / gains.variances
     power = np.bincount(gains.group, weight * lever**2)
     slopes: Reals = np.bincount(gains.group, weight * lever * bare) / power
@@ -282,7 +282,7 @@ def _slopes_alone(gains: _Gains, decades: Reals, bare: Reals) -> tuple[Reals, Re
 def _largest_difference(
     gains: _Gains, decades: Reals, preloads: list[Reals]
 ) -> tuple[Estimate, tuple[float, float], int]:
-    """Returns the largest difference of the mean gains under two loads, these loads, and the number
+    """Return the largest difference of the mean gains under two loads, these loads, and the number
     of pairs of loads."""
     order = np.argsort(decades)
     steps = np.diff(decades[order]) > SAME_LOAD_DECADES
@@ -306,5 +306,5 @@ def _largest_difference(
 
 
 def _largest(difference: Estimate) -> float:
-    """Returns the largest size that a difference may have."""
+    """Return the largest size that a difference may have."""
     return max(abs(difference.low), abs(difference.high))

@@ -61,14 +61,14 @@ class FilmLoad:
         return Estimate.normal(math.degrees(cmath.phase(self.phasor)), error, "deg")
 
     def _error(self, turn: complex) -> float:
-        """Returns the standard error along the phasor (turn 1) or across it (1j)."""
+        """Return the standard error along the phasor (turn 1) or across it (1j)."""
         unit = turn * self.phasor / abs(self.phasor)
         direction = np.array([unit.real, unit.imag])
         return math.sqrt(max(float(direction @ self.covariance @ direction), 0.0))
 
 
 def coefficients(analysis: SweepAnalysis, load_cell_error: float = 0.0) -> dict[str, Any]:
-    """Returns the entries of the film's calibration record, by field name, from the analysis of a
+    """Return the entries of the film's calibration record, by field name, from the analysis of a
     sweep.
 
     ``load_cell_error`` is the relative standard error of the sensitivity of the load cell. It is
@@ -103,7 +103,7 @@ def load_from_voltage(
     voltage: complex,
     voltage_covariance: ArrayLike,
 ) -> FilmLoad:
-    """Returns the load phasor (N, peak) for a voltage phasor (V, peak) with its covariance (2, 2).
+    """Return the load phasor (N, peak) for a voltage phasor (V, peak) with its covariance (2, 2).
 
     Errors are first order; those of voltage and record are taken as independent.
 
@@ -131,7 +131,7 @@ def load_from_voltage(
 
 
 def film_model(record: FilmCalibration) -> FilmModel:
-    """Returns the response of the film as its calibration record states it."""
+    """Return the response of the film as its calibration record states it."""
     return FilmModel(
         level_dB=record.b_dB.value if record.b_dB.value is not None else math.nan,
         inverse_corner_s=record.inverse_corner_s,

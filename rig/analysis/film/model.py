@@ -88,7 +88,7 @@ class FilmModel:
         return 3 + (self.slope_dB_decade is not None) + (self.break_Hz is not None)
 
     def moved_to(self, vector: Reals) -> FilmModel:
-        """Returns the same model with the parameters of ``vector``."""
+        """Return the same model with the parameters of ``vector``."""
         rest = [float(value) for value in vector[3 : self.first_notch]]
         triples = vector[self.first_notch :].reshape(-1, _N_NOTCH)
         return replace(
@@ -105,7 +105,7 @@ class FilmModel:
         )
 
     def response(self, frequencies: Reals) -> Complexes:
-        """Returns the complex response (n,) in V/N at ``frequencies`` (n,) in Hz."""
+        """Return the complex response (n,) in V/N at ``frequencies`` (n,) in Hz."""
         value = self.trend(frequencies)
         for notch in self.notches:
             numerator, denominator = _halves(frequencies, notch)
@@ -113,7 +113,7 @@ class FilmModel:
         return value
 
     def trend(self, frequencies: Reals) -> Complexes:
-        """Returns the complex response without the notches."""
+        """Return the complex response without the notches."""
         jf = 1j * frequencies
         level = self.polarity * 10 ** (self.level_dB / 20)
         turned = np.exp(-2 * np.pi * jf * self.delay_s)
@@ -126,13 +126,13 @@ class FilmModel:
         return value
 
     def loss_dB(self, frequencies: Reals) -> Reals:  # noqa: N802
-        """Returns the attenuation by the notches in dB, (n,), positive."""
+        """Return the attenuation by the notches in dB, (n,), positive."""
         ratio = np.abs(self.trend(frequencies) / self.response(frequencies))
         loss: Reals = 20 * np.log10(ratio)
         return loss
 
     def log_jacobian(self, frequencies: Reals) -> Complexes:
-        """Returns the derivatives of ln :meth:`response` with respect to :attr:`vector`: (m, n),
+        """Return the derivatives of ln :meth:`response` with respect to :attr:`vector`: (m, n),
         gain + j phase."""
         jf = 1j * frequencies
         rows = [
@@ -150,13 +150,13 @@ class FilmModel:
 
 
 def without(model: FilmModel, index: int) -> FilmModel:
-    """Returns the model without its notch number ``index``."""
+    """Return the model without its notch number ``index``."""
     kept = tuple(notch for k, notch in enumerate(model.notches) if k != index)
     return replace(model, notches=kept)
 
 
 def in_order(notches: Sequence[Notch]) -> tuple[Notch, ...]:
-    """Returns the notches by ascending frequency."""
+    """Return the notches by ascending frequency."""
     return tuple(sorted(notches, key=lambda notch: notch.frequency_Hz))
 
 
@@ -167,7 +167,7 @@ def _halves(frequencies: Reals, notch: Notch) -> tuple[Complexes, Complexes]:
 
 
 def _notch_derivatives(frequencies: Reals, notch: Notch) -> list[Complexes]:
-    """Returns the derivatives of ln N with respect to ln f_drop, ln Q and depth in dB."""
+    """Return the derivatives of ln N with respect to ln f_drop, ln Q and depth in dB."""
     x = frequencies / notch.frequency_Hz
     width = 1j * x / notch.pole_Q
     g = 10 ** (-notch.depth_dB / 20)

@@ -52,7 +52,7 @@ class Slopes:
     """False if the model with a free exponent leaves residuals that are not random."""
 
     def verdict(self, bounds: Bounds) -> Verdict:
-        """Returns whether the film is first order: an asymptotic slope of 20 dB/decade.
+        """Return whether the film is first order: an asymptotic slope of 20 dB/decade.
 
         A model that omits something has no interval that could be trusted: it decides nothing.
         """
@@ -76,7 +76,7 @@ class PlainFit:
 
 
 def slopes(curve: ResponseCurve, fit: FilmFit) -> Slopes | None:
-    """Returns both slopes with their errors, or None if less than an octave of the band was
+    """Return both slopes with their errors, or None if less than an octave of the band was
     measured."""
     low = max(SLOPE_BAND_HZ[0], float(curve.frequencies[0]))
     high = min(SLOPE_BAND_HZ[1], float(curve.frequencies[-1]))
@@ -94,7 +94,7 @@ def slopes(curve: ResponseCurve, fit: FilmFit) -> Slopes | None:
 
 
 def _line_weights(low: float, high: float) -> tuple[Reals, Reals]:
-    """Returns frequencies (n,) even over log f, and w (n,) such that w @ gains is the slope of the
+    """Return frequencies (n,) even over log f, and w (n,) such that w @ gains is the slope of the
     line."""
     decades = np.log10(high / low)
     position = (np.arange(_LINE_POINTS) + 0.5) / _LINE_POINTS - 0.5
@@ -103,15 +103,15 @@ def _line_weights(low: float, high: float) -> tuple[Reals, Reals]:
 
 
 def outside_drops(frequencies: Reals, model: FilmModel) -> NDArray[np.bool_]:
-    """Returns True for the frequencies (n,) at which the notches attenuate by less than 0.5 dB."""
+    """Return True for the frequencies (n,) at which the notches attenuate by less than 0.5 dB."""
     outside: NDArray[np.bool_] = np.abs(model.loss_dB(frequencies)) < OUTSIDE_DROPS_DB
     return outside
 
 
 def plain_fit(curve: ResponseCurve, model: FilmModel) -> PlainFit | None:
-    """Fits equation (2) over 2 to 2000 Hz without the notches, all points with equal weight.
+    """Fit equation (2) over 2 to 2000 Hz without the notches, all points with equal weight.
 
-    Returns None with fewer than two frequencies there.
+    Return None with fewer than two frequencies there.
     """
     f = curve.frequencies
     chosen = (f >= SLOPE_BAND_HZ[0]) & (f <= SLOPE_BAND_HZ[1]) & outside_drops(f, model)

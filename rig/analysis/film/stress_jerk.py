@@ -50,7 +50,7 @@ class StressJerkTest:
         return "supported" if self.aic_difference < -CLEAR_DIFFERENCE else "undecided"
 
     def sentence(self) -> str:
-        """Returns the result in words."""
+        """Return the result in words."""
         low, high = BREAK_BAND_HZ
         at_edge = min(abs(self.break_Hz / low - 1), abs(self.break_Hz / high - 1)) < 1e-3
         where = "at the edge of its range" if at_edge else "inside its range"
@@ -64,7 +64,7 @@ class StressJerkTest:
 
 
 def stress_jerk_test(curve: ResponseCurve, first_order: FilmFit) -> StressJerkTest:
-    """Tests the alternative on the points to which ``first_order`` was fitted."""
+    """Test the alternative on the points to which ``first_order`` was fitted."""
     starts = (BREAK_BAND_HZ[0] * 1.05, CLAIMED_BREAK_HZ, BREAK_BAND_HZ[1] * 0.95)
     fits = [fit_film(curve, replace(first_order.model, break_Hz=start)) for start in starts]
     with contextlib.suppress(CurveError):

@@ -31,14 +31,14 @@ class FilmTruth:
 
     @classmethod
     def of(cls, account: str | None) -> FilmTruth | None:
-        """Returns the film in a reading's ``simulated_truth``, or None if it has none."""
+        """Return the film in a reading's ``simulated_truth``, or None if it has none."""
         film: dict[str, Any] | None = json.loads(account).get("film") if account else None
         if film is None:
             return None
         return cls(**{**film, "drops_Hz": tuple(film["drops_Hz"])})
 
     def drop_near_Hz(self, frequency_Hz: float) -> float | None:  # noqa: N802
-        """Returns the frequency of the notch that was found at ``frequency_Hz``, or None if the
+        """Return the frequency of the notch that was found at ``frequency_Hz``, or None if the
         film has none there."""
         nearest = min(
             self.drops_Hz, key=lambda drop: abs(drop - frequency_Hz), default=float("inf")

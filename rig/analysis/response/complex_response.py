@@ -64,7 +64,7 @@ class Response:
         return math.degrees(self._relative_error(self.covariance, 1j))
 
     def _relative_error(self, covariance: Reals, turn: complex) -> float:
-        """Returns the relative error of the value along its own direction (turn 1) or across it
+        """Return the relative error of the value along its own direction (turn 1) or across it
         (1j)."""
         if not self.value:
             return math.inf
@@ -74,7 +74,7 @@ class Response:
 
 
 def complex_response(voltage: SineFit, load: SineFit) -> Response:
-    """Returns voltage over load in V/N, from independent fits of simultaneous records in V and N.
+    """Return voltage over load in V/N, from independent fits of simultaneous records in V and N.
 
     Errors are first order: with H = V / L, dH = dV / L - H dL / L. Each term is a rotation and
     scaling of the 2 x 2 covariance of its channel (JCGM 102:2011, 6.2, the bivariate form of the
@@ -106,7 +106,7 @@ def complex_response(voltage: SineFit, load: SineFit) -> Response:
 
 
 def cramer_rao_amplitude(noise_rms: float, n: int) -> float:
-    """Returns the least standard error of the amplitude of a tone in n samples of white noise:
+    """Return the least standard error of the amplitude of a tone in n samples of white noise:
     sigma sqrt(2/n).
 
     >>> cramer_rao_amplitude(0.01, n=200)
@@ -116,26 +116,26 @@ def cramer_rao_amplitude(noise_rms: float, n: int) -> float:
 
 
 def cramer_rao_phase_deg(noise_rms: float, amplitude: float, n: int) -> float:
-    """Returns the least standard error in degrees of the phase of a tone of known frequency."""
+    """Return the least standard error in degrees of the phase of a tone of known frequency."""
     return math.degrees(cramer_rao_amplitude(noise_rms, n) / amplitude)
 
 
 def cramer_rao_gain_dB(noise_rms: float, amplitude: float, n: int) -> float:  # noqa: N802
-    """Returns the least standard error in dB of the level of a tone."""
+    """Return the least standard error in dB of the level of a tone."""
     return DB_PER_RELATIVE * cramer_rao_amplitude(noise_rms, n) / amplitude
 
 
 def cramer_rao_duration(
     noise_rms: float, amplitude: float, rate: float, standard_error_dB: float
 ) -> float:
-    """Returns the shortest record in s at ``rate`` (1/s) that can determine a level to
+    """Return the shortest record in s at ``rate`` (1/s) that can determine a level to
     ``standard_error_dB``."""
     relative = standard_error_dB / DB_PER_RELATIVE
     return 2 * (noise_rms / (amplitude * relative)) ** 2 / rate
 
 
 def quantisation_rms(step: float) -> float:
-    """Returns the rms error of a converter with the given step, evenly distributed: step /
+    """Return the rms error of a converter with the given step, evenly distributed: step /
     sqrt(12).
 
     It holds if noise of at least half a step moves the codes. Its power adds to that of the noise.

@@ -64,7 +64,7 @@ class ResponseCurve:
         preload_errors: ArrayLike | None = None,
         loads: ArrayLike | None = None,
     ) -> ResponseCurve:
-        """Checks and sorts frequencies (n,) in Hz, responses (n,) in V/N, covariances (n, 2, 2) and
+        """Check and sort frequencies (n,) in Hz, responses (n,) in V/N, covariances (n, 2, 2) and
         preloads (n,) in N.
 
         ``degrees`` (n,) are the degrees of freedom from which each covariance was estimated
@@ -101,7 +101,7 @@ class ResponseCurve:
         )
 
     def __len__(self) -> int:
-        """Returns the number of points."""
+        """Return the number of points."""
         return self.frequencies.size
 
     @property
@@ -125,7 +125,7 @@ class ResponseCurve:
         return errors
 
     def with_relative_error(self, gain: float | Reals, phase: float) -> ResponseCurve:
-        """Returns the same points with additional errors of the gain (relative; one for all or one
+        """Return the same points with additional errors of the gain (relative; one for all or one
         for each) and the phase (rad)."""
         along = np.stack([self.responses.real, self.responses.imag], axis=1)
         across = np.stack([-self.responses.imag, self.responses.real], axis=1)
@@ -135,7 +135,7 @@ class ResponseCurve:
         return replace(self, covariances=self.covariances + extra)
 
     def at(self, chosen: NDArray[np.bool_]) -> ResponseCurve:
-        """Returns the points for which ``chosen`` (n,) is true."""
+        """Return the points for which ``chosen`` (n,) is true."""
         return ResponseCurve(
             self.frequencies[chosen],
             self.responses[chosen],
@@ -146,21 +146,21 @@ class ResponseCurve:
         )
 
     def with_preload_errors(self, effect: float) -> ResponseCurve:
-        """Returns the same points with the error of the gain that comes from the error of each
+        """Return the same points with the error of the gain that comes from the error of each
         preload, for a relative ``effect`` by newton."""
         if self.preload_errors_N is None:
             return self
         return self.with_relative_error(effect * self.preload_errors_N, 0.0)
 
     def log_ratio(self, expected: Complexes) -> Complexes:
-        """Returns ln(measured / expected), (n,): difference of the gains (neper) + j that of the
+        """Return ln(measured / expected), (n,): difference of the gains (neper) + j that of the
         phases."""
         ratio = self.responses / expected
         result: Complexes = np.log(np.abs(ratio)) + 1j * np.angle(ratio)
         return result
 
     def whitened(self, relative: Complexes) -> Reals:
-        """Returns gain + j phase (..., n) as (..., 2 n) reals, of unit variance if the errors are
+        """Return gain + j phase (..., n) as (..., 2 n) reals, of unit variance if the errors are
         right.
 
         Whatever unknown effects of preload and load could explain is removed.
@@ -171,12 +171,12 @@ class ResponseCurve:
         return white
 
     def freed(self, relative: Complexes) -> Complexes:
-        """Returns gain + j phase (n,) without the effects of preload and load that explain most of
+        """Return gain + j phase (n,) without the effects of preload and load that explain most of
         them."""
         return relative - self._amounts(relative) @ self.unknown_effects
 
     def preload_effect(self, relative: Complexes) -> float:
-        """Returns the change of the gain per N of preload that explains most of `relative` (n,),
+        """Return the change of the gain per N of preload that explains most of `relative` (n,),
         beside an effect of the load where there may be one."""
         assert self.preload_excess is not None, "the preloads are not known"
         return float(self._amounts(relative)[0])
@@ -201,7 +201,7 @@ class ResponseCurve:
         return np.array(found, dtype=complex).reshape(len(found), len(self))
 
     def _amounts(self, relative: Complexes) -> Reals:
-        """Returns the amounts (k,) of the unknown effects that explain most of `relative` (n,)."""
+        """Return the amounts (k,) of the unknown effects that explain most of `relative` (n,)."""
         columns = self._scaled(self.unknown_effects).T
         return np.asarray(np.linalg.lstsq(columns, self._scaled(relative), rcond=None)[0], float)
 
@@ -225,7 +225,7 @@ class ResponseCurve:
 
 
 def _finite(values: ArrayLike | None, size: int) -> Reals | None:
-    """Returns the values if they are known at all points."""
+    """Return the values if they are known at all points."""
     if values is None:
         return None
     found = np.asarray(values, dtype=float)
@@ -233,7 +233,7 @@ def _finite(values: ArrayLike | None, size: int) -> Reals | None:
 
 
 def _varied(preloads: ArrayLike | None, size: int) -> Reals | None:
-    """Returns the preloads if they are known and not all the same."""
+    """Return the preloads if they are known and not all the same."""
     if preloads is None:
         return None
     found = np.asarray(preloads, dtype=float)
@@ -243,7 +243,7 @@ def _varied(preloads: ArrayLike | None, size: int) -> Reals | None:
 
 
 def likely_preloads(preloads: Reals, errors: Reals) -> tuple[Reals, Reals]:
-    """Returns the most likely preloads and their standard errors, from measured ones, all (n,).
+    """Return the most likely preloads and their standard errors, from measured ones, all (n,).
 
     A mean force that vibration has disturbed may be off by more than the preloads differ. Taken as
     it is, it makes the effect of the preload look smaller (regression dilution). Each is therefore
@@ -258,7 +258,7 @@ def likely_preloads(preloads: Reals, errors: Reals) -> tuple[Reals, Reals]:
 
 
 def points_of(column: Callable[[str], Reals]) -> tuple[Reals, Complexes, Reals]:
-    """Returns frequencies (n,) in Hz, responses (n,) in V/N and covariances (n, 2, 2) from a
+    """Return frequencies (n,) in Hz, responses (n,) in V/N and covariances (n, 2, 2) from a
     sweep's table.
 
     `column` returns a column of the table by name.

@@ -58,19 +58,19 @@ class LearnedGain:
         self._log_gain: dict[float, float] = {}
 
     def learn(self, frequency_Hz: float, gain: float) -> None:
-        """Adds a measured gain; it replaces an earlier one at the same frequency."""
+        """Add a measured gain; it replaces an earlier one at the same frequency."""
         x = math.log(frequency_Hz)
         if x not in self._log_gain:
             insort(self._log_f, x)
         self._log_gain[x] = math.log(gain)
 
     def near(self, frequency_Hz: float) -> bool:
-        """Returns whether a frequency near this one has been measured."""
+        """Return whether a frequency near this one has been measured."""
         x = math.log(frequency_Hz)
         return any(abs(x - known) <= math.log(NEAR) for known in self._nearest(x, 1))
 
     def at(self, frequency_Hz: float) -> float | None:
-        """Returns the predicted gain, or None if nothing has been measured.
+        """Return the predicted gain, or None if nothing has been measured.
 
         1 / gain² of anything that resonates without a zero nearby is a polynomial in f². A parabola
         in f² through the three nearest points therefore predicts the gain, also one step beyond
@@ -130,7 +130,7 @@ class RecordNeeds:
 def record_samples(
     frequency: float, rate: float, needs: RecordNeeds, lines: Sequence[float]
 ) -> int:
-    """Returns the samples of whole cycles that reach the target with the mains lines fitted.
+    """Return the samples of whole cycles that reach the target with the mains lines fitted.
 
     If the noise is not known yet it is one cycle or the shortest record.
     """
@@ -154,7 +154,7 @@ def record_samples(
 
 
 def affordable_inflation(needs: RecordNeeds, duration_s: float) -> float:
-    """Returns by how much fitting lines may inflate the variance so that the target is still
+    """Return by how much fitting lines may inflate the variance so that the target is still
     met."""
     error = needs.error_of_one_second_dB
     if not error:
@@ -170,7 +170,7 @@ class LearnedMains:
         self._most: dict[int, float] = {}
 
     def learn(self, fit: SineFit, nominal: float) -> None:
-        """Adds the lines of a fit, and the tone itself if it is a mains line.
+        """Add the lines of a fit, and the tone itself if it is a mains line.
 
         The bound of a line is its amplitude plus twice its error. The lowest bound so far is used.
         """
@@ -183,13 +183,13 @@ class LearnedMains:
             self._most[order] = min(self._most.get(order, math.inf), most)
 
     def bounds(self, nominal: float, count: int) -> dict[float, float]:
-        """Returns the largest amplitude of each line that has been measured, by its frequency in
+        """Return the largest amplitude of each line that has been measured, by its frequency in
         Hz."""
         orders = range(1, count + 1)
         return {k * nominal: self._most[k] for k in orders if k in self._most}
 
     def strong(self, nominal: float, count: int, harmless: float) -> list[float]:
-        """Returns the lines in Hz that are not known to be below ``harmless``."""
+        """Return the lines in Hz that are not known to be below ``harmless``."""
         orders = range(1, count + 1)
         return [k * nominal for k in orders if self._most.get(k, math.inf) > harmless]
 
@@ -197,7 +197,7 @@ class LearnedMains:
 def agreement(
     first: Response, second: Response, tolerance: float, samples: tuple[int, int]
 ) -> float:
-    """Returns the largest difference up to which two responses agree: a relative tolerance plus
+    """Return the largest difference up to which two responses agree: a relative tolerance plus
     their noise.
 
     ``samples`` are the lengths of their records. The noise by sample is that of the quieter record:
@@ -209,7 +209,7 @@ def agreement(
 
 
 def quieter_noise(variances: Sequence[float], samples: Sequence[int]) -> float:
-    """Returns the standard deviation of the difference of two estimates, if both records have the
+    """Return the standard deviation of the difference of two estimates, if both records have the
     noise by sample of the quieter one.
 
     >>> quieter_noise([0.5, 1.0], [100, 100])
@@ -224,7 +224,7 @@ AGREEMENT_SIGMAS = 2.5
 
 
 def combined(responses: Sequence[Response]) -> Response:
-    """Returns the mean of responses at one frequency, each weighted by its own precision."""
+    """Return the mean of responses at one frequency, each weighted by its own precision."""
     if len(responses) == 1:
         return responses[0]
     # A noise-free response has a covariance of zero: tiny keeps its weight finite.
@@ -242,7 +242,7 @@ def combined(responses: Sequence[Response]) -> Response:
 
 
 def range_for(amplitude_V: float, ranges_V: Sequence[float], margin: float = 1.6) -> float:
-    """Returns the smallest input range that holds an amplitude with a margin, or else the largest.
+    """Return the smallest input range that holds an amplitude with a margin, or else the largest.
 
     >>> range_for(0.7, [0.1, 1.0, 1.25, 10.0])
     1.25

@@ -166,7 +166,7 @@ def fit_sine(
     delay_s: float = 0.0,
     largest_inflation: float = LARGEST_INFLATION,
 ) -> SineFit:
-    """Fits the tone at ``frequency`` (Hz) in evenly spaced ``samples`` (n,) taken at ``rate``
+    """Fit the tone at ``frequency`` (Hz) in evenly spaced ``samples`` (n,) taken at ``rate``
     (1/s).
 
     ``interference`` lists lines to fit as well, if the record separates them (see
@@ -243,7 +243,7 @@ def _lone(sizes: Reals) -> tuple[float, int]:
 
 
 def mains_lines(fundamental: float = 50.0, count: int = 5) -> tuple[float, ...]:
-    """Returns the mains frequency and its next harmonics in Hz.
+    """Return the mains frequency and its next harmonics in Hz.
 
     >>> mains_lines(50.0, 3)
     (50.0, 100.0, 150.0)
@@ -252,7 +252,7 @@ def mains_lines(fundamental: float = 50.0, count: int = 5) -> tuple[float, ...]:
 
 
 def whole_cycles(frequency: float, rate: float, minimum_duration: float) -> int:
-    """Returns the samples of a record of whole cycles, at least ``minimum_duration`` (s) and one
+    """Return the samples of a record of whole cycles, at least ``minimum_duration`` (s) and one
     cycle long.
 
     Among records that are up to a few per cent longer, the one is chosen whose end is nearest to a
@@ -282,7 +282,7 @@ def record_length(
     interference: Sequence[float] = (),
     maximum_duration: float,
 ) -> int:
-    """Returns the samples of a record of whole cycles that also separates ``interference`` from the
+    """Return the samples of a record of whole cycles that also separates ``interference`` from the
     tone.
 
     The record is extended to one full beat with every line for which this stays within
@@ -294,7 +294,7 @@ def record_length(
 
 
 def inflation(frequency: float, rate: float, n: int, interference: Sequence[float]) -> float:
-    """Returns the variance of the phasor of a tone with all these lines fitted, relative to that
+    """Return the variance of the phasor of a tone with all these lines fitted, relative to that
     without."""
     lines = [line for line in interference if 0 < line < rate / 2]
     normal = _normal_equations([frequency, *lines], rate, n)
@@ -315,7 +315,7 @@ class _Lines:
         self._table = np.exp(2j * np.pi * self._turns[:, None] * np.arange(_BLOCK))
 
     def moments(self, y: Reals) -> Reals:
-        """Returns the inner products of the columns of the fit with ``y``."""
+        """Return the inner products of the columns of the fit with ``y``."""
         padded = np.zeros(self._stacks * _STACK * _BLOCK)
         padded[: self.n] = y
         table = np.concatenate([self._table.real, self._table.imag]).T
@@ -325,7 +325,7 @@ class _Lines:
         return np.concatenate([[y.sum()], np.stack([sums.real, -sums.imag], axis=1).ravel()])
 
     def synthesise(self, phasors: Complexes) -> Reals:
-        """Returns the sum of Re(phasor exp(j w k)), (n,)."""
+        """Return the sum of Re(phasor exp(j w k)), (n,)."""
         left = self._starts * phasors
         rows = np.concatenate([left.real, left.imag], axis=1)
         table = np.concatenate([self._table.real, -self._table.imag])
@@ -334,7 +334,7 @@ class _Lines:
         return wave
 
     def block_changes(self, residual: Reals) -> Complexes:
-        """Returns the changes of the first line's phasor in each part of whole cycles, (m,), m <=
+        """Return the changes of the first line's phasor in each part of whole cycles, (m,), m <=
         8, maybe 0."""
         cycles = math.floor(self._turns[0] * (self.n + 0.5))
         m = min(N_BLOCKS, cycles)
@@ -347,7 +347,7 @@ class _Lines:
 
 
 def _normal_equations(frequencies: Sequence[float] | Reals, rate: float, n: int) -> Reals:
-    """Returns the inner products of the columns 1, cos w_1 k, -sin w_1 k, cos w_2 k, ... in closed
+    """Return the inner products of the columns 1, cos w_1 k, -sin w_1 k, cos w_2 k, ... in closed
     form."""
     turns = np.concatenate([[0.0], np.asarray(frequencies, dtype=float) / rate])
     total = _geometric(turns[:, None] + turns, n)
@@ -362,7 +362,7 @@ def _normal_equations(frequencies: Sequence[float] | Reals, rate: float, n: int)
 
 
 def _geometric(turns: Reals, n: int) -> Complexes:
-    """Returns the sum over k < n of exp(2 pi j turns k)."""
+    """Return the sum over k < n of exp(2 pi j turns k)."""
     turns = turns - np.round(turns)
     flat = np.abs(turns) < 1e-15
     # Avoids 0 / 0 where turns is 0; these entries are n.
@@ -383,11 +383,11 @@ class _Solved:
     residual: Reals
 
     def coefficients(self, y: Reals) -> Reals:
-        """Returns the coefficients that the same fit finds in ``y``."""
+        """Return the coefficients that the same fit finds in ``y``."""
         return np.asarray(self.inverse @ self.lines.moments(y), dtype=np.float64)
 
     def rest(self, y: Reals, coefficients: Reals) -> Reals:
-        """Returns the residual of ``y``."""
+        """Return the residual of ``y``."""
         phasors = coefficients[1::2] + 1j * coefficients[2::2]
         left: Reals = y - coefficients[0] - self.lines.synthesise(phasors)
         return left
@@ -395,7 +395,7 @@ class _Solved:
 
 @lru_cache(maxsize=32)
 def _lines_on(frequencies: tuple[float, ...], rate: float, n: int) -> tuple[_Lines, Reals]:
-    """Returns the lines and the inverse of their normal matrix, which the channels of a record
+    """Return the lines and the inverse of their normal matrix, which the channels of a record
     share."""
     inverse = np.linalg.inv(_normal_equations(frequencies, rate, n))
     return _Lines(frequencies, rate, n), np.asarray(inverse, dtype=np.float64)
@@ -409,7 +409,7 @@ def _solve(y: Reals, rate: float, frequencies: Sequence[float] | Reals) -> _Solv
 
 
 def _leakage(lines: _Lines, rate: float, unfitted: Mapping[float, float]) -> Reals:
-    """Returns the covariance that lines which are not in the fit cause in its first phasor, (2, 2),
+    """Return the covariance that lines which are not in the fit cause in its first phasor, (2, 2),
     each with the given amplitude and any phase."""
     audible = {line: size for line, size in unfitted.items() if 0 < line < rate / 2 and size > 0}
     if not audible:
@@ -423,14 +423,14 @@ def _leakage(lines: _Lines, rate: float, unfitted: Mapping[float, float]) -> Rea
 
 
 def _nearest_line(frequencies: Sequence[float], rate: float, n: int) -> int:
-    """Returns the index of the line within a few beats of the first one, or 0."""
+    """Return the index of the line within a few beats of the first one, or 0."""
     beats = [abs(line - frequencies[0]) * _duration(n, rate) for line in frequencies]
     near = min(range(1, len(beats)), key=beats.__getitem__, default=0)
     return near if beats[near] < FEW_BEATS else 0
 
 
 def _follow(y: Reals, rate: float, nominal: _Solved, line: int) -> tuple[_Solved, Reals]:
-    """Returns the fit with one line at its own frequency, and what not knowing it adds to the
+    """Return the fit with one line at its own frequency, and what not knowing it adds to the
     inverse.
 
     This is Gauss-Newton: the residual is regressed on the derivative of the line with respect to
@@ -489,13 +489,13 @@ def _check(y: Reals, rate: float, frequency: float) -> None:
 
 
 def _duration(n: int, rate: float) -> float:
-    """Returns the length of a record in s, plus half a sample, because ends are rounded to
+    """Return the length of a record in s, plus half a sample, because ends are rounded to
     samples."""
     return (n + 0.5) / rate
 
 
 def _beats(frequencies: Sequence[float], rate: float, n: int) -> Reals:
-    """Returns the beats in the record between each two lines or their images; for a line itself,
+    """Return the beats in the record between each two lines or their images; for a line itself,
     with its images."""
     f = np.array(frequencies)
     total, apart = f[:, None] + f, np.abs(f[:, None] - f)
@@ -512,7 +512,7 @@ def _lines_to_fit(
     n: int,
     largest_inflation: float,
 ) -> tuple[list[float], list[int]]:
-    """Returns the interfering lines and the harmonic orders that can be fitted together with the
+    """Return the interfering lines and the harmonic orders that can be fitted together with the
     tone."""
     candidates = [line for line in interference if 0 < line < rate / 2]
     orders = [order for order in HARMONICS if order * frequency < rate / 2]
@@ -542,7 +542,7 @@ def _lines_to_fit(
 
 
 def _tone_variance(normal: Reals, chosen: Sequence[int]) -> float:
-    """Returns the variance of the tone (first line) at its worst phase for unit noise; infinite if
+    """Return the variance of the tone (first line) at its worst phase for unit noise; infinite if
     undetermined."""
     columns = [0, *(column for k in chosen for column in (2 * k + 1, 2 * k + 2))]
     part = normal.take(columns, 0).take(columns, 1)
@@ -558,7 +558,7 @@ def _tone_variance(normal: Reals, chosen: Sequence[int]) -> float:
 
 
 def scaled_covariance(covariance: Reals, factor: complex) -> Reals:
-    """Returns the covariance of (re, im) of a complex number after multiplication by ``factor``."""
+    """Return the covariance of (re, im) of a complex number after multiplication by ``factor``."""
     matrix = np.array([[factor.real, -factor.imag], [factor.imag, factor.real]])
     scaled: Reals = matrix @ covariance @ matrix.T
     return scaled

@@ -10,7 +10,7 @@ SHORTEST_WINDOW = 16
 
 
 def share_above(signal: NDArray[np.float64], rate_Hz: float, corner_Hz: float) -> float:
-    """Returns the share of a signal's energy above a frequency, 0 to 1; 0 for a signal of zeros.
+    """Return the share of a signal's energy above a frequency, 0 to 1; 0 for a signal of zeros.
 
     The mean of the signal (n,) counts as energy at 0 Hz.
     """
@@ -22,7 +22,7 @@ def share_above(signal: NDArray[np.float64], rate_Hz: float, corner_Hz: float) -
 
 
 def rms_above(signal: NDArray[np.float64], rate_Hz: float, corner_Hz: float) -> float:
-    """Returns the rms of a signal (n,) above a frequency, in its unit.
+    """Return the rms of a signal (n,) above a frequency, in its unit.
 
     A Hann window keeps a slow signal that ends elsewhere than it began from leaking into the upper
     band; its loss of power is corrected. Unlike a share of the energy, the result does not depend

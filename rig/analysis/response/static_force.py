@@ -15,7 +15,7 @@ TONE_PARAMETERS = 3
 def static_force(
     frames_N: Reals, rate_Hz: float, frequency_Hz: float, load_N: float
 ) -> tuple[float, float]:
-    """Returns the static force and its standard error in N from frames (n,) at ``rate_Hz``.
+    """Return the static force and its standard error in N from frames (n,) at ``rate_Hz``.
 
     The vibration at ``frequency_Hz`` is fitted together with it, folded to below half the rate
     where it is faster than the frames. Without this, a record that does not hold whole cycles reads

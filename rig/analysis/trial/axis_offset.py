@@ -46,7 +46,7 @@ class NudgeForce:
 
 
 def axis_offset(along_x: Sequence[NudgeForce], turned: Sequence[NudgeForce]) -> Estimate:
-    """Returns h in mm, positive if a positive turn drags the skin like a positive motion of the
+    """Return h in mm, positive if a positive turn drags the skin like a positive motion of the
     stage.
 
     Raises AxisOffsetError if the nudges of the stage have no clear effect on the force.
@@ -65,7 +65,7 @@ def axis_offset(along_x: Sequence[NudgeForce], turned: Sequence[NudgeForce]) -> 
 
 
 def _slope(nudged: Sequence[NudgeForce]) -> tuple[float, float]:
-    """Returns the change of force per nudge and its standard error. A linear drift cancels."""
+    """Return the change of force per nudge and its standard error. A linear drift cancels."""
     nudges = np.array([one.by for one in nudged])
     means = np.array([one.force_N.mean() for one in nudged])
     errors = np.array([one.force_N.std(ddof=1) / math.sqrt(one.force_N.size) for one in nudged])

@@ -87,7 +87,7 @@ class ClockOffset:
 
 
 def clock_offset(force_N: TouchRecord, volts: TouchRecord, within_s: float = 0.2) -> ClockOffset:
-    """Returns the offset of the force's clock against the volts', searched for in ±`within_s`.
+    """Return the offset of the force's clock against the volts', searched for in ±`within_s`.
 
     `force_N` is F_n and `volts` the sum v_1 + v_2, raw or decimated. Both must contain the
     touch-down and some time before and after it, the force at least `within_s` more.
@@ -140,7 +140,7 @@ class _Fit:
         self._still = still_columns(time)
 
     def nearest(self, within_s: float) -> float:
-        """Returns the offset with the smallest residual, to half of `STEP_s`.
+        """Return the offset with the smallest residual, to half of `STEP_s`.
 
         `STEP_s` is also the step of the thinned samples, so the force at one offset is that at the
         next one, shifted by one row.
@@ -152,7 +152,7 @@ class _Fit:
         return STEP_s * int(np.argmin(costs)) - within_s
 
     def best(self, near_s: float, within_s: float) -> float:
-        """Returns the offset with the smallest residual near `near_s`.
+        """Return the offset with the smallest residual near `near_s`.
 
         Gauss-Newton with P and the other parameters projected out (Kaufman 1975).
         """
@@ -171,7 +171,7 @@ class _Fit:
         return offset_s
 
     def error(self, offset_s: float) -> tuple[Reals, float]:
-        """Returns the residuals and the standard error of the offset, NaN where the force is
+        """Return the residuals and the standard error of the offset, NaN where the force is
         constant."""
         residual, slope = self._residual(offset_s)
         steepness = float(slope @ slope)
@@ -180,7 +180,7 @@ class _Fit:
         return residual, standard_error(slope / steepness, residual, len(self._knots) + 4)
 
     def _residual(self, offset_s: float) -> tuple[Reals, Reals]:
-        """Returns the residuals, and the change of the fit with the offset that P and v_0 cannot
+        """Return the residuals, and the change of the fit with the offset that P and v_0 cannot
         imitate."""
         model, orthonormal = self._model(self._columns(offset_s))
         step = 2e-4
@@ -203,7 +203,7 @@ class _Fit:
         return orthonormal @ (orthonormal.T @ self._seen), orthonormal
 
     def _shifted(self, offset_s: float, by_s: float) -> Reals:
-        """Returns the fitted curve with the force shifted, while P, v_0 and mains stay."""
+        """Return the fitted curve with the force shifted, while P, v_0 and mains stay."""
         weights = np.linalg.lstsq(self._columns(offset_s), self._seen, rcond=1e-9)[0]
         moved: Reals = self._columns(offset_s + by_s) @ weights
         return moved

@@ -77,16 +77,16 @@ class Decimator:
         return float(taps @ np.arange(taps.size)) / self.rate_Hz
 
     def add(self, samples: ArrayLike) -> Reals:
-        """Filters further rows (n, channels) and returns the outputs due, (m, channels); m may be
+        """Filter further rows (n, channels) and return the outputs due, (m, channels); m may be
         0."""
         return self._filter.add(samples)
 
     def response(self, frequency_Hz: ArrayLike) -> Complexes:
-        """Returns the complex response at input frequencies below half the input rate."""
+        """Return the complex response at input frequencies below half the input rate."""
         return frequency_response(self._filter.taps, frequency_Hz, self.rate_Hz)
 
     def group_delay_s(self, frequency_Hz: ArrayLike) -> Reals:
-        """Returns how late a slowly modulated tone of these frequencies appears, within the pass
+        """Return how late a slowly modulated tone of these frequencies appears, within the pass
         band."""
         frequency = np.atleast_1d(np.asarray(frequency_Hz, dtype=np.float64))
         half = 0.05  # Hz on either side: the phase is smooth on this scale

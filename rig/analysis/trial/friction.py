@@ -129,7 +129,7 @@ def friction(
 
 
 def mean_of_correlated(samples: ArrayLike) -> tuple[Estimate, float]:
-    """Returns the mean of steady, correlated samples (n,), and how many independent ones it is
+    """Return the mean of steady, correlated samples (n,), and how many independent ones it is
     worth.
 
     The interval is Student's t with this number minus one as degrees of freedom.
@@ -192,7 +192,7 @@ def _rough_peak(ratio: Reals, travel: Reals) -> int:
 
 
 def _steady_from(ratio: Reals, travel: Reals, peak: int) -> int:
-    """Returns the first sample of steady sliding."""
+    """Return the first sample of steady sliding."""
     if not travel[-1] > 0:
         raise FrictionError("the object did not move")
     _require_gross_slip(ratio, travel)
@@ -227,7 +227,7 @@ def _slope(x: Reals, y: Reals) -> float:
 
 
 def _stretch(ratio: Reals, peak: int, rate_Hz: float) -> int:
-    """Samples of the parabola: half of what the last tenth of the rise takes."""
+    """Return the samples of the parabola: half of what the last tenth of the rise takes."""
     below = np.nonzero(ratio[:peak] < NEAR_PEAK * ratio[peak])[0]
     rise = peak - (int(below[-1]) if below.size else 0)
     longest = max(SHORTEST_STRETCH, round(LONGEST_STRETCH_s * rate_Hz))
@@ -235,7 +235,7 @@ def _stretch(ratio: Reals, peak: int, rate_Hz: float) -> int:
 
 
 def _end_of_parabola(stretch: int) -> Reals:
-    """Returns weights, newest last, that give the value of a fitted parabola at its newest
+    """Return weights, newest last, that give the value of a fitted parabola at its newest
     sample."""
     age = np.arange(stretch, dtype=np.float64)[::-1]
     design = np.column_stack([np.ones(stretch), age, age**2])
@@ -244,7 +244,7 @@ def _end_of_parabola(stretch: int) -> Reals:
 
 
 def _ends(values: Reals, weights: Reals) -> Reals:
-    """Returns the value of every section at its newest sample, (..., n) to (..., n - stretch +
+    """Return the value of every section at its newest sample, (..., n) to (..., n - stretch +
     1)."""
     stretches = np.lib.stride_tricks.sliding_window_view(values, weights.size, axis=-1)
     ends: Reals = stretches @ weights
@@ -252,7 +252,7 @@ def _ends(values: Reals, weights: Reals) -> Reals:
 
 
 def _peak(ratio: Reals, rough: int, stretch: int, noise: Reals, block: int) -> tuple[Estimate, int]:
-    """Returns the peak without what noise adds to a maximum, with its error."""
+    """Return the peak without what noise adds to a maximum, with its error."""
     weights = _end_of_parabola(stretch)
     first = max(0, rough - 4 * stretch)
     part = ratio[first : rough + 4 * stretch + 1]
@@ -274,7 +274,7 @@ def _peak(ratio: Reals, rough: int, stretch: int, noise: Reals, block: int) -> t
 
 
 def _blocks_of(noise: Reals, block: int, shape: tuple[int, int], rng: np.random.Generator) -> Reals:
-    """Returns simulated noise of shape `shape`: random stretches of `block` samples of the measured
+    """Return simulated noise of shape `shape`: random stretches of `block` samples of the measured
     noise, put one after the other, so that its correlation is kept."""
     rows, length = shape
     blocks = -(-length // block)
@@ -284,7 +284,7 @@ def _blocks_of(noise: Reals, block: int, shape: tuple[int, int], rng: np.random.
 
 
 def _with_zeros(estimate: Estimate, zero_error_N: tuple[float, float], level_N: float) -> Estimate:
-    """Returns the estimate with the error of uncertain zeros added."""
+    """Return the estimate with the error of uncertain zeros added."""
     of_normal, of_tangential = zero_error_N
     added = math.hypot(of_tangential, estimate.value * of_normal) / level_N
     low = estimate.value - math.hypot(estimate.value - estimate.low, COVERAGE_95 * added)
@@ -294,7 +294,7 @@ def _with_zeros(estimate: Estimate, zero_error_N: tuple[float, float], level_N: 
 
 
 def _of_a_point(static: Estimate, kinetic: Estimate) -> Estimate:
-    """Returns μ_s = μ_k + drop / W over the range of W; never below that of the contact."""
+    """Return μ_s = μ_k + drop / W over the range of W; never below that of the contact."""
     least, median, most = WEAKENED
     drop = max(static.value - kinetic.value, 0.0)
     noise = math.hypot(static.standard_error, kinetic.standard_error)

@@ -43,19 +43,19 @@ class LoadScale:
     """Frequency up to which the pole of the film takes less than 1 %."""
 
     def rate_N_s(self, volts: ArrayLike, zero_V: float = 0.0) -> Reals:  # noqa: N802
-        """Returns the rate of the load (n,) in N/s from volts (n,), given the volts at rest."""
+        """Return the rate of the load (n,) in N/s from volts (n,), given the volts at rest."""
         rate: Reals = (np.asarray(volts, dtype=np.float64) - zero_V) * self.N_s_per_V.value
         return rate
 
     def error_N_s(self, rate_N_s: float) -> float:  # noqa: N802 - the unit keeps its capital
-        """Returns the standard error of a rate in N/s, from the calibration alone."""
+        """Return the standard error of a rate in N/s, from the calibration alone."""
         return abs(rate_N_s) * self.N_s_per_V.standard_error / abs(self.N_s_per_V.value)
 
 
 def load_scale(
     b_dB: float, b_error_dB: float, *, polarity: int = 1, corner_Hz: float = math.inf
 ) -> LoadScale:
-    """Returns the scale of a strip with level `b_dB`, in dB re 1 V/N at 1 Hz, with its amplifier's
+    """Return the scale of a strip with level `b_dB`, in dB re 1 V/N at 1 Hz, with its amplifier's
     gain.
 
     Raises ValueError for a level that is not finite or a negative error.
@@ -76,7 +76,7 @@ def load_scale(
 
 
 def load_scale_of_record(record: FilmCalibration, amplifier_gain: float | None = None) -> LoadScale:
-    """Returns the scale from a calibration record. The error of b includes noise, load cell and
+    """Return the scale from a calibration record. The error of b includes noise, load cell and
     model.
 
     `amplifier_gain` is the gain with which the volts were measured. Raises ConfigurationError if it
@@ -96,7 +96,7 @@ def load_scale_of_record(record: FilmCalibration, amplifier_gain: float | None =
 
 
 def amplifier_dB(gain: float) -> float:  # noqa: N802 - the unit keeps its capital
-    """Returns a gain in dB.
+    """Return a gain in dB.
 
     >>> amplifier_dB(10.0)
     20.0

@@ -71,7 +71,7 @@ def _gaussian(values: Reals, rate_Hz: float, order: int) -> Reals:
 
 
 def volts_on_grid(volts: TouchRecord, force_rate_Hz: float) -> tuple[Reals, Reals]:
-    """Returns times on the volts' clock, corrected, and smoothed volts, as slow as frames at that
+    """Return times on the volts' clock, corrected, and smoothed volts, as slow as frames at that
     rate."""
     values = np.asarray(volts.values, dtype=np.float64)
     if force_rate_Hz < FINE_RATE_Hz:
@@ -86,7 +86,7 @@ def volts_on_grid(volts: TouchRecord, force_rate_Hz: float) -> tuple[Reals, Real
 
 
 def _averaged(values: Reals, width: int) -> Reals:
-    """Returns the centred running mean over `width` samples. If `width` is even, it is the mean of
+    """Return the centred running mean over `width` samples. If `width` is even, it is the mean of
     the two running means that begin half a sample before and half a sample after."""
     from scipy.ndimage import uniform_filter1d
 
@@ -98,7 +98,7 @@ def _averaged(values: Reals, width: int) -> Reals:
 
 
 def _interpolated(series: TouchRecord) -> TouchRecord:
-    """Returns the series at a whole multiple of its rate, of at least that of the grid."""
+    """Return the series at a whole multiple of its rate, of at least that of the grid."""
     values = np.asarray(series.values, dtype=np.float64)
     times = math.ceil(GRID_Hz / series.rate_Hz)
     at = np.arange((values.size - 1) * times + 1) / times
@@ -107,7 +107,7 @@ def _interpolated(series: TouchRecord) -> TouchRecord:
 
 
 def _cubic(first_s: float, rate_Hz: float, values: Reals) -> Callable[[Reals], Reals]:
-    """Returns the cubic spline through equally spaced values, as a function of time."""
+    """Return the cubic spline through equally spaced values, as a function of time."""
     from scipy.ndimage import map_coordinates, spline_filter1d
 
     coefficients = spline_filter1d(values, mode="mirror")
@@ -138,13 +138,13 @@ class SmoothForce:
         self.largest_N = float(self._force.max())
 
     def way_back(self, start_s: float, end_s: float) -> float:
-        """Returns how far the force fell after it had risen, as a share of the largest force."""
+        """Return how far the force fell after it had risen, as a share of the largest force."""
         inside = (self._time >= start_s) & (self._time <= end_s)
         force = self._force[inside]
         return float((np.maximum.accumulate(force) - force).max()) / self.largest_N
 
     def columns(self, time: Reals, knots: tuple[float, ...]) -> Reals:
-        """Returns dF/dt times each hat function of F, (n, knots)."""
+        """Return dF/dt times each hat function of F, (n, knots)."""
         force = np.clip(self._force_at(time) / self.largest_N, 0.0, 1.0)
         rate = self._rate_at(time)
         hats = [np.interp(force, knots, row) for row in np.eye(len(knots))]
@@ -152,13 +152,13 @@ class SmoothForce:
 
 
 def still_columns(time: Reals) -> Reals:
-    """Returns the columns that describe the volts at rest: a constant and the mains, (n, 3)."""
+    """Return the columns that describe the volts at rest: a constant and the mains, (n, 3)."""
     turn = 2 * np.pi * MAINS_Hz * time
     return np.column_stack([np.ones(time.size), np.cos(turn), np.sin(turn)])
 
 
 def standard_error(influence: Reals, residual: Reals, parameters: int) -> float:
-    """Returns the standard error of a fitted number, ``influence @ volts``.
+    """Return the standard error of a fitted number, ``influence @ volts``.
 
     It is computed from the residuals with their own autocovariance (Newey and West 1987), and
     enlarged for the `parameters` that were fitted.

@@ -30,7 +30,7 @@ ENOUGH = 10
 
 
 def touch_gain(force_N: TouchRecord, volts: TouchRecord, offset_s: float) -> Estimate:
-    """Returns a strip's gain in V s/N, with its sign; what was at t on the volts' clock was at t +
+    """Return a strip's gain in V s/N, with its sign; what was at t on the volts' clock was at t +
     `offset_s` on the force's, which is taken as known.
 
     An event at t on the clock of the volts was at t + `offset_s` on that of the force; the offset
@@ -57,7 +57,7 @@ def touch_gain(force_N: TouchRecord, volts: TouchRecord, offset_s: float) -> Est
 
 
 def _mean_weights() -> Reals:
-    """Returns the weights of the values at the knots in the mean over the force."""
+    """Return the weights of the values at the knots in the mean over the force."""
     widths = np.diff(KNOTS)
     weights: Reals = 0.5 * (np.append(widths, 0.0) + np.append(0.0, widths))
     return weights

@@ -33,7 +33,7 @@ class BatchClock(Protocol):
         ...
 
     def used(self, bench_s: float) -> None:
-        """A run has taken this much bench time."""
+        """Record that a run has taken this much bench time."""
         ...
 
     def rest(self, seconds: float, check: Callable[[], None]) -> None:

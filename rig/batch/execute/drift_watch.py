@@ -48,7 +48,7 @@ class DriftWatch:
         return found
 
     def disk(self) -> list[HoldReason]:
-        """The reason not to continue on this disk, if there is one."""
+        """Return the reason not to continue on this disk, if there is one."""
         needed_B = self._queue.remaining().size_B
         free_B = shutil.disk_usage(self._results).free
         return disk_space(free_B, needed_B, self._file.batch.hold_when.free_disk_GB)
@@ -59,7 +59,7 @@ class DriftWatch:
         return [*self._zero(claim, ended), *self._drift(claim, ended, bench)]
 
     def accept(self, claim: Claim) -> None:
-        """A person has resumed the batch: later runs are compared with this one."""
+        """Compare later runs with this one, because a person has resumed the batch."""
         self._queue.set_meta(ACCEPTED + ZERO, str(claim.number))
         self._queue.set_meta(ACCEPTED + claim.condition.id, str(claim.number))
 

@@ -75,7 +75,7 @@ class PostprocessResult:
     """The reason why there is no run file; empty if there is one."""
 
     def as_line(self) -> str:
-        """This result as a line of JSON."""
+        """Return this result as a line of JSON."""
         return json.dumps(asdict(self), default=str) + "\n"
 
 

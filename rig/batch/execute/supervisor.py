@@ -101,7 +101,7 @@ class _Count:
         return self.before + self.now
 
     def close_attempt(self) -> None:
-        """The attempt under way has ended."""
+        """Add the count of the attempt that has ended to those before."""
         self.before, self.now = self.total, 0
 
 
@@ -168,7 +168,7 @@ class Supervisor:
             return code
 
     def _say(self, text: str) -> None:
-        """A line for the person; a full disk behind it disturbs nothing."""
+        """Print a line for the person; a full disk behind it disturbs nothing."""
         with contextlib.suppress(OSError):
             self._print(text)
 
@@ -404,7 +404,7 @@ class Supervisor:
                 self._record(self._queue.set_meta, count.name, str(count.total))
 
     def _on_disturbed(self, event: Mapping[str, Any]) -> None:
-        """A run is on hold; people are notified of the first hold of a run only."""
+        """Record that a run is on hold; people are notified of the first hold of a run only."""
         now, holds = self._progress, event["holds"]
         self._count(event)
         counts = f"{counted(holds, 'hold')}, {counted(event['presses'], 'press', 'presses')}"
@@ -425,7 +425,7 @@ class Supervisor:
         self._say(shown)
 
     def _on_hold(self, event: Mapping[str, Any]) -> None:
-        """The batch is held. The same reason again before another run has ended is not repeated."""
+        """Record that the batch is held, once for each reason until another run has ended."""
         self._progress.state, self._progress.text = "held", event["text"]
         self._disk_was_full |= bool(event.get("by_itself"))
         if event["text"] == self._held_for:

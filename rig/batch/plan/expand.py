@@ -470,7 +470,7 @@ def _too_many(expanded: Sequence[Expansion]) -> Iterator[PlanFinding]:
 
 
 def _misplaced(batch: BatchFile) -> Iterator[PlanFinding]:
-    """Settings of the queue that have no effect."""
+    """Yield the settings of the queue that have no effect."""
     alone = all(experiment.every is not None for experiment in batch.experiment)
     for number, experiment in enumerate(batch.experiment):
         where = ("experiment", number)

@@ -45,7 +45,7 @@ Variant = Annotated[str, AfterValidator(_installed_variant)]
 
 
 def _instant(value: Any, parse: ValidatorFunctionWrapHandler) -> Any:
-    """A number is refused, which pydantic would take for seconds since 1970."""
+    """Refuse a number, which pydantic would take for seconds since 1970."""
     wanted = f"a time of day ({EXAMPLE_TIME}) or a date and time ({EXAMPLE_DATE} {EXAMPLE_TIME})"
     if isinstance(value, str):  # also as the queue keeps it, in JSON
         try:
@@ -62,7 +62,7 @@ def _instant(value: Any, parse: ValidatorFunctionWrapHandler) -> Any:
 
 
 def _local(value: datetime | time) -> datetime | time:
-    """A time of day with an offset is refused: which day's offset that is cannot be known."""
+    """Refuse a time of day with an offset: which day's offset that is cannot be known."""
     if isinstance(value, time) and value.tzinfo is not None:
         raise ValueError(
             f"a time of day is in this computer's time zone: write {EXAMPLE_TIME} without an "

@@ -105,7 +105,7 @@ class Heartbeat:
 
 
 def read_heartbeat(path: Path) -> HeartbeatRecord | None:
-    """The latest heartbeat of a batch; None where there is none that can be read."""
+    """Return the latest heartbeat of a batch, or None if none can be read."""
     try:
         return HeartbeatRecord(**json.loads(path.read_text(encoding="utf-8")))
     except (OSError, ValueError, TypeError):

@@ -89,12 +89,12 @@ class Baselines(Settings):
 
 
 def tuned_baselines() -> Baselines:
-    """Returns the baselines tuned on the simulated trials whose seeds they state."""
+    """Return the baselines tuned on the simulated trials whose seeds they state."""
     return Baselines.model_validate_json(files(__package__).joinpath(FILE).read_bytes())
 
 
 def baseline_score(volts: ArrayLike, rate_Hz: float, settings: BaselineSettings) -> Floats:
-    """Returns the score (n,) of each row of `volts` (n, 2): 0 in the quiet beginning and while not
+    """Return the score (n,) of each row of `volts` (n, 2): 0 in the quiet beginning and while not
     armed.
 
     Raises ValueError for a recording that is not longer than its quiet beginning.
@@ -107,7 +107,7 @@ def baseline_score(volts: ArrayLike, rate_Hz: float, settings: BaselineSettings)
 def baseline_reports(
     volts: ArrayLike, rate_Hz: float, settings: BaselineSettings, factors: ArrayLike = (1.0,)
 ) -> list[DetectorReport]:
-    """Returns alarms and armings in `volts` (n, 2), one report for each factor on the
+    """Return alarms and armings in `volts` (n, 2), one report for each factor on the
     threshold."""
     signal = _signal(volts, rate_Hz, settings)
     armed = _armed(signal, rate_Hz, settings)
@@ -131,7 +131,7 @@ def baseline_reports(
 
 
 def _signal(volts: ArrayLike, rate_Hz: float, settings: BaselineSettings) -> Floats:
-    """Returns v_d in mV without its offset, (n,), or v_1 if the statistic uses one channel only."""
+    """Return v_d in mV without its offset, (n,), or v_1 if the statistic uses one channel only."""
     given = np.asarray(volts, dtype=np.float64)
     quiet = round(settings.quiet_s * rate_Hz)
     if given.ndim != 2 or given.shape[1] != 2 or len(given) <= quiet:
@@ -146,7 +146,7 @@ def _signal(volts: ArrayLike, rate_Hz: float, settings: BaselineSettings) -> Flo
 
 
 def _armed(signal: Floats, rate_Hz: float, settings: BaselineSettings) -> Flags:
-    """Returns where the predictive signal has armed, (n,)."""
+    """Return where the predictive signal has armed, (n,)."""
     taps = design_low_pass(settings.low_pass, rate_Hz).taps
     predictive = np.abs(np.convolve(signal, taps)[: signal.size])
     quiet = round(settings.quiet_s * rate_Hz)
@@ -162,7 +162,7 @@ def _armed(signal: Floats, rate_Hz: float, settings: BaselineSettings) -> Flags:
 
 
 def _score(values: Floats, armed: Flags, settings: BaselineSettings) -> Floats:
-    """Returns the values of a statistic while armed; those of the CUSUM summed since it was
+    """Return the values of a statistic while armed; those of the CUSUM summed since it was
     armed."""
     if settings.statistic != "cusum":
         return np.where(armed, values, 0.0)
@@ -190,13 +190,13 @@ def _sections(rate_Hz: float) -> Floats:
 
 
 def _noise(filtered: Floats, rate_Hz: float, settings: BaselineSettings) -> float:
-    """Returns the rms of a filtered signal while nothing touches, in mV, at least the floor."""
+    """Return the rms of a filtered signal while nothing touches, in mV, at least the floor."""
     quiet = slice(round(SETTLING_S * rate_Hz), round(settings.quiet_s * rate_Hz))
     return max(settings.floor_mV, float(np.sqrt(np.mean(filtered[quiet] ** 2))))
 
 
 def _band_power(signal: Floats, rate_Hz: float, settings: BaselineSettings) -> Floats:
-    """Returns the rms of the high-passed signal over 16 ms."""
+    """Return the rms of the high-passed signal over 16 ms."""
     passed = _high_passed(signal, rate_Hz)
     window = max(1, round(BAND_POWER_S * rate_Hz))
     power = np.convolve(passed**2, np.ones(window) / window)[: signal.size]
@@ -205,7 +205,7 @@ def _band_power(signal: Floats, rate_Hz: float, settings: BaselineSettings) -> F
 
 
 def _wavelet(signal: Floats, rate_Hz: float, settings: BaselineSettings) -> Floats:
-    """Returns the larger of the two finest details of the undecimated transform, each relative to
+    """Return the larger of the two finest details of the undecimated transform, each relative to
     its noise."""
     details = wavelet_details(signal)
     levels: Floats = np.max(
@@ -215,7 +215,7 @@ def _wavelet(signal: Floats, rate_Hz: float, settings: BaselineSettings) -> Floa
 
 
 def wavelet_details(signal: ArrayLike) -> tuple[Floats, Floats]:
-    """Returns two causal, undecimated db4 details of a signal (n,): its upper half band and the
+    """Return two causal, undecimated db4 details of a signal (n,): its upper half band and the
     half below."""
     given = np.asarray(signal, dtype=np.float64)
     low = np.array(DB4[::-1])
@@ -228,7 +228,7 @@ def wavelet_details(signal: ArrayLike) -> tuple[Floats, Floats]:
 
 
 def _cusum(signal: Floats, rate_Hz: float, settings: BaselineSettings) -> Floats:
-    """Returns log-likelihood ratios of an increased variance of the high-passed signal.
+    """Return log-likelihood ratios of an increased variance of the high-passed signal.
 
     They are summed by Page's cumulative sum (Page 1954, Biometrika 41, 100), which restarts at
     every arming and after every alarm.
@@ -240,7 +240,7 @@ def _cusum(signal: Floats, rate_Hz: float, settings: BaselineSettings) -> Floats
 
 
 def _single_channel(signal: Floats, rate_Hz: float, settings: BaselineSettings) -> Floats:
-    """Returns the high-passed signal of v_1 alone."""
+    """Return the high-passed signal of v_1 alone."""
     passed = _high_passed(signal, rate_Hz)
     level: Floats = np.abs(passed) / _noise(passed, rate_Hz, settings)
     return level

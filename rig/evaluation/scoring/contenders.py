@@ -55,7 +55,7 @@ class Contender(Named, Protocol):
         factors: tuple[float, ...],
         commands: tuple[Command, ...] = (),
     ) -> list[DetectorReport]:
-        """Returns its reports on a recording (n, 2) in V with these commands, one for each factor
+        """Return its reports on a recording (n, 2) in V with these commands, one for each factor
         on its threshold."""
         ...
 
@@ -87,7 +87,7 @@ class DetectorContender:
         factors: tuple[float, ...],
         commands: tuple[Command, ...] = (),
     ) -> list[DetectorReport]:
-        """Returns the events that it detects at each threshold."""
+        """Return the events that it detects at each threshold."""
         reports: dict[str, DetectorReport] = {}
         found = []
         for factor in factors:
@@ -141,5 +141,5 @@ class BaselineContender:
         factors: tuple[float, ...],
         commands: tuple[Command, ...] = (),
     ) -> list[DetectorReport]:
-        """Returns its alarms and armings at each threshold; it does not use commands."""
+        """Return its alarms and armings at each threshold; it does not use commands."""
         return baseline_reports(volts, rate_Hz, self.settings, factors)

@@ -55,7 +55,7 @@ class Process:
 
 
 def process_of(rows: Floats, order: int = ORDER) -> Process:
-    """Returns the process that rows (n, channels) follow best, by least squares about their mean.
+    """Return the process that rows (n, channels) follow best, by least squares about their mean.
 
     ValueError for fewer than `LEAST_ROWS` rows.
     """
@@ -72,7 +72,7 @@ def process_of(rows: Floats, order: int = ORDER) -> Process:
 
 
 def whitened(change: Floats, process: Process) -> Floats:
-    """Returns what is left of a change (n, channels) that begins with its first row, behind the
+    """Return what is left of a change (n, channels) that begins with its first row, behind the
     filter that makes the process white noise of unit size and independent channels."""
     left = change.copy()
     for lag, weight in enumerate(process.weights, 1):
@@ -82,7 +82,7 @@ def whitened(change: Floats, process: Process) -> Floats:
 
 
 def detectability(change: Floats, process: Process) -> float:
-    """Returns d' of a known change (n, channels) in a process: the distance of the means of the
+    """Return d' of a known change (n, channels) in a process: the distance of the means of the
     matched filter's output with and without it, in standard deviations.
 
     >>> white = Process(np.zeros((1, 1, 1)), np.array([[4.0]]))
@@ -93,7 +93,7 @@ def detectability(change: Floats, process: Process) -> float:
 
 
 def slip_detectability(volts: Floats, rate_Hz: float, truth: Truth) -> float:
-    """Returns d' of the slip of a trial from its record (n, 2) up to 30 ms after the slip of the
+    """Return d' of the slip of a trial from its record (n, 2) up to 30 ms after the slip of the
     whole ridge; NaN where too little comes before it to learn the process from.
 
     The change is what the rows before do not foretell, from the first node's slip on, 10 ms before
@@ -116,7 +116,7 @@ def slip_detectability(volts: Floats, rate_Hz: float, truth: Truth) -> float:
 def ideal_report(
     volts: Floats, rate_Hz: float, truth: Truth, settings: IdealSettings | None = None
 ) -> DetectorReport:
-    """Returns the alarm of an observer who finds what can be found: at the end of the time in which
+    """Return the alarm of an observer who finds what can be found: at the end of the time in which
     the slip is found, all of which it uses, if the slip stands out, and none otherwise. Nothing is
     judged where the process is not known."""
     needed = (IdealSettings() if settings is None else settings).needed

@@ -69,11 +69,11 @@ class Truth:
         return self.label in SLIPPED
 
     def window_s(self) -> tuple[float, float]:
-        """Returns the interval in which an alarm finds the slip in time."""
+        """Return the interval in which an alarm finds the slip in time."""
         return self.ridge_slip_s - EARLY_WITHIN_S, self.ridge_slip_s + FOUND_WITHIN_S
 
     def without_slip_s(self) -> float:
-        """Returns the length of the part of the record in which every alarm is early or false."""
+        """Return the length of the part of the record in which every alarm is early or false."""
         return min(self.window_s()[0], self.record_s) if self.slipped else self.record_s
 
 
@@ -164,7 +164,7 @@ class TrialOutcome:
 
 
 def judge(truth: Truth, said: DetectorReport, traits: Mapping[str, float | str]) -> TrialOutcome:
-    """Returns the outcome of a trial, given the truth, the report of a detector and the conditions.
+    """Return the outcome of a trial, given the truth, the report of a detector and the conditions.
 
     Raises ValueError for a trial labelled as a slip without the time at which the ridge slipped, or
     with one before its first node's.
@@ -229,7 +229,7 @@ def judge(truth: Truth, said: DetectorReport, traits: Mapping[str, float | str])
 
 
 def _covers(intervals: Sequence[tuple[float, float]], begin: float, end: float) -> bool:
-    """Returns whether one of the intervals contains all of the time from `begin` to `end`."""
+    """Return whether one of the intervals contains all of the time from `begin` to `end`."""
     return any(first <= begin and end <= last for first, last in intervals)
 
 

@@ -13,7 +13,7 @@ period of 50 Hz."""
 
 
 def roll_pattern(volts: ArrayLike, rate_Hz: float, motion_s: float) -> Literal["a", "b"]:
-    """Returns "a" if the main excursions of v_1 and v_2 in a roll have the same sign, "b"
+    """Return "a" if the main excursions of v_1 and v_2 in a roll have the same sign, "b"
     otherwise.
 
     `volts` (n, 2) are v_1 and v_2. Excursions are measured from the mean of the 20 ms before the

@@ -69,7 +69,7 @@ class ContenderResult:
 
 
 def results(contenders: Sequence[Named], judged: Sequence[ScoredTrial]) -> list[ContenderResult]:
-    """Returns the results of each detector from the scored trials. Trivial answers, which come
+    """Return the results of each detector from the scored trials. Trivial answers, which come
     last, have no ROC."""
     labels = [one.truth.label for one in judged]
     swept = min((len(one.found) for one in judged if one.found.shape[1]), default=0)
@@ -93,7 +93,7 @@ def results(contenders: Sequence[Named], judged: Sequence[ScoredTrial]) -> list[
 
 
 def rows(found: Sequence[ContenderResult], use: str) -> Iterator[tuple[str | float, ...]]:
-    """Yields every number as a row with the columns `ROW`.
+    """Yield every number as a row with the columns `ROW`.
 
     `use` says what the trials are for (reporting or tuning) and is written to every row.
     """

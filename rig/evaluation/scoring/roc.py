@@ -33,7 +33,7 @@ class Roc:
     """Share of the trials without a slip in which there was an alarm, (k,)."""
 
     def found_at(self, alarms: float) -> float:
-        """Returns the share of slips found at a given share of false alarms.
+        """Return the share of slips found at a given share of false alarms.
 
         The value is interpolated between the neighbouring thresholds; NaN outside the swept range.
         """
@@ -48,7 +48,7 @@ class Roc:
 def roc(
     threshold: Sequence[float], labels: Sequence[str], found: Flags, alarmed: Flags, of: str
 ) -> Roc:
-    """Returns the curve of a detector that was run at several thresholds (k,), descending.
+    """Return the curve of a detector that was run at several thresholds (k,), descending.
 
     `labels` (n,) are those of the trials. `found` and `alarmed` (n, k) state whether the slip was
     found and whether there was any alarm at each threshold. `of` selects the trials without a slip
@@ -66,7 +66,7 @@ def roc(
 def tune(
     floors: Sequence[float], roll_peaks: Floats, slip_peaks: Floats
 ) -> tuple[float, float, float]:
-    """Returns the floor and the threshold that find most slips at `ROLL_ALARMS`, and the share
+    """Return the floor and the threshold that find most slips at `ROLL_ALARMS`, and the share
     found.
 
     `floors` are tried one by one. `roll_peaks` (m, floors) are the largest scores of whole rolls,
@@ -89,7 +89,7 @@ def tune(
 
 
 def threshold_for(others: ArrayLike, most_alarms: float = ROLL_ALARMS) -> float:
-    """Returns the lowest threshold that at most this share of the largest scores exceeds.
+    """Return the lowest threshold that at most this share of the largest scores exceeds.
 
     >>> threshold_for([1.0, 2.0, 3.0, 4.0], most_alarms=0.25)
     3.0

@@ -40,11 +40,11 @@ class SeedRange(Settings):
         return self.end - self.first
 
     def seeds(self) -> range:
-        """Returns the seeds, ascending."""
+        """Return the seeds, ascending."""
         return range(self.first, self.end)
 
     def overlaps(self, other: SeedRange) -> bool:
-        """Returns whether any seed is in both ranges."""
+        """Return whether any seed is in both ranges."""
         return self.first < other.end and other.first < self.end
 
     @property
@@ -59,7 +59,7 @@ class SeedRange(Settings):
 
 
 def seed_range(text: str, option: str = "--seeds") -> SeedRange:
-    """Returns the range written as ``FIRST:END``, END excluded. Raises ConfigurationError for any
+    """Return the range written as ``FIRST:END``, END excluded. Raises ConfigurationError for any
     other text.
 
     >>> len(seed_range("1000000:1000100"))
@@ -75,7 +75,7 @@ def seed_range(text: str, option: str = "--seeds") -> SeedRange:
 
 
 def check_use(seeds: SeedRange, *, tuning: bool) -> None:
-    """Raises ConfigurationError if seeds are used for what they are not reserved for."""
+    """Raise ConfigurationError if seeds are used for what they are not reserved for."""
     if not (seeds.tunes or seeds.reports):
         raise ConfigurationError(
             f"seeds {seeds} lie on both sides of {FIRST_REPORTING_SEED}: below are trials for "
@@ -97,7 +97,7 @@ def check_use(seeds: SeedRange, *, tuning: bool) -> None:
 
 
 def check_unseen(name: str, tuned_on: SeedRange | None, seeds: SeedRange) -> None:
-    """Raises ConfigurationError if a detector was tuned on some of the trials on which it is to be
+    """Raise ConfigurationError if a detector was tuned on some of the trials on which it is to be
     scored."""
     if tuned_on is not None and tuned_on.overlaps(seeds):
         raise ConfigurationError(

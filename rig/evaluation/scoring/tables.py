@@ -79,7 +79,7 @@ NAMES = ("pattern", "kind", "stop")
 
 
 def rate(hits: int, of: int) -> ScoredNumber:
-    """Returns the share of hits with Wilson's score interval (Wilson 1927, J. Am. Stat. Assoc. 22,
+    """Return the share of hits with Wilson's score interval (Wilson 1927, J. Am. Stat. Assoc. 22,
     209).
 
     >>> half = rate(5, 10)
@@ -97,7 +97,7 @@ def rate(hits: int, of: int) -> ScoredNumber:
 
 
 def per_hour(count: int, seconds: float, of: int) -> ScoredNumber:
-    """Returns events per hour, from a count in a time, with the exact interval of a Poisson count
+    """Return events per hour, from a count in a time, with the exact interval of a Poisson count
     (Garwood 1936, Biometrika 28, 437).
 
     >>> none = per_hour(0, 3600.0, 1)
@@ -114,7 +114,7 @@ def per_hour(count: int, seconds: float, of: int) -> ScoredNumber:
 
 
 def rayleigh_p(phases: Sequence[float]) -> float:
-    """Returns the probability that phases from 0 to 1 that are uniform are as much on one side as
+    """Return the probability that phases from 0 to 1 that are uniform are as much on one side as
     these, by Rayleigh's test (Mardia and Jupp 2000, Directional Statistics, 6.3.1).
 
     >>> round(rayleigh_p([0.0, 0.25, 0.5, 0.75]), 2)
@@ -129,7 +129,7 @@ def rayleigh_p(phases: Sequence[float]) -> float:
 
 
 def percentiles(values: Sequence[float], unit: str) -> dict[int, ScoredNumber]:
-    """Returns `PERCENTILES` of the finite values, with their bootstrap intervals.
+    """Return `PERCENTILES` of the finite values, with their bootstrap intervals.
 
     It is the percentile bootstrap (Efron 1979) with a fixed seed: the same values always give the
     same interval.
@@ -151,12 +151,12 @@ def percentiles(values: Sequence[float], unit: str) -> dict[int, ScoredNumber]:
 
 
 def score(outcomes: Sequence[TrialOutcome]) -> Score:
-    """Returns all numbers of a group of outcomes of one detector."""
+    """Return all numbers of a group of outcomes of one detector."""
     return dict(_quantities(outcomes))
 
 
 def by_trait(outcomes: Sequence[TrialOutcome], trait: str) -> list[Group]:
-    """Returns the outcomes that have a trait, one group for each bin that is not empty, in
+    """Return the outcomes that have a trait, one group for each bin that is not empty, in
     order."""
     having = [one for one in outcomes if trait in one.traits]
     if trait in NAMES:
@@ -245,7 +245,7 @@ def _quantities(outcomes: Sequence[TrialOutcome]) -> Iterator[tuple[str, ScoredN
 
 
 def _alarms_per_hour(outcomes: Sequence[TrialOutcome]) -> Iterator[tuple[str, ScoredNumber]]:
-    """Yields false alarms per hour, of all time without a slip and of the quiet part of it."""
+    """Yield false alarms per hour, of all time without a slip and of the quiet part of it."""
     timed = [one for one in outcomes if math.isfinite(one.without_slip_s)]
     for name, alarms, seconds in (
         ("false_per_hour", [o.false_alarms for o in timed], [o.without_slip_s for o in timed]),

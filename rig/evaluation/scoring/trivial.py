@@ -60,12 +60,12 @@ class TrivialAnswer:
 
     @property
     def tuned_on(self) -> SeedRange | None:
-        """Returns None: it was tuned on no trials, or on those that are scored, as its name then
+        """Return None: it was tuned on no trials, or on those that are scored, as its name then
         says."""
         return None
 
     def report(self, trial: ScoredTrial) -> DetectorReport:
-        """Returns its alarms in a trial."""
+        """Return its alarms in a trial."""
         truth = trial.truth
         if isinstance(self.settings, IdealSettings):
             assert trial.possible is not None
@@ -81,7 +81,7 @@ class TrivialAnswer:
 def with_trivial_answers(
     judged: Sequence[ScoredTrial],
 ) -> tuple[tuple[TrivialAnswer, ...], list[ScoredTrial]]:
-    """Returns the trivial answers, and the trials with their outcomes after those of the
+    """Return the trivial answers, and the trials with their outcomes after those of the
     detectors."""
     best_s = best_delay_s([one.truth for one in judged if one.truth.label in SLIPS])
     answers = [TrivialAnswer(f"blind {1e3 * BLIND_S:.0f} ms", BlindSettings(delay_s=BLIND_S))]
@@ -101,7 +101,7 @@ def with_trivial_answers(
 
 
 def best_delay_s(slips: Sequence[Truth]) -> float:
-    """Returns the fixed delay after the start of the motion that finds most of these slips in time;
+    """Return the fixed delay after the start of the motion that finds most of these slips in time;
     NaN without slips. No fixed delay does better on them.
 
     >>> slips = [Truth("slip", 1.0, 1.0, ridge) for ridge in (1.100, 1.103, 1.400)]

@@ -35,7 +35,7 @@ def judge_wire(
     jobs: int,
     done: Callable[[int, int, int], None],
 ) -> WireScore:
-    """Makes the trials that are not in the cache, `jobs` at a time, and scores all of them.
+    """Make the trials that are not in the cache, `jobs` at a time, and score all of them.
 
     `done` is called with the number so far, that of all, and that of those that had to be made. The
     result does not depend on what was in the cache.

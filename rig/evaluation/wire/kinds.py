@@ -274,7 +274,7 @@ def _firmer(draw: _Draw, share: float) -> float:
 
 
 def _re_grip(draw: _Draw) -> str:
-    """A load at rest, then a firmer grip in a step as steep as the servo makes it."""
+    """Plan a load at rest, then a firmer grip in a step as steep as the servo makes it."""
     preload = draw.preload(draw.trait("held_share", draw.chance.uniform(0.5, 0.9)), soft=False)
     draw.path(preload, draw.sign())
     rise = _firmer(draw, 1 + draw.trait("grip_share", draw.chance.uniform(0.1, 0.4)))
@@ -284,8 +284,10 @@ def _re_grip(draw: _Draw) -> str:
 
 
 def _re_grip_in_a_slide(draw: _Draw) -> str:
-    """A slide in which the grip becomes firmer about when the ridge slips, as a grip that answers
-    an alarm does: the ridge sticks again, or slides on, and slips once more."""
+    """Plan a slide in which the grip becomes firmer about when the ridge slips.
+
+    A grip that answers an alarm does so: the ridge sticks again, or slides on, and slips once more.
+    """
     speed_mm_s = draw.trait("speed_mm_s", min(SPEED_mm_s.draw(draw.chance), 5.0))
     way_mm = 2.0 * draw.way_mm
     draw.path([(way_mm / speed_mm_s, way_mm)], draw.sign())
@@ -297,7 +299,7 @@ def _re_grip_in_a_slide(draw: _Draw) -> str:
 
 
 def _falling_force(draw: _Draw) -> str:
-    """A load at rest, then a grip that loosens until the load slips or is hardly held."""
+    """Plan a load at rest, then a grip that loosens until the load slips or is hardly held."""
     share = draw.trait("held_share", draw.chance.uniform(0.4, 0.8))
     preload = draw.preload(share, soft=True)
     draw.path(preload, draw.sign())
@@ -309,7 +311,7 @@ def _falling_force(draw: _Draw) -> str:
 
 
 def _tap(draw: _Draw) -> str:
-    """A knock, once at rest and once under a load, each as quick as the servo makes it."""
+    """Plan a knock at rest and one under a load, each as quick as the servo makes it."""
     preload = draw.preload(draw.trait("held_share", draw.chance.uniform(0.1, 0.5)), soft=True)
     draw.path([(0.5, 0.0), *preload], draw.sign())
     rise = _firmer(draw, 1 + draw.trait("tap_share", draw.chance.uniform(0.05, 0.5)))
@@ -321,7 +323,7 @@ def _tap(draw: _Draw) -> str:
 
 
 def _lift_off(draw: _Draw) -> str:
-    """The object is let go while it is recorded, most of it without a load."""
+    """Plan an object that is let go during the recording, most of it without a load."""
     share = draw.trait("held_share", draw.chance.uniform(0.0, 0.15))
     preload = draw.preload(max(share, 0.01), soft=True)
     draw.path(preload, draw.sign())
@@ -331,7 +333,7 @@ def _lift_off(draw: _Draw) -> str:
 
 
 def _rest(draw: _Draw) -> str:
-    """The held force and nothing else, for the alarms per hour of quiet."""
+    """Plan a constant force and nothing else, for the alarms per hour of quiet."""
     draw.settings["stay_s"] = QUIET_S
     return "path-trial"
 

@@ -175,7 +175,7 @@ class TextTable:
         return table[:, [wanted.index(k) for k in columns]]
 
     def _examined(self, row: int, line: str, wanted: Sequence[int]) -> list[float]:
-        """The wanted numbers of an unusual line; ForeignFileError if it is not a row."""
+        """Return the wanted numbers of an unusual line; ForeignFileError if it is not a row."""
 
         def refuse(reason: str, hint: str) -> ForeignFileError:
             return ForeignFileError(self._file, reason, hint, self.place(row))

@@ -89,7 +89,7 @@ _FAST = {"reassoc", "contract", "nsz"}
 
 @njit(cache=True, error_model="numpy")
 def _copy(source: Any, target: Any) -> None:
-    """Copies source to target; written out, because numba compiles array assignments slowly."""
+    """Copy source to target; written out, because numba compiles array assignments slowly."""
     for k in range(source.size):
         target[k] = source[k]
 
@@ -102,7 +102,7 @@ def _fill(target: Any, value: float) -> None:
 
 @njit(cache=True, error_model="numpy", fastmath=_FAST)
 def _multiply(A: Any, b: Any, n: int, out: Any) -> None:
-    """Computes out[:n] = A[:n, :n] b[:n], four rows at once so that each b[c] is fetched once."""
+    """Compute out[:n] = A[:n, :n] b[:n], four rows at once so that each b[c] is fetched once."""
     r = 0
     while r + 4 <= n:
         t0, t1, t2, t3 = 0.0, 0.0, 0.0, 0.0
@@ -123,7 +123,7 @@ def _multiply(A: Any, b: Any, n: int, out: Any) -> None:
 
 @njit(cache=True, error_model="numpy", fastmath=_FAST)
 def _products(A: Any, rows: Any, count: int, b: Any, n: int, out: Any) -> None:
-    """Computes out[q] = A[rows[q], :n] b[:n] for q < count, like `_multiply`."""
+    """Compute out[q] = A[rows[q], :n] b[:n] for q < count, like `_multiply`."""
     q = 0
     while q + 4 <= count:
         r0, r1, r2, r3 = rows[q], rows[q + 1], rows[q + 2], rows[q + 3]
@@ -145,7 +145,7 @@ def _products(A: Any, rows: Any, count: int, b: Any, n: int, out: Any) -> None:
 
 @njit(cache=True, error_model="numpy", fastmath=_FAST)
 def _multiply_left(b: Any, A: Any, n: int, out: Any) -> None:
-    """Computes out[:n] = b[:n] A[:n, :n], four rows at once."""
+    """Compute out[:n] = b[:n] A[:n, :n], four rows at once."""
     for c in range(n):
         out[c] = 0.0
     r = 0
@@ -163,7 +163,7 @@ def _multiply_left(b: Any, A: Any, n: int, out: Any) -> None:
 
 @njit(cache=True, error_model="numpy", fastmath=_FAST)
 def _rank_one(A: Any, x: Any, y: Any, scale: float, n: int) -> None:
-    """Adds scale x y to A[:n, :n]."""
+    """Add scale x y to A[:n, :n]."""
     for r in range(n):
         s = scale * x[r]
         if s != 0.0:
@@ -173,7 +173,7 @@ def _rank_one(A: Any, x: Any, y: Any, scale: float, n: int) -> None:
 
 @njit(cache=True, error_model="numpy", fastmath=_FAST)
 def _displacements(C: Any, force: Any, loaded: Any, count: int, out: Any) -> None:
-    """Computes out = C force, where only the entries `loaded[:count]` of the force are not zero."""
+    """Compute out = C force, where only the entries `loaded[:count]` of the force are not zero."""
     size = out.size
     _fill(out, 0.0)
     k = 0
@@ -203,7 +203,7 @@ def _dot(a: Any, b: Any) -> float:
 def _row(
     i: int, tangent: bool, stick: bool, slope: float, C: Any, inv_alpha: float, slots: Any, row: Any
 ) -> None:
-    """Writes the row of node `i` (closed gap, stick or slip) over the slots in use."""
+    """Write the row of node `i` (closed gap, stick or slip) over the slots in use."""
     m = slots[0].size
     for k in range(row.size):
         row[k] = 0.0
@@ -224,7 +224,7 @@ def _row(
 
 @njit(cache=True, error_model="numpy")
 def _column(i: int, tangent: bool, C: Any, held: Any, slots: Any, ints: Any, column: Any) -> None:
-    """Writes how the unknown p (or t) of node `i` enters the rows in use."""
+    """Write how the unknown p (or t) of node `i` enters the rows in use."""
     m = held.size
     for k in range(column.size):
         column[k] = 0.0
@@ -242,7 +242,7 @@ def _column(i: int, tangent: bool, C: Any, held: Any, slots: Any, ints: Any, col
 
 @njit(cache=True, error_model="numpy")
 def _border(inverse: Any, n: int, row: Any, column: Any, diagonal: float, work: Any) -> bool:
-    """Adds one slot to the inverse; returns False if that would be singular."""
+    """Add one slot to the inverse; return False if that would be singular."""
     x, y = work[0], work[1]
     _multiply(inverse, column, n, x)
     _multiply_left(row, inverse, n, y)
@@ -259,7 +259,7 @@ def _border(inverse: Any, n: int, row: Any, column: Any, diagonal: float, work: 
 
 @njit(cache=True, error_model="numpy")
 def _delete(inverse: Any, n: int, k: int, work: Any) -> bool:
-    """Removes slot `k` and moves the last slot into its place; returns False if that is
+    """Remove slot `k` and move the last slot into its place; return False if that is
     singular."""
     pivot = inverse[k, k]
     if abs(pivot) < 1e-13:
@@ -280,7 +280,7 @@ def _delete(inverse: Any, n: int, k: int, work: Any) -> bool:
 
 @njit(cache=True, error_model="numpy")
 def _replace_row(inverse: Any, n: int, k: int, product: Any, work: Any) -> bool:
-    """Replaces row `k`; `product` is the new row times the inverse. Returns False if that is
+    """Replace row `k`; `product` is the new row times the inverse. Return False if that is
     singular."""
     pivot = product[k]
     if abs(pivot) < 1e-13:
@@ -313,13 +313,13 @@ def _release_slot(owner: Any, slots: Any, ints: Any, i: int, kind: int) -> None:
 
 @njit(cache=True, error_model="numpy")
 def _slope(status: int, mu: float) -> float:
-    """Returns t / p of a slipping node."""
+    """Return t / p of a slipping node."""
     return mu if status == SLIP_PLUS else -mu
 
 
 @njit(cache=True, error_model="numpy")
 def _outdated(status: int, mu: float, slope: float, kinetic: float, eager: float) -> bool:
-    """Returns whether the stored slope of a slipping node has to be updated to its friction.
+    """Return whether the stored slope of a slipping node has to be updated to its friction.
 
     This is so if the coefficient has changed much, or is about to stop changing. Until then every
     solution has to be corrected for it. An update that causes a whole step includes all nodes that
@@ -338,7 +338,7 @@ def _friction_row(
     i: int, C: Any, inv_alpha: float, status: Any, slopes: Any, mu: Any, slots: Any, ints: Any,
     inverse: Any, work: Any,
 ) -> bool:  # fmt: skip
-    """Updates the tangential row of node `i` to its status."""
+    """Update the tangential row of node `i` to its status."""
     n, row, product = ints[N], work[2], work[3]
     k = slots[1][i]
     if status[i] == STICK:
@@ -357,7 +357,7 @@ def _close(
     i: int, C: Any, inv_alpha: float, status: Any, held: Any, slopes: Any, mu: Any, slots: Any,
     owner: Any, ints: Any, inverse: Any, work: Any,
 ) -> bool:  # fmt: skip
-    """Adds both slots of node `i`, whose status is already that of contact."""
+    """Add both slots of node `i`, whose status is already that of contact."""
     row, column = work[2], work[3]
     for kind in range(2):
         tangent = kind == 1
@@ -381,7 +381,7 @@ def _close(
 
 @njit(cache=True, error_model="numpy")
 def _open(i: int, slots: Any, owner: Any, ints: Any, inverse: Any, work: Any) -> bool:
-    """Removes both slots of node `i`."""
+    """Remove both slots of node `i`."""
     for kind in (1, 0):
         if not _delete(inverse, ints[N], slots[kind][i], work):
             return False
@@ -391,7 +391,7 @@ def _open(i: int, slots: Any, owner: Any, ints: Any, inverse: Any, work: Any) ->
 
 @njit(cache=True, error_model="numpy")
 def _pivot(A: Any, k: int, n: int) -> int:
-    """Returns the row from `k` on with the largest entry in column `k`."""
+    """Return the row from `k` on with the largest entry in column `k`."""
     best = k
     for r in range(k + 1, n):
         if abs(A[r, k]) > abs(A[best, k]):
@@ -401,7 +401,7 @@ def _pivot(A: Any, k: int, n: int) -> int:
 
 @njit(cache=True, error_model="numpy", fastmath=_FAST)
 def _invert(A: Any, inverse: Any) -> bool:
-    """Inverts A by Gauss-Jordan with row pivots and destroys A; returns False if A is singular or
+    """Invert A by Gauss-Jordan with row pivots and destroy A; return False if A is singular or
     not finite."""
     n = A.shape[0]
     for r in range(n):
@@ -433,7 +433,7 @@ def _rebuild(
     C: Any, constants: Any, status: Any, slopes: Any, mu: Any, slots: Any, owner: Any, ints: Any,
     inverse: Any, work: Any,
 ) -> None:  # fmt: skip
-    """Inverts the system of the present statuses from scratch."""
+    """Invert the system of the present statuses from scratch."""
     m = status.size
     inv_alpha = 1.0 / constants[ALPHA]
     ints[N] = 2
@@ -475,7 +475,7 @@ def _right_side(
     constants: Any, w: Any, u: Any, height: Any, spin: Any, status: Any, slots: Any, ints: Any,
     normal: float, tangent: float, b: Any,
 ) -> None:  # fmt: skip
-    """Computes the right-hand side of the rows in this step."""
+    """Compute the right-hand side of the rows in this step."""
     alpha = constants[ALPHA]
     beta = 1.0 - alpha
     b[0] = normal
@@ -489,7 +489,7 @@ def _right_side(
 
 @njit(cache=True, error_model="numpy")
 def _needed(status: Any, owner: Any, n: int, rows: Any) -> int:
-    """Lists the rows of the inverse that a solution needs; for a slipping node t follows from p."""
+    """List the rows of the inverse that a solution needs; for a slipping node t follows from p."""
     rows[0], rows[1] = 0, 1
     count = 2
     for k in range(2, n):
@@ -504,7 +504,7 @@ def _solve(
     status: Any, slopes: Any, mu: Any, slots: Any, owner: Any, ints: Any, inverse: Any,
     force: Any, b: Any, solution: Any, rows: Any, needed: int,
 ) -> bool:  # fmt: skip
-    """Solves with the stored inverse; coefficients that changed since then are corrected by
+    """Solve with the stored inverse; coefficients that changed since then are corrected by
     iteration.
 
     `solution` receives d, Δx and the results of the further `rows`.
@@ -534,7 +534,7 @@ def _solve(
 
 @njit(cache=True, error_model="numpy")
 def _closing_status(gap: float, slide: float, c_n: float, c_t: float, mu: float) -> int:
-    """Returns stick or slip for a node that comes into contact, from the projection of its trial
+    """Return stick or slip for a node that comes into contact, from the projection of its trial
     force."""
     press, pull = -gap / c_n, -slide / c_t
     if pull > mu * press:
@@ -546,7 +546,7 @@ def _closing_status(gap: float, slide: float, c_n: float, c_t: float, mu: float)
 
 @njit(cache=True, error_model="numpy")
 def _against(slide: float, held: int, mu: float) -> bool:
-    """Returns whether a slipping node slides against its friction."""
+    """Return whether a slipping node slides against its friction."""
     backwards = slide if held == SLIP_PLUS else -slide
     return backwards > SLIP_TOLERANCE_MM and mu > 0.0
 
@@ -555,7 +555,7 @@ def _against(slide: float, held: int, mu: float) -> bool:
 def _wanted(
     i: int, now: int, C: Any, alpha: float, mu: float, gap: float, slide: float, p: float, t: float
 ) -> int:
-    """Returns the status that node `i` should have by its forces and motion."""
+    """Return the status that node `i` should have by its forces and motion."""
     m = C.shape[0] // 2
     if now == OPEN:
         if gap < -SET_TOLERANCE_MM:
@@ -577,7 +577,7 @@ def _follow(
     C: Any, constants: Any, status: Any, held: Any, slopes: Any, mu: Any, slots: Any, owner: Any,
     ints: Any, inverse: Any, work: Any,
 ) -> None:  # fmt: skip
-    """Makes the inverse that of `status`: updated if little changed, otherwise computed from
+    """Make the inverse that of `status`: updated if little changed, otherwise computed from
     scratch."""
     inv_alpha = 1.0 / constants[ALPHA]
     changed, eager = 0, 1.0
@@ -613,7 +613,7 @@ def _rescue(
     C: Any, constants: Any, status: Any, mu: Any, w: Any, u: Any, height: Any, spin: Any,
     ints: Any, normal: float, tangent: float, force: Any, trial: Any, start: Any,
 ) -> None:  # fmt: skip
-    """Finds a new guess of the active set by non-smooth Gauss-Seidel sweeps over the nodes.
+    """Find a new guess of the active set by non-smooth Gauss-Seidel sweeps over the nodes.
 
     It converges slowly and without pivots, and is used only if the active set runs in a circle.
     `start` holds d and Δx, which change with the sweeps unless they are commanded.
@@ -678,7 +678,7 @@ def _look_at_all(
     C: Any, filtered: Any, status: Any, w: Any, u: Any, seen: Any, scalars: Any, ints: Any,
     trial: Any, loaded: Any,
 ) -> None:  # fmt: skip
-    """Updates the displacements of open nodes to the present step."""
+    """Update the displacements of open nodes to the present step."""
     scalars[DRIFT] = 0.0
     _fill(seen, 0.0)
     if ints[AGAIN] == 0:
@@ -698,7 +698,7 @@ def _look_at_all(
 
 @njit(cache=True, error_model="numpy")
 def _list(C: Any, held: Any, listed: Any, nodes: Any, was: Any, compact: Any, bound: Any) -> None:
-    """Lists what `_again` needs of the active set of the inverse, close together in memory.
+    """List what `_again` needs of the active set of the inverse, close together in memory.
 
     These are the nodes in contact, those that stick first; the compliance by which their forces
     move the slipping ones; and how far a unit of each force moves an open node down at most.
@@ -729,7 +729,7 @@ def _list(C: Any, held: Any, listed: Any, nodes: Any, was: Any, compact: Any, bo
 
 @njit(cache=True, error_model="numpy", fastmath=_FAST)
 def _raise(bound: Any, row: Any) -> None:
-    """Computes bound = max(bound, |row|)."""
+    """Compute bound = max(bound, |row|)."""
     for j in range(bound.size):
         bound[j] = max(bound[j], abs(row[j]))
 
@@ -738,7 +738,7 @@ def _raise(bound: Any, row: Any) -> None:
 def _pack(
     slots: Any, inverse: Any, listed: Any, nodes: Any, packed: Any, order: Any, answered: Any
 ) -> None:
-    """Copies the inverse in the order d, Δx, p of the listed nodes, t of the sticking, t of the
+    """Copy the inverse in the order d, Δx, p of the listed nodes, t of the sticking, t of the
     slipping ones, as far as a solution needs it."""
     count = listed[TOUCHING]
     order[0], order[1] = 0, 1
@@ -756,7 +756,7 @@ def _pack(
 
 @njit(cache=True, error_model="numpy", fastmath=_FAST)
 def _drift(bound: Any, force: Any, filtered: Any, alpha: float) -> float:
-    """Returns how far an open node can move in a step at most."""
+    """Return how far an open node can move in a step at most."""
     total = 0.0
     for j in range(force.size):
         total += bound[j] * abs(force[j] - filtered[j])
@@ -768,7 +768,7 @@ def _answer(
     k: int, count: int, sticking: int, slopes: Any, nodes: Any, packed: Any, compact: Any,
     answers: Any, slides: Any,
 ) -> None:  # fmt: skip
-    """Computes the effect of a unit of additional tangential force at slipping node `k` on all
+    """Compute the effect of a unit of additional tangential force at slipping node `k` on all
     unknowns, in the order of `_pack`, and on the slide of all slipping nodes."""
     needed, answer = 2 + count + sticking, answers[k]
     for q in range(needed):
@@ -781,7 +781,7 @@ def _answer(
 
 @njit(cache=True, error_model="numpy", fastmath=_FAST)
 def _eliminate(A: Any, b: Any, n: int) -> bool:
-    """Solves A[:n, :n] x = b[:n] in place, b becoming x; returns False if A is singular."""
+    """Solve A[:n, :n] x = b[:n] in place, b becoming x; return False if A is singular."""
     for k in range(n):
         best = _pivot(A, k, n)
         if not abs(A[best, k]) > 1e-300:
@@ -810,11 +810,11 @@ def _hold_back(
     nodes: Any, packed: Any, compact: Any, x: Any, moved: Any, answers: Any, slides: Any,
     small: Any, work: Any,
 ) -> int:  # fmt: skip
-    """Finds those of the slipping nodes that stick in this step.
+    """Find those of the slipping nodes that stick in this step.
 
     Each of them bears a tangential force in addition to its friction that keeps it from sliding.
     `x` and `moved` are the solution with all of them slipping, and become the solution with those
-    sticking that nodes[MARKED] marks. Returns the number of sets tried, or 0 if none is consistent.
+    sticking that nodes[MARKED] marks. Return the number of sets tried, or 0 if none is consistent.
     """
     sliding, n = count - sticking, 2 + 2 * count
     x0, moved0, extra = work[13], work[14], work[15]
@@ -878,7 +878,7 @@ def _slides_back(
     alpha: float, spin: Any, u: Any, mu: Any, held: Any, sticking: int, count: int, nodes: Any,
     dx: float, moved: Any,
 ) -> bool:  # fmt: skip
-    """Returns whether any slipping node slides against its friction."""
+    """Return whether any slipping node slides against its friction."""
     for j in range(sticking, count):
         i = nodes[NODES, j]
         if _against(alpha * (moved[j - sticking] - u[i]) - spin[i] - dx, held[i], mu[i]):
@@ -894,9 +894,9 @@ def _again(
     listed: Any, nodes: Any, packed: Any, compact: Any, bound: Any, answers: Any, slides: Any,
     small: Any,
 ) -> int:  # fmt: skip
-    """Tries the step with the inverse as it is; returns the number of active sets tried.
+    """Try the step with the inverse as it is; return the number of active sets tried.
 
-    Returns 0 if none is consistent, or if all displacements are due to be computed: then only
+    Return 0 if none is consistent, or if all displacements are due to be computed: then only
     `force` has changed.
     """
     n, m = ints[N], status.size
@@ -1001,7 +1001,7 @@ def _separated(
     constants: Any, height: Any, w: Any, u: Any, status: Any, force: Any, scalars: Any,
     ints: Any, tangent: float,
 ) -> float:  # fmt: skip
-    """Makes a step without normal force: nothing touches, the skin relaxes, the object moves
+    """Make a step without normal force: nothing touches, the skin relaxes, the object moves
     freely."""
     beta = 1.0 - constants[ALPHA]
     nearest = np.inf
@@ -1023,7 +1023,7 @@ def _step(
     inverse: Any, work: Any, new_w: Any, new_u: Any, motion: Any, loaded: Any, wanted: Any,
     rows: Any,
 ) -> int:  # fmt: skip
-    """Solves one step; returns the number of active sets tried, or -1 if none is consistent."""
+    """Solve one step; return the number of active sets tried, or -1 if none is consistent."""
     m = status.size
     alpha = constants[ALPHA]
     beta = 1.0 - alpha
@@ -1090,7 +1090,7 @@ def _step(
 
 @njit(cache=True, error_model="numpy")
 def _bonded(before: float, status: int, slide: float, constants: Any) -> float:
-    """Returns the share of a touching node's bonds that are whole after a step.
+    """Return the share of a touching node's bonds that are whole after a step.
 
     Slip breaks them, exp(-1) of them remaining after the weakening distance. At rest, or creeping
     slower than the healing speed, broken bonds form again with the healing time. A slipping node
@@ -1108,7 +1108,7 @@ def _bonded(before: float, status: int, slide: float, constants: Any) -> float:
 
 @njit(cache=True, error_model="numpy")
 def _touch_somewhere(height: Any, w: Any, beta: float, status: Any) -> None:
-    """Makes the highest node touch, because a pressed object touches at least one node."""
+    """Make the highest node touch, because a pressed object touches at least one node."""
     highest = 0
     for i in range(status.size):
         if status[i] != OPEN:
@@ -1128,7 +1128,7 @@ def advance(
     small: Any,
     rows: Any, summary: Any, ridge_forces: Any, statuses: Any, stresses: Any, forces: Any,
 ) -> int:  # fmt: skip
-    """Advances the state by ``normal.size`` steps and returns the number done; if fewer, the next
+    """Advance the state by ``normal.size`` steps and return the number done; if fewer, the next
     one failed.
 
     `normal` contains F_n or d, `tangent` F_t or the object's position x, `rotation` the increments

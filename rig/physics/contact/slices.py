@@ -32,7 +32,7 @@ LARGEST_FORCE_N = 8.0
 
 
 def hertz_radius(skin: SkinSettings, radius_mm: float, force_N: ArrayLike) -> Floats:
-    """Returns the contact radius in mm of a rigid sphere on a half-space of the skin's rubber."""
+    """Return the contact radius in mm of a rigid sphere on a half-space of the skin's rubber."""
     stiffness = skin.youngs_modulus_MPa / (1 - skin.poissons_ratio**2)
     force = np.asarray(force_N, float)
     radius: Floats = np.cbrt(3 * force * radius_mm / (4 * stiffness))
@@ -40,7 +40,7 @@ def hertz_radius(skin: SkinSettings, radius_mm: float, force_N: ArrayLike) -> Fl
 
 
 def hertz_force(skin: SkinSettings, radius_mm: float, approach_mm: ArrayLike) -> Floats:
-    """Returns the force in N of a rigid sphere at an approach on the same half-space."""
+    """Return the force in N of a rigid sphere at an approach on the same half-space."""
     stiffness = skin.youngs_modulus_MPa / (1 - skin.poissons_ratio**2)
     depth = np.clip(np.asarray(approach_mm, float), 0.0, None)
     force: Floats = 4 / 3 * stiffness * np.sqrt(radius_mm) * depth**1.5
@@ -116,12 +116,12 @@ class SlicedStepper:
             stepper.state = state
 
     def displacement_mm(self) -> tuple[Floats, Floats]:
-        """Returns downward and tangential displacement of the nodes of all slices, two arrays."""
+        """Return downward and tangential displacement of the nodes of all slices, two arrays."""
         downward, sideways = zip(*(s.displacement_mm() for s in self._slices), strict=True)
         return np.concatenate(downward), np.concatenate(sideways)
 
     def shares(self, force_N: ArrayLike) -> Floats:
-        """Returns the share of the load of each slice, (k, slices). Each column stands for two
+        """Return the share of the load of each slice, (k, slices). Each column stands for two
         mirrored slices; a row sums to 1/2."""
         force = np.atleast_1d(np.asarray(force_N, float))
         radius = hertz_radius(self.skin.settings, self.body.radius_mm, force)[:, None]
@@ -142,7 +142,7 @@ class SlicedStepper:
         normal_control: Control = "force",
         tangential_control: Control = "position",
     ) -> ContactBlock:
-        """Advances like ``ContactStepper.advance``. An approach is converted to F_n by Hertz's law.
+        """Advance like ``ContactStepper.advance``. An approach is converted to F_n by Hertz's law.
 
         The statuses of the result are those of the middle slice; forces and dissipation are sums,
         stresses means over the width. If one slice finds no solution, all remain as they were
@@ -208,7 +208,7 @@ def make_stepper(
     keep_forces: bool = False,
     largest_force_N: float = LARGEST_FORCE_N,
 ) -> ContactStepper | SlicedStepper:
-    """Returns the stepper for an object. `largest_force_N` matters only for a sphere."""
+    """Return the stepper for an object. `largest_force_N` matters only for a sphere."""
     if isinstance(body, Sphere):
         return SlicedStepper(
             skin,

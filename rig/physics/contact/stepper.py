@@ -68,7 +68,7 @@ class ContactBlock:
 
 
 def concatenate(blocks: list[ContactBlock]) -> ContactBlock:
-    """Joins consecutive blocks into one."""
+    """Join consecutive blocks into one."""
     parts = {f.name: np.concatenate([getattr(b, f.name) for b in blocks]) for f in _FIELDS}
     return ContactBlock(**parts)
 
@@ -102,7 +102,7 @@ class ContactState:
     inverse: Floats
 
     def copy(self) -> ContactState:
-        """Returns an independent copy."""
+        """Return an independent copy."""
         return replace(self, **{f.name: getattr(self, f.name).copy() for f in fields(self)})
 
 
@@ -176,7 +176,7 @@ class ContactStepper:
         return float(self._state.scalars[1])
 
     def displacement_mm(self) -> tuple[Floats, Floats]:
-        """Returns downward and tangential displacement of the contact nodes, two arrays (m,)."""
+        """Return downward and tangential displacement of the contact nodes, two arrays (m,)."""
         moved = self.skin.compliance_mm_N @ self._state.filtered_N
         return moved[: self.skin.nodes], moved[self.skin.nodes :]
 
@@ -189,7 +189,7 @@ class ContactStepper:
         normal_control: Control = "force",
         tangential_control: Control = "position",
     ) -> ContactBlock:
-        """Advances by as many steps as `normal` and `tangential` have values, shape (k,) or ().
+        """Advance by as many steps as `normal` and `tangential` have values, shape (k,) or ().
 
         `normal` is F_n in N (at least 0) or the approach in mm. `tangential` is x of the object in
         mm or F_t in N. `rotation_rad` is the rotation during each step, positive if it rolls
@@ -295,7 +295,7 @@ class ContactStepper:
 
 
 def _aligned(rows: int, columns: int) -> Floats:
-    """Returns zeros (rows, columns) whose rows start at a cache line of the processor; it may be
+    """Return zeros (rows, columns) whose rows start at a cache line of the processor; it may be
     wider."""
     width = -(-columns // _LINE) * _LINE
     room = np.zeros(rows * width + _LINE)
@@ -304,7 +304,7 @@ def _aligned(rows: int, columns: int) -> Floats:
 
 
 def _paired(normal: ArrayLike, tangential: ArrayLike) -> tuple[Floats, Floats]:
-    """Returns both inputs as contiguous, finite arrays of the same length."""
+    """Return both inputs as contiguous, finite arrays of the same length."""
     a, b = np.asarray(normal, float), np.asarray(tangential, float)
     if a.shape != b.shape or not a.ndim:
         a, b = np.broadcast_arrays(np.atleast_1d(a), np.atleast_1d(b))

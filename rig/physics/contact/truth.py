@@ -30,7 +30,7 @@ class WholeSlips:
     """One fewer while the ridge slips."""
 
     def add(self, first_us: int, step_us: int, slips: NDArray[np.bool_]) -> None:
-        """Adds whether the ridge slipped in each of the next steps, the first of which ended at
+        """Add whether the ridge slipped in each of the next steps, the first of which ended at
         `first_us`."""
         slipping = len(self.begins_us) > len(self.ends_us)
         before = np.concatenate([[slipping], slips[:-1]])
@@ -47,7 +47,7 @@ class WholeSlips:
 def slips_whole(
     status: Statuses, ridge_of_node: NDArray[np.int64], ridge: int
 ) -> NDArray[np.bool_]:
-    """Returns in which of k steps, by their statuses (k, nodes), a ridge (from 0) slips as a whole:
+    """Return in which of k steps, by their statuses (k, nodes), a ridge (from 0) slips as a whole:
     every node of it that is in contact slips, and at least one is in contact, (k,)."""
     nodes = status[:, ridge_of_node == ridge]
     slips: NDArray[np.bool_] = (nodes != OPEN).any(axis=1) & (nodes != STICK).all(axis=1)
@@ -68,7 +68,7 @@ class SlipTruth:
     """First time at which every node of the skin that is in contact slips."""
 
     def slip_order(self) -> list[int]:
-        """Returns the ridges (1 is the leftmost) that slipped as a whole, earliest first."""
+        """Return the ridges (1 is the leftmost) that slipped as a whole, earliest first."""
         order = np.argsort(self.whole_slip_s, kind="stable")
         return [int(r) + 1 for r in order if np.isfinite(self.whole_slip_s[r])]
 
@@ -94,7 +94,7 @@ class SlipWatch:
         self._gross = np.full(1, np.nan)
 
     def add(self, status: Statuses) -> None:
-        """Adds the statuses (k, m) of the next k steps."""
+        """Add the statuses (k, m) of the next k steps."""
         time = np.arange(self._steps + 1.0, self._steps + status.shape[0] + 1.0) * self._step_s
         self._steps += status.shape[0]
         if not time.size:
@@ -111,18 +111,18 @@ class SlipWatch:
         _note(self._gross, time, gross[:, None])
 
     def _by_ridge(self, seen: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Returns whether any node of a ridge has a property: (k, nodes) to (k, ridges)."""
+        """Return whether any node of a ridge has a property: (k, nodes) to (k, ridges)."""
         anywhere: NDArray[np.bool_] = seen.astype(np.float32) @ self._on_ridge > 0
         return anywhere
 
     def truth(self) -> SlipTruth:
-        """Returns the truth found so far."""
+        """Return the truth found so far."""
         return SlipTruth(
             self._first.copy(), self._whole.copy(), self._lifted.copy(), float(self._gross[0])
         )
 
 
 def _note(kept: Floats, time: Floats, seen: NDArray[np.bool_]) -> None:
-    """Stores in `kept` (n,) when each of n things was first seen: times (k,), seen (k, n)."""
+    """Store in `kept` (n,) when each of n things was first seen: times (k,), seen (k, n)."""
     fresh = np.isnan(kept) & seen.any(axis=0)
     kept[fresh] = time[seen.argmax(axis=0)[fresh]]

@@ -69,7 +69,7 @@ class CondensedSkin:
         return float(pressing + dragging + 2 * abs(stiffness[:m, m:].sum()))
 
     def tributary_mm(self) -> Floats:
-        """Returns the length of ridge top that each node represents, (m,)."""
+        """Return the length of ridge top that each node represents, (m,)."""
         length = np.zeros(self.nodes)
         for ridge in range(self.settings.ridges):
             at = np.flatnonzero(self.ridge == ridge)
@@ -80,7 +80,7 @@ class CondensedSkin:
 
 
 def build_skin(settings: SkinSettings, cache: Cache | None = None) -> CondensedSkin:
-    """Returns the condensed skin of `settings`, from the cache if it is there.
+    """Return the condensed skin of `settings`, from the cache if it is there.
 
     Skins that differ in Young's modulus only share one entry: displacements under given forces are
     inversely proportional to it, stresses do not depend on it.
@@ -100,14 +100,14 @@ def build_skin(settings: SkinSettings, cache: Cache | None = None) -> CondensedS
 
 
 def condense(settings: SkinSettings) -> CondensedSkin:
-    """Assembles, factors and condenses the skin's own mesh, without a cache."""
+    """Assemble, factor and condense the skin's own mesh, without a cache."""
     from rig.physics.skin.elasticity import ElasticSkin
 
     return condense_elements(ElasticSkin(settings))
 
 
 def condense_elements(elastic: ElasticSkin) -> CondensedSkin:
-    """Condenses given finite elements."""
+    """Condense given finite elements."""
     from rig.physics.skin.elasticity import strip_areas
 
     settings = elastic.settings

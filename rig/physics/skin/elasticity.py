@@ -47,7 +47,7 @@ class ElasticSkin:
     """Finite elements of one skin. Expensive results are computed on first use and stored."""
 
     def __init__(self, settings: SkinSettings, mesh: MeshQuad | None = None):
-        """Uses the skin's own mesh, or another mesh of the same outline."""
+        """Use the skin's own mesh, or another mesh of the same outline."""
         from skfem import Basis, ElementQuad2, ElementVector
 
         self.settings = settings
@@ -70,7 +70,7 @@ class ElasticSkin:
         return (matrix * self.settings.width_mm).tocsc()
 
     def lumped_mass_t(self) -> Floats:
-        """Returns the diagonal mass of all degrees of freedom in tonnes, by Lobatto's rule on the
+        """Return the diagonal mass of all degrees of freedom in tonnes, by Lobatto's rule on the
         elements."""
         corners = self.mesh.p[:, self.mesh.t]
         low, size = corners.min(axis=1), np.ptp(corners, axis=1)
@@ -115,7 +115,7 @@ class ElasticSkin:
         )
 
     def solve(self, forces_N: Floats) -> Floats:
-        """Returns the displacements (dofs, loads) in mm under nodal forces of the same shape,
+        """Return the displacements (dofs, loads) in mm under nodal forces of the same shape,
         bottom fixed.
 
         A few loads are solved at a time. With many, the inner products of the solver become large
@@ -130,7 +130,7 @@ class ElasticSkin:
         return displacement
 
     def contact_loads(self) -> Any:
-        """Returns the sparse matrix that maps contact forces (pressing, tangential), (2 m,), to
+        """Return the sparse matrix that maps contact forces (pressing, tangential), (2 m,), to
         nodal forces."""
         from scipy.sparse import csc_matrix
 
@@ -146,7 +146,7 @@ class ElasticSkin:
         return self.solve(self.contact_loads().toarray())
 
     def mean_stress_rows(self, areas: Sequence[Rectangle]) -> Any:
-        """Returns the sparse map (3 areas, dofs) from displacements to mean σ_xx, σ_yy, σ_xy in
+        """Return the sparse map (3 areas, dofs) from displacements to mean σ_xx, σ_yy, σ_xy in
         MPa."""
         from scipy.sparse import csr_matrix
 
@@ -174,7 +174,7 @@ class ElasticSkin:
         return csr_matrix(entries, shape=(3 * len(areas), self.basis.N))
 
     def _quadrature(self, areas: Sequence[Rectangle]) -> tuple[Ints, Floats, Floats, Ints]:
-        """Returns the Gauss points of each part of a cell inside an area: cells, local points,
+        """Return the Gauss points of each part of a cell inside an area: cells, local points,
         weights, area.
 
         The mesh need not follow the edges of the areas: each cell is cut, so the mean is exact.
@@ -209,7 +209,7 @@ class ElasticSkin:
 
 
 def strip_areas(settings: SkinSettings, ridge: int) -> tuple[Rectangle, Rectangle]:
-    """Returns the areas of S1 and S2 in ridge number `ridge` (0 is the leftmost)."""
+    """Return the areas of S1 and S2 in ridge number `ridge` (0 is the leftmost)."""
     axis, strip = settings.ridge_axes_mm()[ridge], settings.strips
     half = strip.width_mm / 2
 

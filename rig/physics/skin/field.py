@@ -29,7 +29,7 @@ class DeformedSkin:
 
 
 def relaxed_forces(forces_N: Floats, relaxation_ms: float, step_us: float) -> Floats:
-    """Returns contact forces (k, 2 m) delayed by the relaxation of the rubber.
+    """Return contact forces (k, 2 m) delayed by the relaxation of the rubber.
 
     The displacement of a Kelvin-Voigt body is the elastic displacement under these forces.
     """
@@ -43,7 +43,7 @@ def relaxed_forces(forces_N: Floats, relaxation_ms: float, step_us: float) -> Fl
 
 
 def deformed(elastic: ElasticSkin, displacement_mm: Floats, stressing_mm: Floats) -> DeformedSkin:
-    """Returns the section under a displacement (dofs,), with the stress of another displacement
+    """Return the section under a displacement (dofs,), with the stress of another displacement
     (dofs,).
 
     The two differ while the rubber relaxes, because the stress follows the forces at once.
@@ -63,7 +63,7 @@ def deformed(elastic: ElasticSkin, displacement_mm: Floats, stressing_mm: Floats
 
 
 def _element_nodes(elastic: ElasticSkin) -> tuple[Floats, NDArray[np.int64], NDArray[np.int64]]:
-    """Returns the 3 x 3 nodes of each element: places (3, 3, e, 2), x and y dofs (3, 3, e)."""
+    """Return the 3 x 3 nodes of each element: places (3, 3, e, 2), x and y dofs (3, 3, e)."""
     corner = elastic.mesh.p[:, elastic.mesh.t]
     low, size = corner.min(axis=1), np.ptp(corner, axis=1)
     dofs = elastic.basis.element_dofs

@@ -31,7 +31,7 @@ MARGIN_POWER = 2.0
 
 
 def skin_mesh(settings: SkinSettings) -> MeshQuad:
-    """Returns the mesh in mm, with the body below y = 0 and the ridges above it; x is in bench
+    """Return the mesh in mm, with the body below y = 0 and the ridges above it; x is in bench
     coordinates."""
     from skfem import MeshQuad
 
@@ -77,7 +77,7 @@ def _along_y(settings: SkinSettings) -> Floats:
 
 
 def _to_end(start: float, end: float, cells: int, power: float) -> Floats:
-    """Returns a grid from `start` to `end` whose cells shrink towards `end`."""
+    """Return a grid from `start` to `end` whose cells shrink towards `end`."""
     xi = np.linspace(0.0, 1.0, cells + 1)
     grid: Floats = start + (end - start) * (1.0 - (1.0 - xi) ** power)
     grid[-1] = end
@@ -85,7 +85,7 @@ def _to_end(start: float, end: float, cells: int, power: float) -> Floats:
 
 
 def _to_both(start: float, end: float, cells: int, power: float) -> Floats:
-    """Returns a grid from `start` to `end` whose cells shrink towards both ends,
+    """Return a grid from `start` to `end` whose cells shrink towards both ends,
     mirror-symmetric."""
     xi = np.linspace(-1.0, 1.0, cells + 1)
     shape = np.sign(xi) * (1.0 - (1.0 - np.abs(xi)) ** power)

@@ -108,12 +108,12 @@ class SkinSettings(Settings):
         return self
 
     def ridge_axes_mm(self) -> tuple[float, ...]:
-        """Returns the x of the axis of each ridge, from left to right, in bench coordinates."""
+        """Return the x of the axis of each ridge, from left to right, in bench coordinates."""
         middle = (self.ridges - 1) / 2
         return tuple(self.axis_x_mm + (i - middle) * self.pitch_mm for i in range(self.ridges))
 
     def gap_at(self, x_mm: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Returns the distance in mm of points on the ridge tops to a flat plate that touches the
+        """Return the distance in mm of points on the ridge tops to a flat plate that touches the
         highest one."""
         axes = np.asarray(self.ridge_axes_mm())
         to_axis = np.abs(x_mm[:, None] - axes[None, :]).min(axis=1)
