@@ -85,9 +85,9 @@ class Measurements:
 
     layout: FrameLayout
     values: npt.NDArray[np.float32]
-    """(n, values): user units for floats; for integers input ranges before the user scale."""
+    """Values, (n, values): floats in user units, integers in input ranges before scaling."""
     status: npt.NDArray[np.uint8]
-    """(n,): bit 0 the converter was saturated, bit 1 multi-axis error."""
+    """Status of each frame, (n,). Bit 0: the converter was saturated; bit 1: multi-axis error."""
 
     def __len__(self) -> int:
         return len(self.values)

@@ -46,7 +46,7 @@ BEFORE_S = 0.01
 """Stretch before a decision whose mean is the force that the rise is counted from."""
 
 REGRIP_ONLY: JsonDict = {"only_with": {"regrip": True}}
-"""Of a field that has an effect with --regrip only."""
+"""Marks a field that has an effect with --regrip only."""
 
 
 class GripSettings(PressedSettings):

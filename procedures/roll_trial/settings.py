@@ -21,7 +21,7 @@ HOMING_ROTARY_S = 1.0
 """Expected time of homing the rotary stage and bringing the object upright."""
 
 NO_PROFILE: JsonDict = {"not_with": "profile_times_s"}
-"""Of a field of the roll there and back, which a curve of angles replaces."""
+"""Marks a field of the roll there and back, which has no effect with a curve of angles."""
 
 
 class RollTrialSettings(PressedSettings):

@@ -23,8 +23,10 @@ SEEN_S = 0.04
 
 
 RAMPS_ONLY: JsonDict = {"only_with": {"loading": "ramp"}}
+"""Marks a field that has an effect on ramps only; as an option it is refused for a slide."""
 WEIGHTS_ONLY: JsonDict = {"beside": "hold_at_N"}
-"""Of a field that has an effect on ramps only; as an option it is refused for a slide."""
+"""Marks a field that has an effect only together with `hold_at_N`; as an option it is refused
+without it."""
 
 
 class SlipTrialSettings(GripSettings):

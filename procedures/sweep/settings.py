@@ -33,7 +33,7 @@ LONG_RECORD_S = 0.03
 
 
 GRID_ONLY: JsonDict = {"not_with": "frequencies_Hz"}
-"""Of a field of the automatic grid; as an option it is refused beside a list of frequencies."""
+"""Marks a field of the automatic grid; as an option it is refused with a list of frequencies."""
 
 
 class SweepCondition(NamedTuple):

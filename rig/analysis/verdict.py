@@ -29,12 +29,12 @@ ONE_SIDE = 0.05
 
 @dataclass(frozen=True)
 class Bounds:
-    """Differences up to which a statement about a film counts as true."""
+    """Differences up to which a statement about a film is accepted as true."""
 
     slope_dB_decade: float = 0.05
-    """Of a slope, over frequency or over load."""
+    """Largest difference of a slope, over frequency or over load, in dB/decade."""
     gain_dB: float = 0.1
-    """Of a gain."""
+    """Largest difference of a gain, in dB."""
 
 
 @dataclass(frozen=True)

@@ -148,6 +148,7 @@ class Bench:
 
 
 def close_all(instruments: Mapping[str, Instrument]) -> None:
+    """Close every instrument, also if closing one of them raises RigError or OSError."""
     for instrument in instruments.values():
         with contextlib.suppress(RigError, OSError):
             instrument.close()

@@ -318,6 +318,7 @@ def _cell(value: Any) -> Any:
 
 
 def write(file: Path, text: str) -> None:
+    """Write a text file. Raises ConfigurationError if it cannot be written."""
     with _writing(file):
         file.write_text(text, encoding="utf-8")
 

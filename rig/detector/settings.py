@@ -39,20 +39,23 @@ class DetectorSettings(Settings):
     least_noise_mV: float = Field(0.02, gt=0)
     """Lowest noise that is assumed, rms."""
     arm_mV: float = Field(0.4, gt=0)
-    """The predictive signal arms the detector above this threshold ..."""
+    """Lowest threshold on the predictive signal for arming; see also `arm_sigmas`."""
     arm_sigmas: float = Field(5.0, gt=0)
-    """... and above this many standard deviations of its own noise."""
+    """Threshold for arming in standard deviations of the predictive signal's noise. The signal has
+    to exceed `arm_mV` as well."""
     armed_s: float = Field(0.15, gt=0)
     """Time for which the detector stays armed after the predictive signal was last above half its
     threshold."""
     fire_mV: float = Field(10.0, gt=0)
-    """Published logics: an impulse above this threshold is a slip ..."""
+    """Published logics: an impulse above this threshold is a slip; see also `fire_sigmas`."""
     fire_sigmas: float = Field(5.0, gt=0)
-    """... if it is also above this many standard deviations of its noise."""
+    """The same threshold in standard deviations of the signal's noise. An impulse has to exceed
+    `fire_mV` as well."""
     look_mV: float = Field(0.15, gt=0)
-    """The network is evaluated for 12 ms after an impulse above this threshold ..."""
+    """The network is evaluated at every row for 12 ms after an impulse above this threshold and
+    `look_sigmas`, otherwise every 8 ms."""
     look_sigmas: float = Field(3.0, gt=0)
-    """... and above this many standard deviations of its noise; otherwise every 8 ms."""
+    """The same threshold in standard deviations of the signal's noise."""
     fire_probability: float = Field(0.9, gt=0, lt=1)
     """Probability of a slip, from the network, above which a slip is reported."""
     roll_probability: float = Field(0.9, gt=0, lt=1)
@@ -62,9 +65,10 @@ class DetectorSettings(Settings):
     saturation_V: float = Field(9.95, gt=0)
     """A channel is saturated at or beyond this voltage. Nothing is judged until 50 ms after it."""
     dead_s: float = Field(0.5, gt=0)
-    """A channel is dead if it has not changed at all for this time ..."""
+    """A channel is dead if it has not changed at all for this time while the other one moved by
+    more than `dead_mV`."""
     dead_mV: float = Field(5.0, gt=0)
-    """... while the other channel moved by more than this."""
+    """Change of one channel from which the other one, if it does not change, may be dead."""
     hum_mV: float = Field(2.0, gt=0)
     """Mains hum with an amplitude above this is reported."""
     network: Network | None = None
@@ -112,21 +116,22 @@ class ImpulseSettings(DetectorSettings):
 
     logic: Logic = "impulse"
     fire_mV: float = Field(8.0, gt=0)
-    """After the standard touch-down (to 4 N on the reference skin) an impulse above this threshold
-    is a slip ..."""
+    """An impulse above this threshold is a slip, after the standard touch-down (to 4 N on the
+    reference skin); see also `fire_sigmas`."""
     fire_sigmas: float = Field(6.0, gt=0)
-    """... if it is also above this many standard deviations of its noise."""
+    """The same threshold in standard deviations of the signal's noise. An impulse has to exceed
+    `fire_mV` as well."""
     touch_exponent: float = Field(0.4, ge=0, le=1)
     """The threshold grows with this power of the touch-down's size."""
     silence_s: float = Field(0.06, gt=0)
     """Time after a reported slip in which no other slip is reported: an early alarm must not hide
     the slip."""
     braking_s: float = Field(0.03, ge=0)
-    """For this time after x was commanded to stop, to turn, or to move at less than half of its
-    speed ..."""
+    """Time for which `braking_share` raises the threshold, after x was commanded to stop, to turn,
+    or to move at less than half of its speed."""
     braking_share: float = Field(0.5, ge=0)
-    """... the threshold is higher by this share of the recent level of v_d, which the motion
-    takes away."""
+    """Share of the recent level of v_d, which a braking motion takes away, by which the threshold
+    is then higher."""
 
 
 def settings_from_json(text: str) -> DetectorSettings:

@@ -458,8 +458,8 @@ class ForceFrames:
     raw: npt.NDArray[np.float32]
     """Values as the sensor sent them: (n, 3), in `raw_unit`; 0 on axes that the sensor lacks."""
     force_N: npt.NDArray[np.float64]
-    """(n, 3): forces along the sensor's x, y, z after matrix and tare, 0 on axes that it lacks.
-    What presses on the sensor is positive along z."""
+    """Forces in N along the sensor's x, y, z after matrix and tare, (n, 3); 0 on axes it lacks.
+    A force that presses on the sensor is positive along z."""
     saturated: npt.NDArray[np.bool_]
     """True for each frame in which the amplifier's converter was saturated: (n,)."""
     raw_unit: str = "mV/V"

@@ -38,8 +38,11 @@ class Facts:
     ended: bool = False
     """The journal's last record is an END."""
     exit: int = 0
+    """The exit code in the END record; 0 if there is none."""
     holding: str = ""
+    """Why the run that lives is on hold; empty if it is not."""
     off_failed: bool = False
+    """An instrument of the run could not be switched off."""
     force_N: float | None = None
     silent_s: float = 0.0
     """Age of the newest sign of the run: the journal has grown."""

@@ -29,7 +29,7 @@ LIFT_mm_s = 1.0
 CLEAR_mm = 0.3
 """Distance above the earliest contact at which z is clear of it, as in the procedures."""
 THERE_mm = 0.002
-"""So near to that place z counts as clear."""
+"""Distance to that place within which z is regarded as clear, in mm."""
 RISE_N = 1.0
 """Rise of the force on the way up from which something else is in the way."""
 STEADY_S = 0.5
@@ -44,7 +44,7 @@ Force = Callable[[], float | None]
 
 
 class NotLiftedError(RigError):
-    """Raised for what speaks against a lift, or ends it on the way."""
+    """Raised when z must not be lifted, or when a lift had to be stopped on its way."""
 
 
 class Lift:

@@ -57,10 +57,15 @@ def further_walks_of(case: Case, deals: Collection[int] = FURTHER_DEALS) -> dict
 
 
 def role_of(case: Case) -> Role:
+    """Return the role that the case's driver module names first."""
     return ROLES[case.module().ROLES[0]]
 
 
 def connect(case: Case, service: Service) -> Any:
+    """Return the instrument, connected as its settings say, and attend to it as its role needs.
+
+    Raises what the driver's `connect` raises. End it with `close`.
+    """
     module = case.module()
     instrument = module.connect(module.Settings.model_validate(service.settings), service.clock)
     service.attending[id(instrument)] = role_of(case).attend(instrument, service)

@@ -161,6 +161,11 @@ def drive_kind(stages: Stages, name: str) -> str:
 
 
 def world_settings(options: Options) -> WorldSettings:
+    """Return the World's settings: those of a file, of a drawn skin, or the built-in ones.
+
+    Raises ConfigurationError for a file that cannot be used, and for `--world population` on the
+    film clamp.
+    """
     from drivers.simulated.world.world import read_world
 
     if options.fixture == "film-clamp":
@@ -180,6 +185,11 @@ def world_settings(options: Options) -> WorldSettings:
 
 
 def fault_plan(options: Options) -> FaultPlan:
+    """Return the fault plan of the options for the instruments of this bench; empty without one.
+
+    Raises ConfigurationError for a file that cannot be used, and for faults of devices that the
+    bench lacks.
+    """
     from drivers.simulated.faults.plan import (
         DEVICES,
         DISK,

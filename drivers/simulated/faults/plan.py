@@ -63,13 +63,13 @@ class Placed(Settings):
     device: str
     """The device's name in the simulated bench."""
     move: int | None = Field(default=None, ge=1)
-    """During which task of the drive, or turn of the rotary stage, since the World began; homing
-    and changes under way do not count."""
+    """Number of the drive's task, or turn of the rotary stage, during which the fault begins: 1 is
+    the first of the World. Homing and changes under way are not counted."""
     of: str | None = None
-    """Whose task; None: the device's own."""
+    """Name of the device whose task it is; None means the device's own."""
     acquisition: int | None = Field(default=None, ge=1)
-    """During which acquisition of the DAQ since the World began. None, and no `move` either:
-    `after_s` is measured from the World's beginning."""
+    """Number of the DAQ's acquisition during which the fault begins: 1 is the first of the World.
+    If neither this nor `move` is given, `after_s` is measured from the World's beginning."""
     after_s: float = Field(default=0.0, ge=0, le=LONGEST_AFTER_s)
     """Delay in s after that began."""
 
@@ -94,8 +94,8 @@ class ReplyFault(Placed):
     count: int = Field(default=1, ge=0)
     """Number of matching requests that are disturbed; 0 means all later ones."""
     every: int = Field(default=1, ge=1)
-    """Of the matching requests from the first one on only each so many-th is disturbed: with
-    ``silence``, ``count = 0`` and 3 a link that loses every third reply."""
+    """Interval of the disturbed requests: 3 disturbs the first and then every third matching
+    request. With ``silence`` and ``count = 0`` the link then loses every third reply."""
     for_s: float | None = Field(default=None, gt=0, le=LONGEST_AFTER_s)
     """Time in s for which requests are disturbed instead, from the first one on."""
     command: str = ""

@@ -233,7 +233,7 @@ class HislipServerProtocol:
         self._last_number = 0
 
     def connect(self) -> Connection:
-        """Return a client has opened a TCP connection."""
+        """Return the state of a TCP connection that a client has opened."""
         return Connection(self)
 
     def open_session(self, connection: Connection) -> Session | None:

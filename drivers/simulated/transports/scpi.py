@@ -149,7 +149,9 @@ class ScpiQuantity:
 class Parameter(Protocol):
     """A kind of program data: turns one parameter's bytes into a value, or raises ScpiError."""
 
-    def parse(self, data: bytes) -> Any: ...
+    def parse(self, data: bytes) -> Any:
+        """Return the value of one parameter. Raises ScpiError with the number of the SCPI error."""
+        ...
 
 
 _NUMBER = re.compile(r"([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*([A-Za-z]*)")
@@ -169,6 +171,7 @@ class Numeric:
     keywords: tuple[str, ...] = ("MIN", "MAX", "DEF")
 
     def parse(self, data: bytes) -> ScpiQuantity:
+        """Return the quantity or keyword. Raises ScpiError (-104, or -131 for another unit)."""
         text = data.decode("latin-1").strip()
         keyword = _match_choice(text, _KEYWORDS)
         if keyword in self.keywords:
@@ -195,6 +198,7 @@ class Boolean:
     """ON, OFF, or a number that is rounded: zero is OFF."""
 
     def parse(self, data: bytes) -> bool:
+        """Return whether it is on. Raises ScpiError (-104) for anything else."""
         text = data.decode("latin-1").strip().upper()
         if text in ("ON", "OFF"):
             return text == "ON"
@@ -211,6 +215,7 @@ class Choice:
         self.words = words
 
     def parse(self, data: bytes) -> str:
+        """Return the short form. Raises ScpiError (-104, or -224 for a word not among them)."""
         text = data.decode("latin-1").strip()
         if not re.fullmatch(r"[A-Za-z]\w*", text):
             raise ScpiError(-104)
@@ -225,6 +230,7 @@ class ChannelList:
     """``(@101,103:105)`` as (101, 103, 104, 105), in the order written."""
 
     def parse(self, data: bytes) -> tuple[int, ...]:
+        """Return the channels. Raises ScpiError (-104, or -102 for a bad number or range)."""
         found = re.fullmatch(rb"\(\s*@([\d\s,:]+)\)", data.strip())
         if found is None:
             raise ScpiError(-104)
@@ -245,6 +251,7 @@ class Text:
     """A name or a quoted string."""
 
     def parse(self, data: bytes) -> str:
+        """Return the text without its quotes; every text is accepted."""
         return data.decode("latin-1").strip().strip("\"'")
 
 
@@ -253,6 +260,7 @@ class Rest:
     """Everything that is left, as the list of its parameters' bytes; only as the last kind."""
 
     def parse(self, data: bytes) -> list[bytes]:
+        """Return the bytes of each parameter that is left."""
         return _split(data, b",")
 
 

@@ -95,10 +95,12 @@ class TcpPeer(asyncio.Protocol):
         self.transport: asyncio.Transport | None = None
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        """Add the connection to those of the server."""
         self.transport = cast(asyncio.Transport, transport)
         self._transports.add(self.transport)
 
     def connection_lost(self, exc: Exception | None) -> None:
+        """Remove the connection from those of the server."""
         if self.transport is not None:
             self._transports.discard(self.transport)
 

@@ -69,9 +69,10 @@ class BaselineSettings(Settings):
     low_pass: LowPassSettings = LowPassSettings()
     """Low-pass filter that extracts the predictive signal."""
     arm_mV: float = Field(0.4, gt=0)
-    """The predictive signal arms above this threshold ..."""
+    """Lowest threshold on the predictive signal for arming; see also `arm_sigmas`."""
     arm_sigmas: float = Field(5.0, gt=0)
-    """... and above this many standard deviations of its own noise."""
+    """Threshold for arming in standard deviations of the predictive signal's noise. The signal has
+    to exceed `arm_mV` as well."""
     armed_s: float = Field(0.15, gt=0)
     """Time for which it stays armed after the predictive signal was last above half its
     threshold."""

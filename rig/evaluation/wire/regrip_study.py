@@ -57,11 +57,11 @@ class Weight:
     least_force_N: float
     """Normal force at which the holding force would equal the weight."""
     outcome: str = ""
-    """held, averted or lost; "" for a trial that could not be made."""
+    """Result of the trial: held, averted or lost; "" for a trial that could not be made."""
     squeezes: int = 0
     force_used_N: float | None = None
     risen_s: float | None = None
-    """From the first alarm's sample to F_n + 10 % of the step."""
+    """Time in s from the first alarm's sample until F_n has risen by 10 % of the step."""
     failed: str = ""
     """Why it could not be made."""
 
