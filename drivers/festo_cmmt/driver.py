@@ -277,7 +277,10 @@ class FestoAxis:
         return True
 
     def torque_percent(self) -> float | None:
-        """See `ReadsTorque`: percent of the rated torque, by three requests to the mailbox."""
+        """See `ReadsTorque`: percent of the rated torque, by three requests to the mailbox.
+
+        Raises InstrumentError if the drive's value is not finite.
+        """
         if self._rated_torque is None:
             return None
         torque = real(self._link.watched_parameter(TORQUE))

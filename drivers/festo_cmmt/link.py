@@ -75,7 +75,10 @@ class CmmtLink:
 
     def identification(self) -> dict[int, str]:
         """Device identification objects 0 to 5: vendor, product code, revision, URL, product
-        name, model (function 43/14, read codes 1 and 2, as the vendor's client asks)."""
+        name, model (function 43/14, read codes 1 and 2, as the vendor's client asks).
+
+        Raises InstrumentError if an object is missing.
+        """
         found: dict[int, str] = {}
         for code in (_BASIC, _REGULAR):
             for number, text in self._objects(code).items():
@@ -87,7 +90,10 @@ class CmmtLink:
 
     def read(self, address: int, count: int, charge: bool = True) -> list[int]:
         """Return `count` holding registers. `charge` off: a time-out does not move the bench's
-        clock."""
+        clock.
+
+        Raises InstrumentError for an answer with another number of registers.
+        """
         what = f"read register {address}"
         reply = self._ask(
             what,
@@ -124,7 +130,7 @@ class CmmtLink:
             raise self.garbage(what, (reply.address, reply.count), (address, len(values)))
 
     def write_one(self, address: int, value: int) -> None:
-        """Write one register; the drive echoes it."""
+        """Write one register; the drive echoes it. Raises InstrumentError for another echo."""
         what = f"write register {address}"
         reply = self._ask(
             what, lambda client: client.write_register(address, value, device_id=self._unit_id)
@@ -167,7 +173,10 @@ class CmmtLink:
         return struct.pack("<2H", *self.read(MAILBOX_DATA, 2))
 
     def set_parameter(self, number: int, raw: bytes) -> None:
-        """Write a drive parameter and verify that it reads back the same."""
+        """Write a drive parameter and verify that it reads back the same.
+
+        Raises InstrumentError if it reads back another value.
+        """
         self._mailbox(number, 1)
         self.write_one(MAILBOX_LENGTH, len(raw))
         padded = raw + b"\0" * (len(raw) % 2)

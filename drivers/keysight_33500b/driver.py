@@ -67,7 +67,10 @@ class Generator33500B:
         return self._identity
 
     def prepare(self) -> None:
-        """Identify, switch off, set load and voltage limits, and read all of it back."""
+        """Identify, switch off, set load and voltage limits, and read all of it back.
+
+        Raises InstrumentError for another model, and for a setting that reads back differently.
+        """
         self._identity = self._link.identify()
         if not self._identity.model.startswith("335"):
             raise InstrumentError(
@@ -114,7 +117,10 @@ class Generator33500B:
         self._verify(self._output, state, float(on))
 
     def output_is_on(self) -> bool:
-        """Return the output's state as the instrument reports it."""
+        """Return the output's state as the instrument reports it.
+
+        Raises InstrumentError if the answer is neither 0 nor 1; the link is then closed.
+        """
         reply = self._link.query(f"{self._output}?")
         if reply not in ("0", "1"):
             self._link.close()

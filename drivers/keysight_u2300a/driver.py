@@ -129,7 +129,10 @@ class U2300ADaq:
         return MODELS[self.identity.model]
 
     def prepare(self) -> None:
-        """Identify, stop whatever runs, and check the wiring against the model."""
+        """Identify, stop whatever runs, and check the wiring against the model.
+
+        Raises InstrumentError for another model and LimitError for a terminal that the model lacks.
+        """
         self._identity = self._link.identify()
         if self._identity.model not in MODELS:
             raise InstrumentError(
@@ -199,7 +202,10 @@ class U2300ADaq:
             )
 
     def acquire(self, acquisition: Acquisition) -> Record:
-        """Sample once; waits on the bench clock until the unit says that it has finished."""
+        """Sample once; waits on the bench clock until the unit says that it has finished.
+
+        Raises InstrumentError if that takes too long.
+        """
         self._configure(acquisition, continuous=False)
         configured, self._configured = self._configured, None  # until the unit has obeyed
         self._link.command("DIG")
@@ -273,7 +279,8 @@ class U2300ADaq:
         """Return the levels of digital lines, such as "501.0", bit 0 of channel 501: True for high.
 
         Their channels are made inputs first, which reads back. That the unit answers while an
-        acquisition runs is unconfirmed.
+        acquisition runs is unconfirmed. Raises InstrumentError if a channel does not read back as
+        an input, or its answer is not a number.
         """
         lines = {name: tuple(map(int, name.split("."))) for name in names}
         channels = tuple(dict.fromkeys(channel for channel, _ in lines.values()))

@@ -281,7 +281,10 @@ class AzAxis:
         self._check_peer_drives()
 
     def inputs_high(self, names: Sequence[str]) -> Mapping[str, bool]:
-        """Return the levels of direct inputs, such as "DIN0": True for high."""
+        """Return the levels of direct inputs, such as "DIN0": True for high.
+
+        Raises InstrumentError while the line waits out a time-out.
+        """
         if self._link.charging:
             raise self._watch.error(
                 "read inputs", "the line is waiting out a time-out", "look at its cable"

@@ -433,7 +433,10 @@ class AzLink:
         return signed(upper << 16 | lower)
 
     def set_value(self, address: int, value: int) -> None:
-        """Write a 32-bit value where it differs, and verify that it reads back the same."""
+        """Write a 32-bit value where it differs, and verify that it reads back the same.
+
+        Raises InstrumentError if it reads back another value.
+        """
         if self.read_value(address) == value:
             return
         self.line.wait_until_free()

@@ -72,7 +72,7 @@ class TcpPort:
         self._socket.settimeout(READ_WAIT_S)
 
     def read(self) -> bytes:
-        """See `Port`."""
+        """See `Port`. Raises ConnectionResetError if the other end has closed the connection."""
         try:
             data = self._socket.recv(READ_BYTES)
         except TimeoutError:

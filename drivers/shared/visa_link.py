@@ -64,6 +64,7 @@ class VisaLink:
         """Send one message and return its one-line reply without the line end.
 
         A reply without one was cut off (IEEE 488.2, 8.5: NL and END): the half of a number is one.
+        Raises InstrumentError for a reply without one, and if the instrument does not answer.
         """
         with self._conversation(message) as session:
             session.write(message)

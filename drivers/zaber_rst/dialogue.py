@@ -72,7 +72,10 @@ class ZaberDialogue:
         return self._as_number(words, reply.data) * self._settings.microstep_deg, reply
 
     def flags(self) -> list[str]:
-        """Return all warning flags that stand, the gravest first."""
+        """Return all warning flags that stand, the gravest first.
+
+        Raises InstrumentError if their number is not the one that the stage states.
+        """
         reply = self.command("warnings")
         count, *flags = reply.data.split()
         if not count.isdigit() or int(count) != len(flags):
@@ -134,7 +137,10 @@ class ZaberDialogue:
 
     def check_units(self) -> None:
         """Check that a microstep is as the bench file states, and find the setting from which the
-        angle is read."""
+        angle is read.
+
+        Raises InstrumentError if the stage's microstep is another one.
+        """
         own = self._settings
         resolution = self.number("resolution")
         if resolution != own.resolution:

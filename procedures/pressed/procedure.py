@@ -187,7 +187,10 @@ class PressedProcedure(TrialProcedure):
         import procedures.pressed.trial  # noqa: F401 - with numpy: not for `rig --help`
 
     def points(self) -> tuple[Point, ...]:
-        """Return one point for each trial."""
+        """Return one point for each trial.
+
+        Raises ConfigurationError for a motion that is too short.
+        """
         motion_s = float(self.motion_s())
         if not (math.isfinite(motion_s) and motion_s >= LEAST_MOTION_S):
             raise ConfigurationError(

@@ -114,7 +114,10 @@ class RollTrial(TrialProcedure):
 
     def check(self, bench: Bench) -> None:
         """Refuse a fixture that does not state where the object is, or a roll beyond a stage's
-        limits."""
+        limits.
+
+        Raises ConfigurationError for the fixture, LimitError for the roll.
+        """
         super().check(bench)
         fixture, settings = bench.settings.fixture, self.settings
         if fixture.centre_mm is None or fixture.upright_deg is None:

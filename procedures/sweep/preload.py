@@ -133,7 +133,10 @@ class Preload:
     def follow(self, run: Run, stretch_s: float) -> bool:
         """Correct the mean force of the latest `stretch_s` for the film's creep by one small move
         at most; return whether there was one. `stretch_s` has to contain whole periods of the
-        vibration."""
+        vibration.
+
+        Raises TripError if the force differs from the preload by more than a fifth.
+        """
         missing_N = self.target_N - felt_N(run, stretch_s)
         self._learn_stiffness(self.target_N - missing_N)
         if abs(missing_N) <= CLOSE * self.target_N:

@@ -101,7 +101,11 @@ class BatchFolder:
 
 
 def new_folder(results: Path, name: str, today: datetime) -> BatchFolder:
-    """Make the folder of a new batch: ``2026-11-21_friction``, with ``-2`` if that is taken."""
+    """Make the folder of a new batch: ``2026-11-21_friction``, with ``-2`` if that is taken.
+
+    Raises ConfigurationError if the folder cannot be made, or after 999 batches of one name in a
+    day.
+    """
     for number in range(1, 1000):
         more = f"-{number}" if number > 1 else ""
         path = results / f"{today:%Y-%m-%d}_{name}{more}"
@@ -124,7 +128,10 @@ def new_folder(results: Path, name: str, today: datetime) -> BatchFolder:
 
 
 def find_folder(given: Path | None, results: Path) -> BatchFolder:
-    """Return the batch that a command means: the folder it names, or the latest in the results."""
+    """Return the batch that a command means: the folder it names, or the latest in the results.
+
+    Raises ConfigurationError if there is no batch in the results.
+    """
     if given is not None:
         return BatchFolder(given.parent if given.name == QUEUE else given)
     found = sorted(results.glob(f"*/{QUEUE}"), key=lambda queue: queue.stat().st_ctime)

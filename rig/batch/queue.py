@@ -388,7 +388,10 @@ class Queue:
 
     @_patient
     def claim(self, number: int) -> Claim:
-        """Claim a queued run: from here on it is running, whatever becomes of the caller."""
+        """Claim a queued run: from here on it is running, whatever becomes of the caller.
+
+        Raises RigError if the run is not queued, because another process has claimed it.
+        """
         with self._transaction():
             row = self._sql.execute(
                 "SELECT number, repeat, condition FROM run WHERE number = ? AND state = 'queued'",

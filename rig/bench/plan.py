@@ -104,7 +104,10 @@ def read_bench(path: Path) -> BenchPlan:
 
 
 def parse_bench(text: str, source: str) -> BenchPlan:
-    """Validate the text of a bench file, all errors at once."""
+    """Validate the text of a bench file, all errors at once.
+
+    Raises ConfigurationError, which names them.
+    """
     tables = parse_toml(text, source)
     findings: list[ConfigurationError] = []
     plans = []

@@ -58,7 +58,10 @@ class RecordOptions:
     debug: Debug = False
 
     def fields(self, kind: Kind, date: datetime, operator: str = "") -> dict[str, Any]:
-        """Return the fields of a record that was measured at `date`."""
+        """Return the fields of a record that was measured at `date`.
+
+        Raises ConfigurationError for a temperature that is not that of a room.
+        """
         import rig
         from rig.instruments.calibration import VALID_DAYS
 
@@ -103,7 +106,10 @@ class WeighingOptions:
 
 
 def directions(text: str) -> list[Vector]:
-    """Return the unit vectors of --axes."""
+    """Return the unit vectors of --axes.
+
+    Raises ConfigurationError for an unknown direction, and if an axis is left out.
+    """
     found: list[Vector] = []
     for word in text.split(","):
         if word.strip() not in DIRECTIONS:
@@ -120,7 +126,10 @@ def directions(text: str) -> list[Vector]:
 
 
 def weights_of(text: str) -> list[float]:
-    """Return the forces of --weights, ascending, in N."""
+    """Return the forces of --weights, ascending, in N.
+
+    Raises ConfigurationError for fewer than two weights, and for weights that do not ascend.
+    """
     weights = [number(word, "N", "--weights") for word in text.split(",") if word.strip()]
     if len(weights) < 2 or weights[0] <= 0:
         raise ConfigurationError(
@@ -136,7 +145,10 @@ def weights_of(text: str) -> list[float]:
 
 
 def conditions(options: WeighingOptions, weights_N: list[float]) -> dict[str, Any]:
-    """Return the conditions under which the weights are put on, as a record keeps them."""
+    """Return the conditions under which the weights are put on, as a record keeps them.
+
+    Raises ConfigurationError for a tolerance out of range.
+    """
     if not 0 <= options.tolerance <= LARGEST_TOLERANCE_PERCENT:
         raise ConfigurationError(
             f"--tolerance {options.tolerance:g}: has to be 0 to "
@@ -150,7 +162,10 @@ def conditions(options: WeighingOptions, weights_N: list[float]) -> dict[str, An
 
 
 def reading_times(options: WeighingOptions) -> Timing:
-    """Return how long readings are, and how long to wait before them."""
+    """Return how long readings are, and how long to wait before them.
+
+    Raises ConfigurationError for a time out of range.
+    """
     from rig.run.scales import Timing
 
     timing = Timing(
@@ -169,7 +184,10 @@ def reading_times(options: WeighingOptions) -> Timing:
 
 
 def number(text: str, unit: str, option: str) -> float:
-    """Return a finite number from an option's text, with or without its unit."""
+    """Return a finite number from an option's text, with or without its unit.
+
+    Raises ConfigurationError for any other text and for a number below 0.
+    """
     from rig.core.units import quantity
 
     try:

@@ -90,7 +90,10 @@ def is_unit(text: str) -> bool:
 
 
 def quantity(text: str, unit: str | None) -> float:
-    """Return the number in `unit` that a text, with or without a unit, states."""
+    """Return the number in `unit` that a text, with or without a unit, states.
+
+    Raises ValueError if the text is not a number, or its unit does not convert to `unit`.
+    """
     match = _QUANTITY.match(text)
     if match is None:
         try:

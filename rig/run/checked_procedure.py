@@ -114,7 +114,10 @@ class CheckedProcedure:
             self._procedure.arm(run)
 
     def take(self, run: Run, point: Point) -> Reading:
-        """Measure one point; return a reading with the columns that the layout declares."""
+        """Measure one point; return a reading with the columns that the layout declares.
+
+        Raises ProcedureFaultError if the procedure returns anything else.
+        """
         with self._blamed():
             reading: Any = self._procedure.take(run, point)
         fault = reading_fault(self._procedure.layout, reading)
@@ -123,7 +126,10 @@ class CheckedProcedure:
         return dict(reading)
 
     def summarise(self, readings: Sequence[Reading]) -> Mapping[str, Any]:
-        """Return the results of the whole run."""
+        """Return the results of the whole run.
+
+        Raises ProcedureFaultError if the procedure returns no mapping.
+        """
         with self._blamed():
             found: Any = self._procedure.summarise(readings)
         if not isinstance(found, Mapping):
@@ -131,7 +137,10 @@ class CheckedProcedure:
         return found
 
     def put_in(self, readings: Sequence[Reading], summary: Mapping[str, Any]) -> Mapping[str, Any]:
-        """Return what a simulated bench had put in, by the name of the value that recovers it."""
+        """Return what a simulated bench had put in, by the name of the value that recovers it.
+
+        Raises ProcedureFaultError if the procedure returns no mapping.
+        """
         with self._blamed():
             found: Any = self._procedure.put_in(readings, summary)
         if not isinstance(found, Mapping):

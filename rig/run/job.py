@@ -130,7 +130,10 @@ class RunJob:
         return report_path(self.results, bench.settings.name)
 
     def open_journal(self, bench: Bench, points: Sequence[Point]) -> Journal:
-        """Begin the journal, or continue the interrupted one."""
+        """Begin the journal, or continue the interrupted one.
+
+        Raises ConfigurationError if the bench has changed since the interrupted run began.
+        """
         if self.resume is None:
             time_of_day = TimeOfDay()
             return Journal(

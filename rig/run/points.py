@@ -51,7 +51,10 @@ class Point:
 
 def require_roles(points: Sequence[Point], plan: BenchPlan) -> None:
     """Refuse, before anything is connected, a bench that lacks an instrument that the points need,
-    or the load cell if the points load it."""
+    or the load cell if the points load it.
+
+    Raises ConfigurationError, which names what is missing.
+    """
     needed = {move.quantity.split(".")[0] for point in points for move in point.moves}
     if any(point.acquisitions for point in points):
         needed.add("daq")
@@ -74,7 +77,10 @@ def check_points(
 ) -> None:
     """Refuse, before anything moves, every value outside a limit, places of the fixtures included;
     ids must be unique, also among those of an earlier plan that are `taken`. With the run's
-    `settings` the message names the options that a refused value comes from."""
+    `settings` the message names the options that a refused value comes from.
+
+    Raises the first LimitError or ConfigurationError that is found.
+    """
     for error in refusals(points, bench, taken, settings):
         raise error
 

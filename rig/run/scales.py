@@ -70,7 +70,11 @@ class ForceScale:
         self._sensor, self._clock, self._timing, self._rate = sensor, clock, timing, rate_S_s
 
     def read(self, largest_N: float) -> Mean:
-        """Return the mean of the frames after settling, (3,) in mV/V."""
+        """Return the mean of the frames after settling, (3,) in mV/V.
+
+        Raises RejectedError if frames are saturated, a channel is dead, or the force has not
+        settled.
+        """
         frames = self._frames()
         saturated = sum(int(part.saturated.sum()) for part in frames)
         if saturated:
@@ -157,7 +161,10 @@ class CellScale:
 
     def read(self, largest_N: float) -> Mean:
         """Return the mean after settling, (1,) in volts; its error includes the converter's
-        step."""
+        step.
+
+        Raises RejectedError if samples are clipped or the output has not settled.
+        """
         self._clock.sleep(self._timing.settling_s)
         record = self._daq.acquire(self._acquisition)
         if clipped := record.clipped("load_cell"):

@@ -65,7 +65,11 @@ class StartedBench:
         return self._process.pid
 
     def ready(self) -> dict[str, Any]:
-        """Wait until the bench listens: ``control_port``, ``bench_toml``, ``recorded_toml``."""
+        """Wait until the bench listens: ``control_port``, ``bench_toml``, ``recorded_toml``.
+
+        Raises ConfigurationError for options that the bench refuses, InstrumentError if its process
+        ends.
+        """
         assert self._process.stdout is not None
         line = self._process.stdout.readline()
         answer: dict[str, Any] = json.loads(line) if line else {}

@@ -166,7 +166,10 @@ class CmmtDrive(SimulatedDrive[MoveFault]):
         return self.identity
 
     def read(self, address: int, count: int, by: str) -> Sequence[int]:
-        """Return images, time-out or mailbox; one block at a time."""
+        """Return images, time-out or mailbox; one block at a time.
+
+        Raises ModbusError for other addresses.
+        """
         self._feed()
         if _within(address, count, INPUTS, IMAGE_WORDS):
             return (self._frozen_inputs or self._inputs())[address - INPUTS :][:count]
@@ -181,7 +184,10 @@ class CmmtDrive(SimulatedDrive[MoveFault]):
         raise ModbusError(ILLEGAL_ADDRESS)
 
     def write(self, address: int, values: Sequence[int], by: str) -> None:
-        """Take an output image, the time-out or mailbox words."""
+        """Take an output image, the time-out or mailbox words.
+
+        Raises ModbusError for other addresses.
+        """
         self._feed()
         count = len(values)
         if _within(address, count, OUTPUTS, IMAGE_WORDS):

@@ -152,7 +152,10 @@ class AzDrive(SimulatedDrive[MoveFault]):
         return [self._register(one) for one in range(address, address + count)]
 
     def write(self, address: int, values: Sequence[int], by: str) -> None:
-        """Take the values, all or none; what they start is refused where it cannot be done."""
+        """Take the values, all or none; what they start is refused where it cannot be done.
+
+        Raises ModbusError if they are refused.
+        """
         wanted: dict[int, int] = {}
         for register, value in enumerate(values, address):
             pair = register & ~1

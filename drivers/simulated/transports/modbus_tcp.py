@@ -76,7 +76,10 @@ def reply_to(pdu: bytes, device: RegisterDevice, by: str) -> bytes:
 def answer_of(
     pdu: bytes, device: D, by: str, functions: Mapping[int, Callable[[bytes, D, str], bytes]]
 ) -> bytes:
-    """Return the reply PDU to a request PDU; `functions` gives what follows the function code."""
+    """Return the reply PDU to a request PDU; `functions` gives what follows the function code.
+
+    A ModbusError of a function becomes the reply of an exception.
+    """
     try:
         if pdu[0] not in functions:
             raise ModbusError(ILLEGAL_FUNCTION)
@@ -106,7 +109,10 @@ def write_registers(pdu: bytes, device: Registers, by: str) -> bytes:
 
 
 def read_write_registers(pdu: bytes, device: Registers, by: str) -> bytes:
-    """Answer function 23: write registers, then read registers."""
+    """Answer function 23: write registers, then read registers.
+
+    Raises ModbusError for a wrong count.
+    """
     read_address, read_count, address, count = _unpack(">HHHH", pdu[1:9])
     values = _values(pdu[9:], count, MOST_WRITTEN_WITH_READ)
     if not 1 <= read_count <= MOST_READ:

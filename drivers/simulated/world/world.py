@@ -104,7 +104,10 @@ W = TypeVar("W", bound=WorldSettings)
 
 
 def read_world(path: str | None, kind: type[W] = WorldSettings) -> W:  # type: ignore[assignment]
-    """Return the World settings in a TOML file; the defaults if there is none."""
+    """Return the World settings in a TOML file; the defaults if there is none.
+
+    Raises ConfigurationError for a file that cannot be used.
+    """
     if path is None:
         return kind()
     tables = read_toml(Path(path), "file of World settings")

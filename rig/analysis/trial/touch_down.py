@@ -72,7 +72,10 @@ def _gaussian(values: Reals, rate_Hz: float, order: int) -> Reals:
 
 def volts_on_grid(volts: TouchRecord, force_rate_Hz: float) -> tuple[Reals, Reals]:
     """Return times on the volts' clock, corrected, and smoothed volts, as slow as frames at that
-    rate."""
+    rate.
+
+    Raises TouchDownError for too few samples.
+    """
     values = np.asarray(volts.values, dtype=np.float64)
     if force_rate_Hz < FINE_RATE_Hz:
         values = _averaged(values, round(volts.rate_Hz / force_rate_Hz))

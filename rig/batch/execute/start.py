@@ -52,7 +52,10 @@ def terms_of(batch_file: Path, prepared: PreparedBatch, now: datetime) -> dict[s
 
 
 def read_terms(folder: BatchFolder) -> dict[str, str]:
-    """Return what a batch was begun with; empty for one that an earlier version has begun."""
+    """Return what a batch was begun with; empty for one that an earlier version has begun.
+
+    Raises ConfigurationError if the file cannot be read.
+    """
     try:
         found = json.loads(folder.terms.read_text(encoding="utf-8"))
     except FileNotFoundError:

@@ -32,7 +32,10 @@ def read_batch(path: Path) -> tuple[BatchFile, BatchPlan, BatchText]:
 
 
 def parse_batch(text: str, name: str) -> tuple[BatchFile, BatchPlan, BatchText]:
-    """Return the same from the text of a file of this `name`."""
+    """Return the same from the text of a file of this `name`.
+
+    Raises RefusedBatchError, with all findings.
+    """
     tables = parse_toml(text, name)
     source = BatchText(name, text)
     try:

@@ -60,6 +60,9 @@ class MatlabTable:
     def column(self, wanted: str) -> int:
         """Return the index of a column: a vector by its variable's name, or ``NAME:COLUMN``; a bare
         number (from 1) is a column of the only numeric variable.
+
+        Raises ForeignFileError if there is no such variable or column, or it does not contain
+        numbers.
         """
         numeric = [name for name, (kind, _) in self._variables.items() if kind in NUMERIC]
         if wanted.isdecimal() and len(numeric) == 1:
@@ -114,7 +117,10 @@ class MatlabTable:
         return f"row {row + 1}"
 
     def values(self, columns: Sequence[int]) -> NDArray[np.float64]:
-        """Return the columns as float64, shape (rows, columns)."""
+        """Return the columns as float64, shape (rows, columns).
+
+        Raises ForeignFileError for columns of different lengths and for values that are not finite.
+        """
         import numpy as np
 
         names = list(dict.fromkeys(self._columns[column][0] for column in columns))

@@ -107,7 +107,10 @@ class TextTable:
         return len(self._lines) - self._first
 
     def column(self, wanted: str) -> int:
-        """Return the column of a number (from 1) or of a name in the header."""
+        """Return the column of a number (from 1) or of a name in the header.
+
+        Raises ForeignFileError if there is no such column, or several have the name.
+        """
         if re.fullmatch(r"[0-9]{1,9}", wanted):
             if not 1 <= int(wanted) <= self._width:
                 raise ForeignFileError(
@@ -150,6 +153,9 @@ class TextTable:
     def values(self, columns: Sequence[int]) -> NDArray[np.float64]:
         """Return the columns, float64 of shape (rows, columns), each number exactly as it is
         written.
+
+        Raises ForeignFileError, with the place, for a row that is not one and for a number that no
+        double can represent.
         """
         import numpy as np
 

@@ -88,6 +88,9 @@ class JournalEncoder:
     def point_begin(self, point_id: str, fields: Mapping[str, Any]) -> bytes:
         """Return a record that a point begins; ``time`` in the fields is in s since the run's
         start.
+
+        Raises ValueError if a point is open, or for an id that was recorded already or is not 1 to
+        256 characters long.
         """
         if self._open is not None:
             raise ValueError(f"point {point_id}: point {self._open} is still open")
@@ -268,7 +271,10 @@ class JournalWriter:
         self.append(encode_or_raise(self.path, encode))
 
     def append(self, records: Sequence[bytes]) -> None:
-        """Write whole records, in one system call where the kernel takes them in one."""
+        """Write whole records, in one system call where the kernel takes them in one.
+
+        Raises RecordingError if the system refuses the bytes.
+        """
         self._check()
         begin = self._size
         try:

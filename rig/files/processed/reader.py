@@ -108,7 +108,10 @@ class ProcessedFile(OpenFile):
             return texts_of(self.entry["trials/id"])
 
     def events(self) -> list[tuple[str, SlipEvent]]:
-        """Return all events, each with its trial's id: trial after trial, in the order of time."""
+        """Return all events, each with its trial's id: trial after trial, in the order of time.
+
+        Raises RunFileError if the file is damaged.
+        """
         with self._naming():
             table = self.entry["events"]
             kinds = texts_of(table["kind"])
