@@ -70,7 +70,10 @@ class Mean:
 
     def drifts(self, tolerated: float | Reals) -> NDArray[np.bool_]:
         """Return which channels changed during the reading, significantly and by more than is
-        tolerated."""
+        tolerated.
+
+        Shape (k,), one value per channel; `tolerated` is in the unit of the samples.
+        """
         clear: NDArray[np.bool_] = np.abs(self.trend) > np.maximum(
             CLEAR_TREND * self.trend_error, tolerated
         )

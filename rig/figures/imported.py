@@ -77,7 +77,10 @@ def thinned(
     t: NDArray[np.float64], values: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return a curve of at most MOST_DRAWN points with the same extremes: the smallest and the
-    largest of every group of samples, in their order."""
+    largest of every group of samples, in their order.
+
+    Both are (m,).
+    """
     size = -(-2 * len(values) // MOST_DRAWN)
     if size <= 2:
         return t, values

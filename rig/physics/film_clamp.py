@@ -79,7 +79,10 @@ def push_after(
 
 
 def preload_gain(settings: FilmClampSettings, preload_N: Reals) -> Reals:
-    """Return the factor on the film's response at a preload: 0 without contact."""
+    """Return the factor on the film's response at a preload: 0 without contact.
+
+    It has no unit, and the shape of the preloads, which are in N.
+    """
     change_dB = settings.gain_per_newton_dB * (preload_N - settings.nominal_preload_N)
     factor: Reals = np.where(preload_N > 0, 10 ** (change_dB / 20), 0.0)
     return factor
@@ -87,7 +90,10 @@ def preload_gain(settings: FilmClampSettings, preload_N: Reals) -> Reals:
 
 def load_gain(settings: FilmClampSettings, load_N: Reals) -> Reals:
     """Return the factor on the film's response under a sinusoidal load, peak in N; 1 without
-    one."""
+    one.
+
+    It has no unit, and the shape of the loads.
+    """
     if not settings.gain_per_load_decade_dB:
         return np.ones_like(load_N)
     decades = np.log10(np.where(load_N > 0, load_N, 1.0))

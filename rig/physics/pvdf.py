@@ -62,14 +62,20 @@ SWEEP_FILM = CircuitSettings(film_capacitance_pF=98.0, input_resistance_ohm=1e12
 
 
 def printed(frequency: ArrayLike, settings: CircuitSettings) -> Complexes:
-    """Return equation (4) exactly as printed, ohms plus siemens, in V/N at ``frequency`` in Hz."""
+    """Return equation (4) exactly as printed, ohms plus siemens, in V/N at ``frequency`` in Hz.
+
+    It has the shape of ``frequency``.
+    """
     drive, a4 = _equation_4(frequency, settings)
     return (settings.output_resistance_ohm + a4) * drive
 
 
 def ohmic(frequency: ArrayLike, settings: CircuitSettings) -> Complexes:
     """Return equation (4) with 1/A4 for A4, dimensionally correct, in V/N at ``frequency`` in
-    Hz."""
+    Hz.
+
+    It has the shape of ``frequency``.
+    """
     drive, a4 = _equation_4(frequency, settings)
     return (settings.output_resistance_ohm + 1 / a4) * drive
 

@@ -36,7 +36,10 @@ class TransducerSettings(Settings):
 
     def response(self, frequency_Hz: ArrayLike) -> NDArray[np.complex128]:
         """Return the complex response in V per MPa of stress at the given frequencies, without
-        clipping."""
+        clipping.
+
+        It has the shape of `frequency_Hz`.
+        """
         response: NDArray[np.complex128] = self.area_mm2 * pvdf.circuit(frequency_Hz, self.circuit)
         return response
 

@@ -27,12 +27,12 @@ class ForceLaw:
 
     @property
     def level_N(self) -> npt.NDArray[np.float64]:  # noqa: N802 - the unit keeps its capital
-        """The force along x, y, z at bench time 0."""
+        """The force along x, y, z at bench time 0, (3,) in N."""
         return self.scale * LEVEL_N
 
     @property
     def slope_N_s(self) -> npt.NDArray[np.float64]:  # noqa: N802 - the unit keeps its capital
-        """Slopes of the force along x, y, z."""
+        """Slopes of the force along x, y, z, (3,) in N/s."""
         return self.scale * SLOPE_N_s * min(1.0, self.rate_S_s / USUAL_RATE_S_s)
 
     def __call__(self, time_s: Any) -> npt.NDArray[np.float64]:

@@ -303,7 +303,7 @@ class RotaryStageCore(_StageCore):
         super().__init__(port, lambda deg, t_us: 0.0, name, faults)
 
     def angles_deg(self, times_us: npt.NDArray[np.int64]) -> npt.NDArray[np.float64]:
-        """Return where it stands or stood at ascending World times."""
+        """Return the angles in deg, (n,), at ascending World times (n,)."""
         return self.positions_mm(times_us)
 
     def speed_deg_s(self, t_us: int) -> float:

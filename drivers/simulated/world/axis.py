@@ -350,7 +350,7 @@ class SimulatedAxis:
         return self._carriage.at(t_us * 1e-6)[0]
 
     def positions(self, times_us: npt.NDArray[np.int64]) -> npt.NDArray[np.float64]:
-        """Return the same at several ascending times."""
+        """Return the positions at several ascending times, (n,), in the unit of `position`."""
         if times_us.size:
             self.settle(int(times_us[-1]))
         return self._carriage.positions(np.asarray(times_us * 1e-6, np.float64))

@@ -33,7 +33,7 @@ class Carriage(Protocol):
     """The stage that carries the skin along one axis."""
 
     def positions_mm(self, times_us: Times) -> Reals:
-        """Return its position at ascending World times."""
+        """Return its positions in mm, (n,), at ascending World times (n,)."""
         ...
 
     def highest_mm(self, begin_us: int, end_us: int) -> float:

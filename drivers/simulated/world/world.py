@@ -252,7 +252,7 @@ class World:
     def pressed_N(  # noqa: N802
         self, times_s: npt.NDArray[np.float64]
     ) -> npt.NDArray[np.float64]:
-        """Return the part of it by which the stages press and the vibrator shakes."""
+        """Return the force in N, (n, 3), by which the stages press and the vibrator shakes."""
         if self._skin is not None:
             return self._skin.force_N(times_s)
         force = np.zeros((len(times_s), 3))

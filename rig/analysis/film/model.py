@@ -113,7 +113,7 @@ class FilmModel:
         return value
 
     def trend(self, frequencies: Reals) -> Complexes:
-        """Return the complex response without the notches."""
+        """Return the complex response without the notches. The shape is that of the frequencies."""
         jf = 1j * frequencies
         level = self.polarity * 10 ** (self.level_dB / 20)
         turned = np.exp(-2 * np.pi * jf * self.delay_s)

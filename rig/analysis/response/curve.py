@@ -106,7 +106,7 @@ class ResponseCurve:
 
     @property
     def gains_dB(self) -> Reals:  # noqa: N802
-        """Gains, 20 log10 of the magnitudes, in dB re 1 V/N (paper eq. 1)."""
+        """Gains, 20 log10 of the magnitudes, in dB re 1 V/N (paper eq. 1). Shape (n,)."""
         gains: Reals = 20 * np.log10(np.abs(self.responses))
         return gains
 
@@ -120,7 +120,7 @@ class ResponseCurve:
 
     @property
     def gain_errors_dB(self) -> Reals:  # noqa: N802
-        """Standard errors of the gains in dB, first order."""
+        """Standard errors of the gains in dB, first order. Shape (n,)."""
         errors: Reals = DB_PER_RELATIVE * np.sqrt(self.relative_covariances[:, 0, 0])
         return errors
 

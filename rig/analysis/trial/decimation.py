@@ -82,12 +82,18 @@ class Decimator:
         return self._filter.add(samples)
 
     def response(self, frequency_Hz: ArrayLike) -> Complexes:
-        """Return the complex response at input frequencies below half the input rate."""
+        """Return the complex response at input frequencies below half the input rate.
+
+        It has the shape of the frequencies in Hz.
+        """
         return frequency_response(self._filter.taps, frequency_Hz, self.rate_Hz)
 
     def group_delay_s(self, frequency_Hz: ArrayLike) -> Reals:
         """Return how late a slowly modulated tone of these frequencies appears, within the pass
-        band."""
+        band.
+
+        It is in s and has the shape of the frequencies.
+        """
         frequency = np.atleast_1d(np.asarray(frequency_Hz, dtype=np.float64))
         half = 0.05  # Hz on either side: the phase is smooth on this scale
         turned = self.response(frequency + half) / self.response(frequency - half)

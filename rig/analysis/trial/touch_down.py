@@ -74,7 +74,7 @@ def volts_on_grid(volts: TouchRecord, force_rate_Hz: float) -> tuple[Reals, Real
     """Return times on the volts' clock, corrected, and smoothed volts, as slow as frames at that
     rate.
 
-    Raises TouchDownError for too few samples.
+    Times are (m,) in s, volts (m,) in V. Raises TouchDownError for too few samples.
     """
     values = np.asarray(volts.values, dtype=np.float64)
     if force_rate_Hz < FINE_RATE_Hz:

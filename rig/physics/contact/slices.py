@@ -32,7 +32,10 @@ LARGEST_FORCE_N = 8.0
 
 
 def hertz_radius(skin: SkinSettings, radius_mm: float, force_N: ArrayLike) -> Floats:
-    """Return the contact radius in mm of a rigid sphere on a half-space of the skin's rubber."""
+    """Return the contact radius in mm of a rigid sphere on a half-space of the skin's rubber.
+
+    It has the shape of `force_N`.
+    """
     stiffness = skin.youngs_modulus_MPa / (1 - skin.poissons_ratio**2)
     force = np.asarray(force_N, float)
     radius: Floats = np.cbrt(3 * force * radius_mm / (4 * stiffness))
@@ -40,7 +43,10 @@ def hertz_radius(skin: SkinSettings, radius_mm: float, force_N: ArrayLike) -> Fl
 
 
 def hertz_force(skin: SkinSettings, radius_mm: float, approach_mm: ArrayLike) -> Floats:
-    """Return the force in N of a rigid sphere at an approach on the same half-space."""
+    """Return the force in N of a rigid sphere at an approach on the same half-space.
+
+    It has the shape of `approach_mm`.
+    """
     stiffness = skin.youngs_modulus_MPa / (1 - skin.poissons_ratio**2)
     depth = np.clip(np.asarray(approach_mm, float), 0.0, None)
     force: Floats = 4 / 3 * stiffness * np.sqrt(radius_mm) * depth**1.5
@@ -116,7 +122,7 @@ class SlicedStepper:
             stepper.state = state
 
     def displacement_mm(self) -> tuple[Floats, Floats]:
-        """Return downward and tangential displacement of the nodes of all slices, two arrays."""
+        """Return downward and tangential displacements in mm, each (slices x nodes,)."""
         downward, sideways = zip(*(s.displacement_mm() for s in self._slices), strict=True)
         return np.concatenate(downward), np.concatenate(sideways)
 

@@ -71,7 +71,10 @@ class ElasticSkin:
 
     def lumped_mass_t(self) -> Floats:
         """Return the diagonal mass of all degrees of freedom in tonnes, by Lobatto's rule on the
-        elements."""
+        elements.
+
+        Shape (degrees of freedom,).
+        """
         corners = self.mesh.p[:, self.mesh.t]
         low, size = corners.min(axis=1), np.ptp(corners, axis=1)
         dofs = self.basis.element_dofs
