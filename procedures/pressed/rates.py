@@ -17,7 +17,7 @@ class ServoRates:
     """Rates at which the servo acts and the stages are polled, as their links allow."""
 
     tick_Hz: float
-    """Ticks of the servo."""
+    """Ticks of the servo per second."""
     delay_s: float
     """Time in s from a command to the first force that shows it, with a force sensor at
     `FORCE_RATE_S_S`."""

@@ -60,7 +60,7 @@ class Mean:
     value: Reals
     """Mean of the output."""
     standard_error: Reals
-    """Standard error of the mean."""
+    """Standard error of `value`, in its unit."""
     trend: Reals
     """Change of the output from the beginning of the reading to its end."""
     trend_error: Reals

@@ -56,47 +56,53 @@ class Bench:
 
     @property
     def generator(self) -> SignalGenerator:
-        """The signal generator. Raises ConfigurationError if the bench has none."""
+        """The source of the sinusoidal drive. Raises ConfigurationError if the bench has none."""
         return self._role("generator")  # type: ignore[return-value]
 
     @property
     def daq(self) -> DataAcquisition:
-        """The DAQ. Raises ConfigurationError if the bench has none."""
+        """The unit that samples film, load cell and strips.
+
+        Raises ConfigurationError if the bench has none.
+        """
         return self._role("daq")  # type: ignore[return-value]
 
     @property
     def stage_z(self) -> LinearStage:
-        """The z stage. Raises ConfigurationError if the bench has none."""
+        """The stage that presses. Raises ConfigurationError if the bench has none."""
         return self._role("stage_z")  # type: ignore[return-value]
 
     @property
     def stage_x(self) -> LinearStage:
-        """The x stage. Raises ConfigurationError if the bench has none."""
+        """The stage that slides the object. Raises ConfigurationError if the bench has none."""
         return self._role("stage_x")  # type: ignore[return-value]
 
     @property
     def rotary(self) -> RotaryStage:
-        """The rotary stage. Raises ConfigurationError if the bench has none."""
+        """The stage that rolls the object. Raises ConfigurationError if the bench has none."""
         return self._role("rotary")  # type: ignore[return-value]
 
     @property
     def force_sensor(self) -> ForceSensor:
-        """The force sensor. Raises ConfigurationError if the bench has none."""
+        """The sensor of F_n and F_t. Raises ConfigurationError if the bench has none."""
         return self._role("force_sensor")  # type: ignore[return-value]
 
     @property
     def film(self) -> FilmSettings:
-        """The film. Raises ConfigurationError if the bench file describes none."""
+        """The film in the clamp, as the bench file describes it; ConfigurationError without one."""
         return self._part("film", self.settings.film)
 
     @property
     def load_cell(self) -> LoadCellSettings:
-        """The load cell. Raises ConfigurationError if the bench file describes none."""
+        """The cell that measures the sinusoidal load, as the bench file describes it.
+
+        Raises ConfigurationError if the bench file describes none.
+        """
         return self._part("load_cell", self.settings.load_cell)
 
     @property
     def skin(self) -> MountedSkinSettings:
-        """The skin. Raises ConfigurationError if the bench file describes none."""
+        """The mounted skin, as the bench file describes it; ConfigurationError without one."""
         return self._part("skin", self.settings.skin)
 
     @property

@@ -42,7 +42,7 @@ class InterlockState(Enum):
 
 
 class ContactEvent(Enum):
-    """Events of a contact."""
+    """What can change the state of a contact."""
 
     OPENS = "opens"
     CLOSES = "closes"

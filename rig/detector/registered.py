@@ -51,7 +51,7 @@ class ChosenDetector:
 
     @property
     def version(self) -> str:
-        """Its version."""
+        """Version that the detector's class states; ConfigurationError as for `kind`."""
         return self.kind.version
 
     @property

@@ -109,7 +109,7 @@ class RunJob:
 
     @property
     def settings(self) -> Settings:
-        """Settings of the run."""
+        """Settings with which the procedure was made."""
         settings: Settings = self.procedure.settings
         return settings
 

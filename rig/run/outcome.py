@@ -1,4 +1,4 @@
-"""The outcome of a run."""
+"""How a run ended, what it recorded, and what it warned of."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from rig.run.guard import TakenOver
 
 @dataclass
 class RunOutcome:
-    """The outcome of a run."""
+    """How a run ended, what it recorded, and what it warned of."""
 
     status: str
     """One of ``complete``, ``stopped`` and ``failed``."""

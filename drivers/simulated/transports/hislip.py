@@ -95,7 +95,7 @@ class ChannelRole(Enum):
 
 
 class SessionState(Enum):
-    """The states of a session."""
+    """The states of a session, as the module's docstring draws them."""
 
     HALF_OPEN = auto()
     READY = auto()

@@ -128,7 +128,7 @@ class DistortionSummary:
     """Harmonic distortion of load and film over a sweep, as fractions of the tone."""
 
     median_load: float
-    """Median distortion of the load."""
+    """Median over the frequencies of the load's distortion."""
     worst_load: float
     """Largest distortion of the load."""
     worst_load_Hz: float

@@ -42,7 +42,7 @@ class FilmLoad:
     """A sinusoidal load on the film."""
 
     frequency_Hz: float
-    """Frequency of the load."""
+    """Frequency of the load, in Hz."""
     phasor: complex
     """Peak load in N, with its phase on the time axis of the voltage."""
     covariance: Reals

@@ -59,7 +59,7 @@ class FilmModel:
     inverse_corner_s: float
     """1 / corner frequency, in 1/Hz; zero for a film without a corner."""
     notches: tuple[Notch, ...] = ()
-    """The notches."""
+    """Notches in the gain, each a factor on the response of the circuit."""
     delay_s: float = 0.0
     """Delay of the film's channel after that of the load, in s."""
     polarity: float = 1.0

@@ -118,9 +118,9 @@ class RecordNeeds:
     """Requirements on the length of a record, apart from frequency and rate."""
 
     shortest_s: float
-    """Shortest record, in s."""
+    """Length below which no record is taken, in s."""
     longest_s: float
-    """Longest record, in s."""
+    """Length that no record exceeds, in s, even if `target_dB` is not reached."""
     target_dB: float
     """Standard error of the gain to be reached."""
     error_of_one_second_dB: float | None

@@ -86,7 +86,7 @@ class Baselines(Settings):
     """All baselines, as they are stored in one file."""
 
     baselines: tuple[BaselineSettings, ...]
-    """The baselines."""
+    """One entry for each statistic, with the thresholds tuned for it."""
 
 
 def tuned_baselines() -> Baselines:

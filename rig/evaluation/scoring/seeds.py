@@ -23,7 +23,7 @@ class SeedRange(Settings):
     """Seeds from `first` up to `end`, without `end`."""
 
     first: int = Field(ge=0)
-    """First seed."""
+    """Lowest seed of the range, not below 0."""
     end: int
     """Seed after the last one."""
 

@@ -94,5 +94,5 @@ class OpenFile:
 
     @property
     def entry(self) -> h5py.Group:
-        """Return the file's ``/entry``."""
+        """The file's NeXus entry, ``/entry``, with all else in it. Raises KeyError without one."""
         return self._file["entry"]

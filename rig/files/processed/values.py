@@ -84,9 +84,10 @@ class StatedDetector:
     name: str
     """Name under which it is registered."""
     version: str
-    """The detector's version."""
+    """Version that the detector stated when it processed the run file."""
     package: str
-    """Package that it came from; empty in a file of before packages could bring detectors."""
+    """Package that it came from; empty in files from before packages could
+    bring detectors."""
     package_version: str
     settings: Settings
     """Parameters of the detector."""
