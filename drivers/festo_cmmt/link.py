@@ -41,8 +41,8 @@ MAILBOX_DATA = 510
 # own, Python would print it.
 logging.getLogger("pymodbus").addHandler(logging.NullHandler())
 
-WAITS = 2
-"""Times the time-out: a transaction may open the connection before it waits for its answer."""
+TIMEOUTS_PER_ANSWER = 2
+"""Longest wait for an answer, in time-outs: the connection may have to be opened first."""
 
 _READ, _WRITE, _DONE = 1, 2, 0x10
 _BASIC, _REGULAR = 1, 2
@@ -248,7 +248,10 @@ class CmmtLink:
         """Make one transaction, which is sent once; every failure closes the link and names its
         cause."""
         failed: Exception | None = None
-        with self._clock.answer_within(WAITS * self._timeout_s, self.device), self._lock:
+        with (
+            self._clock.answer_within(TIMEOUTS_PER_ANSWER * self._timeout_s, self.device),
+            self._lock,
+        ):
             permit()
             self.requests.note()
             begun = time.monotonic()

@@ -68,7 +68,7 @@ MODELS: dict[str, U2300AModel] = {
     "U2542A": U2300AModel(16, 500e3, True, terminals=4),  # simultaneous sampling is unconfirmed
 }
 
-_NOT_KEPT = "check the cable and that nothing else controls the DAQ; then start again"
+_READBACK_HINT = "check the cable and that nothing else controls the DAQ; then start again"
 
 
 class KeysightU2300ASettings(BaseSettings):
@@ -111,9 +111,9 @@ class U2300ADaq:
         self._scaling: Scaling | None = None
         self._running: Acquisition | None = None
         self._rows_read = 0
-        self._torn = False
+        self._block_lost = False
         """A block of the running acquisition was lost in its transfer."""
-        self._talking = threading.RLock()
+        self._exchange = threading.RLock()
         self._digital_inputs: tuple[int, ...] = ()
         """Digital channels that have been made inputs."""
 
@@ -233,19 +233,19 @@ class U2300ADaq:
         self._link.command("RUN")
         self._running = acquisition
         self._rows_read = 0
-        self._torn = False
+        self._block_lost = False
         return self._scaling_now()
 
     def read(self) -> Record | None:
         """Return the next block, None where none is complete, InstrumentError where data were
         lost."""
-        with self._talking:
+        with self._exchange:
             return self._read()
 
     def _read(self) -> Record | None:
         if self._running is None:
             raise InstrumentError("daq", "WAV:DATA?", "no acquisition is running")
-        if self._torn:
+        if self._block_lost:
             raise InstrumentError(
                 "daq",
                 "WAV:DATA?",
@@ -263,15 +263,15 @@ class U2300ADaq:
         if state != "DATA":
             return None
         first = self._rows_read
-        self._torn = True  # the unit hands a block out once, whether it arrives or not
+        self._block_lost = True  # the unit hands a block out once, whether it arrives or not
         counts = self._block(self._running)
-        self._torn = False
+        self._block_lost = False
         self._rows_read += len(counts)
         return Record(counts, self._scaling_now(), first)
 
     def stop(self) -> None:
         """End a running acquisition, once a `read` in another thread is over."""
-        with self._talking:
+        with self._exchange:
             self._running = None
             self._link.command("STOP")
 
@@ -294,7 +294,7 @@ class U2300ADaq:
                     "daq",
                     "CONF:DIG:DIR",
                     f"channels {where} set to INP but read back {ways}",
-                    _NOT_KEPT,
+                    _READBACK_HINT,
                 )
             self._digital_inputs = channels
         query = f"MEAS:DIG? {where}"
@@ -312,7 +312,7 @@ class U2300ADaq:
 
     def make_safe(self) -> None:
         """End the acquisition, whatever the error queue holds; a DAQ drives nothing."""
-        with self._talking:
+        with self._exchange:
             self._running = None
             self._ask("STOP;*OPC?", ("1",))
 
@@ -348,7 +348,10 @@ class U2300ADaq:
         )
         if self._link.number(f"{points}?", samples) != acquisition.samples:
             raise InstrumentError(
-                "daq", points, f"set to {acquisition.samples} but reads back {samples}", _NOT_KEPT
+                "daq",
+                points,
+                f"set to {acquisition.samples} but reads back {samples}",
+                _READBACK_HINT,
             )
         rate_S_s = self._link.number("ACQ:SRAT?", rate)
         if not 0 < rate_S_s < math.inf:
@@ -356,7 +359,7 @@ class U2300ADaq:
                 "daq",
                 "ACQ:SRAT",
                 f"set to {acquisition.rate_S_s:g} but reads back {rate}",
-                _NOT_KEPT,
+                _READBACK_HINT,
             )
         self._scaling = self._scaling_at(acquisition, rate_S_s)
         self._configured = (acquisition, continuous)

@@ -25,7 +25,7 @@ from rig.core.errors import InstrumentError, InstrumentTimeoutError, RigError
 DEVICE = "force_sensor"
 READ_WAIT_S = 0.02
 """Longest wait for bytes in one read, which is how long the reader may delay a request."""
-WAITS = 2
+TIMEOUTS_PER_ANSWER = 2
 """Longest wait of a request in time-outs: it may have to synchronise the link before it waits for
 its answer."""
 
@@ -219,7 +219,7 @@ class GsvLink:
         """Turn failures into InstrumentErrors; a port that failed is closed and opened anew."""
         name = command.name if command is not None else "stream"
         try:
-            with self._clock.answer_within(WAITS * self._settings.timeout_s, DEVICE):
+            with self._clock.answer_within(TIMEOUTS_PER_ANSWER * self._settings.timeout_s, DEVICE):
                 yield
         except InstrumentTimeoutError:
             with contextlib.suppress(InstrumentError):  # the time-out itself is the news

@@ -1,21 +1,21 @@
-"""A Modbus RTU line with AZ drives on it: one request at a time, and no answer taken for another's.
+"""A Modbus RTU line with AZ drives: one request at a time, each with the answer that belongs to it.
 
 Knows how to write and read, nothing about motion. Every request is sent once: only the caller knows
 whether a repetition is harmless. The drives of one RS-485 line share one `AzLine` in a process;
 each has its own `AzLink` on it, with its own time-out and its own name in errors.
 
 RTU answers say neither which request nor which moment they belong to. What keeps a late, doubled or
-foreign answer from being taken for the one that is waited for:
+foreign answer from being mistaken for the expected one:
 
 * bytes that wait in the port are dropped before a request; nothing is sent before the line has been
   silent for `GAP_S` after the last answer, nor before that answer can have been on the wire;
 * unit, function, length, checksum and what a write echoes have to be right; a whole frame that is
-  right but for its unit, function or length is another's and is passed over;
+  right but for its unit, function or length belongs to another request and is skipped;
 * after a time-out or a broken answer the line is listened to for as long as the missing answer may
   take, and the drive is not trusted until it has echoed a number that was never used before
-  (function 8): whatever it still owed came before the echo.
+  (function 8): an answer that was still to come came before the echo.
 
-Not with pymodbus's serial clients: neither can be drained or made to synchronise, and the
+pymodbus's serial clients are not used: neither can be drained or made to synchronise, and the
 synchronous one sleeps for milliseconds (decision 0042). Frames: Modbus over Serial Line V1.02;
 times: HP-5142E p. 236-237.
 """
@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 
 READ, ECHO, WRITE = 3, 8, 16
 GAP_S = 0.003
-"""Silence that a drive wants after its answer; its own C3.5 is 2.5 ms from 19200 baud on."""
+"""Silence in s that a drive needs after its answer; its own C3.5 is 2.5 ms from 19200 baud on."""
 SLOW_GAP_S = 0.005
 """The same below 19200 baud."""
 RESPONSE_WAIT_S = 0.003
@@ -49,10 +49,10 @@ BITS_A_BYTE = 11
 """Start, eight data, parity or a second stop, stop."""
 READ_WAIT_S = 0.005
 HELD_UP_S = 0.1
-"""Longest wait in s for the line in normal operation. A longer one has another cause, such as
+"""Longest wait in s for the line in normal operation. A longer wait has another cause, such as
 another instrument's time-out, and the line's drives need keep-alives meanwhile."""
-WAITS = 2
-"""Times the time-out: a drive may have to echo before it is asked."""
+TIMEOUTS_PER_ANSWER = 2
+"""Longest wait for an answer, in time-outs: a drive may have to echo before it is asked."""
 EXCEPTIONS = {
     1: "illegal function",
     2: "illegal data address",
@@ -490,7 +490,7 @@ class AzLink:
         trusting: bool = False,
         permit: Callable[[], None] = lambda: None,
     ) -> bytes:
-        waiting = self._clock.answer_within(WAITS * self._timeout_s, self.device)
+        waiting = self._clock.answer_within(TIMEOUTS_PER_ANSWER * self._timeout_s, self.device)
         with self._line_errors(what, charge), waiting:
             pdu = self.line.exchange(request, self._timeout_s, trusting, permit)
         if pdu[0] & 0x80:

@@ -25,8 +25,8 @@ if TYPE_CHECKING:
 
 LONGEST_LINE = 1 << 16
 """More bytes without a line's end are an error."""
-WAITS = 2
-"""Times the time-out: a command may open the port before it waits for its answer."""
+TIMEOUTS_PER_ANSWER = 2
+"""Longest wait for an answer, in time-outs: the port may have to be opened first."""
 QUIET_S = 0.02
 """Time in s for which a serial line has to be silent after a failure before it is used again."""
 
@@ -75,7 +75,10 @@ class LineLink:
         does not match or the connection fails.
         """
         try:
-            with self._clock.answer_within(WAITS * self._timeout_s, self._device), self._lock:
+            with (
+                self._clock.answer_within(TIMEOUTS_PER_ANSWER * self._timeout_s, self._device),
+                self._lock,
+            ):
                 permit()
                 try:
                     return self._exchange(command, re.compile(answer))

@@ -35,8 +35,8 @@ _LINE_ENDS = (b"", b"\n", b"\r\n")
 _LONGEST_ERROR_QUEUE = 32
 _FIRST_USE = threading.Lock()
 """The library makes its one resource manager without asking who else is about to."""
-WAITS = 2
-"""Times the time-out: a message may open the connection before it waits for its answer."""
+TIMEOUTS_PER_ANSWER = 2
+"""Longest wait for an answer, in time-outs: the connection may have to be opened first."""
 
 
 class VisaLink:
@@ -49,7 +49,7 @@ class VisaLink:
         self._clock = clock
         self._session: Any = None
         self._reopening = False
-        self._talking = threading.RLock()
+        self._exchange = threading.RLock()
         """Held for one message and its answer."""
 
     def identify(self) -> Identity:
@@ -114,9 +114,9 @@ class VisaLink:
     @contextlib.contextmanager
     def _conversation(self, message: str) -> Iterator[Any]:
         """Give the block an open session; any failure closes it and becomes an InstrumentError."""
-        with self._talking:
+        with self._exchange:
             try:
-                with self._clock.answer_within(WAITS * self._timeout_s, self.device):
+                with self._clock.answer_within(TIMEOUTS_PER_ANSWER * self._timeout_s, self.device):
                     if self._session is None:
                         self._session = self._open(message)
                     yield self._session

@@ -25,8 +25,8 @@ if TYPE_CHECKING:
 
 LONGEST_LINE = 1024
 """Longest message: more bytes without a line's end are an error."""
-WAITS = 2
-"""Times the time-out: a command may open the port before it waits for its reply."""
+TIMEOUTS_PER_ANSWER = 2
+"""Longest wait for an answer, in time-outs: the port may have to be opened first."""
 
 
 class ZaberLink:
@@ -65,7 +65,10 @@ class ZaberLink:
         """
         what = words or "status"
         try:
-            with self._clock.answer_within(WAITS * self._timeout_s, self.name), self._lock:
+            with (
+                self._clock.answer_within(TIMEOUTS_PER_ANSWER * self._timeout_s, self.name),
+                self._lock,
+            ):
                 permit()
                 try:
                     return self._transact(axis, words)

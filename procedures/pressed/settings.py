@@ -272,7 +272,7 @@ def summary_of(readings: Sequence[Reading], names: Sequence[str]) -> dict[str, A
     over them."""
     counting = [r for r in readings if not r["invalid"]]
     found: dict[str, Any] = {"trials": len(readings), "valid_trials": len(counting)}
-    if readings and "tick_Hz" in readings[-1]:  # not in files of before
+    if readings and "tick_Hz" in readings[-1]:  # not in files of earlier versions
         found["tick_Hz"] = readings[-1]["tick_Hz"]
     errors: dict[str, float] = {}
     for name in names:

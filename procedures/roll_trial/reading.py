@@ -20,12 +20,13 @@ if TYPE_CHECKING:
 
 HIGH_Hz = 100.0
 """Frequency above which a roll has almost no signal (paper 5) and a slip has much."""
-ZERO_S, LEAST_ZERO_S = 0.1, 0.02
-"""Length of the rest before the roll whose mean is the strips' zero, and of what is left of it at
-least where the rest is short."""
-TAKEN_OVER_S = 0.07
-"""Time after the tap in which the strips feel how the servo takes over: 5 mV, which shifts the mean
-of 0.1 s by 0.4 mV, a tenth of a peak (measured on the skin at 4 N, 100 Hz)."""
+ZERO_S = 0.1
+"""Length of the rest before the roll whose mean is the strips' zero."""
+LEAST_ZERO_S = 0.02
+"""Shortest part of that rest that is averaged, if the rest is short."""
+SERVO_TRANSIENT_S = 0.07
+"""Time after the tap in which the servo's transient is in the strips' signals: 5 mV, which shifts
+the mean of 0.1 s by 0.4 mV, a tenth of a peak (measured on the skin at 4 N, 100 Hz)."""
 
 
 @dataclass
@@ -101,7 +102,7 @@ def _strips(settings: RollTrialSettings, record: RollTrialRecord) -> Reading:
 
 def _zero_from_s(record: RollTrialRecord) -> float:
     """Return when the rest begins whose mean is the strips' zero, since the start of the record."""
-    settled_s = record.tapped_s + TAKEN_OVER_S
+    settled_s = record.tapped_s + SERVO_TRANSIENT_S
     latest_s = record.motion_from_s - LEAST_ZERO_S
     return max(record.motion_from_s - ZERO_S, min(settled_s, latest_s))
 

@@ -24,7 +24,7 @@ SEEN_S = 0.04
 
 RAMPS_ONLY: JsonDict = {"only_with": {"loading": "ramp"}}
 """Marks a field that has an effect on ramps only; as an option it is refused for a slide."""
-WEIGHTS_ONLY: JsonDict = {"beside": "hold_at_N"}
+WEIGHTS_ONLY: JsonDict = {"needs": "hold_at_N"}
 """Marks a field that has an effect only together with `hold_at_N`; as an option it is refused
 without it."""
 

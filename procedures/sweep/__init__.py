@@ -26,8 +26,8 @@ from procedures.sweep import preload
 from procedures.sweep.settings import (
     CHANNELS,
     LARGEST_SHARE_OF_PRELOAD,
+    LISTEN_RECORDS,
     LISTEN_S,
-    LISTENED,
     LONG_RECORD_S,
     SweepCondition,
     SweepSettings,
@@ -125,7 +125,9 @@ class Sweep(Procedure):
 
     def overhead_s(self, fixture: FixtureSettings, homed: bool) -> float:
         """Return the expected bench time of preloading, listening and parking, in s."""
-        return preload.duration_s(fixture, self.settings.preload_N, homed) + LISTENED * LISTEN_S
+        return (
+            preload.duration_s(fixture, self.settings.preload_N, homed) + LISTEN_RECORDS * LISTEN_S
+        )
 
     def check(self, bench: Bench) -> None:
         """Refuse a fixture that does not state the contact range, and a contact so stiff that the

@@ -22,12 +22,12 @@ FEW_CYCLES = 2
 """Cycles of a record if they take no more than twice the shortest record."""
 LISTEN_S = 0.5
 """Length of the record before anything vibrates."""
-LISTENED = 2
-"""Expected number of such records: one more on the ranges that the first one shows to fit."""
-GOLDEN = (math.sqrt(5) - 1) / 2
-"""Fraction of a sample by which a cycle exceeds a whole number of samples. With a whole number the
-converter would see the same few phases in every cycle: its rounding would then be the same in each,
-which no record averages out and no residual shows."""
+LISTEN_RECORDS = 2
+"""Expected number of such records: a second one has the ranges that fit the first."""
+CYCLE_FRACTION = (math.sqrt(5) - 1) / 2
+"""Fraction of a sample, the golden ratio, by which a cycle exceeds a whole number of samples. With
+a whole number the converter would see the same few phases in every cycle: its rounding would then
+be the same in each, which no record averages out and no residual shows."""
 LONG_RECORD_S = 0.03
 """Length from which one record averages over all ringing and is enough; shorter ones take two."""
 
@@ -100,7 +100,7 @@ class SweepSettings(Settings):
     slope_bound_dB_decade: float = Field(default=0.05, gt=0, le=20)
     """Difference of a slope, over frequency or load, up to which 20 dB/decade and independence of
     the load hold."""
-    gain_bound_dB: float = Field(default=0.1, gt=0, le=20, json_schema_extra={"beside": "loads_N"})
+    gain_bound_dB: float = Field(default=0.1, gt=0, le=20, json_schema_extra={"needs": "loads_N"})
     """Difference of the gains under two loads up to which the gain does not depend on the load."""
     mains_Hz: float = Field(default=50.0, gt=0)
     """Mains frequency, whose lines are fitted together with the tone."""
@@ -135,7 +135,7 @@ class SweepSettings(Settings):
         if self.rate_S_s is not None:
             return self.rate_S_s
         wanted = max(self.slowest_rate_S_s, self.samples_per_cycle * frequency_Hz)
-        spread = (math.ceil(wanted / frequency_Hz - GOLDEN) + GOLDEN) * frequency_Hz
+        spread = (math.ceil(wanted / frequency_Hz - CYCLE_FRACTION) + CYCLE_FRACTION) * frequency_Hz
         return min(spread, max(HIGHEST_RATE_S_S, 2.5 * frequency_Hz))
 
     def shortest_at(self, frequency_Hz: float) -> float:

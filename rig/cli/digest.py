@@ -25,26 +25,28 @@ MORE_AND_FIGURES = f"{MORE}, --figures draws the figures again"
 
 
 def of_run(
-    said: Mapping[str, Any],
+    description: Mapping[str, Any],
     header: RunHeader,
     results: Results | None,
     results_by: str,
     analyses: Mapping[str, Mapping[str, Any]],
 ) -> list[str]:
-    """Return the lines for a run, from its whole description `said`, its results and who has
+    """Return the lines for a run, from its whole `description`, its results and who has
     computed them, and the values of analyses by what has computed these."""
-    head = [f"file: {end_of(said['file'], COLUMNS - 6)}", f"title: {said['title']}"]
+    head = [f"file: {end_of(description['file'], COLUMNS - 6)}", f"title: {description['title']}"]
     procedure = _procedure(header)
-    head += [_times(said), _status(said, procedure)]
-    of = [str(said[name]) for name in ("bench", "fixture") if name in said]
+    head += [_times(description), _status(description, procedure)]
+    of = [str(description[name]) for name in ("bench", "fixture") if name in description]
     head += [f"bench: {'; '.join(of)}"] if of else []
     head += [
-        f"{name}: {said[name]}" for name in ("user", "sample", "notes", "accepted") if name in said
+        f"{name}: {description[name]}"
+        for name in ("user", "sample", "notes", "accepted")
+        if name in description
     ]
-    if origin := said.get("origin"):
+    if origin := description.get("origin"):
         options = ", ".join(f"{name} {value}" for name, value in origin["options"].items())
         head.append(f"origin: {origin['file_name']} ({origin['format']}); {options}")
-    sections = [_settings(_other_settings(said.get("settings", {}), procedure), rank=1)]
+    sections = [_settings(_other_settings(description.get("settings", {}), procedure), rank=1)]
     if results is not None:
         lines = _brief(header, procedure, results)
         scattered = any(" ± " in line for line in lines) and "trials" in results.values
@@ -52,29 +54,33 @@ def of_run(
         sections.append(Section(name, lines, rank=0))
     for name, found in analyses.items():
         sections.append(Section(name, [f"{k}: {in_words(v)}" for k, v in found.items()], rank=2))
-    sections.append(Section("warnings", said.get("warnings", ()), rank=3))
+    sections.append(Section("warnings", description.get("warnings", ()), rank=3))
     foot = [f"results_by: {results_by}"] if results_by else []
-    if (journal := Path(said["file"]).with_suffix(".rigj")).exists() and _can_be_resumed(said):
+    if (journal := Path(description["file"]).with_suffix(".rigj")).exists() and _can_be_resumed(
+        description
+    ):
         foot.append(f"resume with: rig resume {end_of(str(journal), COLUMNS - 25)}")
     return on_a_screen(head, sections, [*foot, MORE_AND_FIGURES])
 
 
-def of_processed(said: Mapping[str, Any], usual: Mapping[str, Any]) -> list[str]:
+def of_processed(description: Mapping[str, Any], usual: Mapping[str, Any]) -> list[str]:
     """Return the lines for a processed file, from its whole description and the parameters that its
     detector has by default."""
-    names = [f"{said['detector']} {said['version']}", said.get("package", "")]
-    head = [f"file: {end_of(said['file'], COLUMNS - 6)}", f"title: {said['title']}"]
-    head += [f"run: {end_of(said['run'], COLUMNS - 5)}"]
-    if "start_time" in said:
-        head.append(f"start_time: {_readable(said['start_time'])}")
+    names = [f"{description['detector']} {description['version']}", description.get("package", "")]
+    head = [f"file: {end_of(description['file'], COLUMNS - 6)}", f"title: {description['title']}"]
+    head += [f"run: {end_of(description['run'], COLUMNS - 5)}"]
+    if "start_time" in description:
+        head.append(f"start_time: {_readable(description['start_time'])}")
     head.append(f"detector: {', '.join(filter(None, names))}")
-    changed = {k: v for k, v in said["parameters"].items() if k not in usual or usual[k] != v}
-    events = [(trial, event) for trial, found in said["trials"].items() for event in found]
+    changed = {
+        k: v for k, v in description["parameters"].items() if k not in usual or usual[k] != v
+    }
+    events = [(trial, event) for trial, found in description["trials"].items() for event in found]
     kinds = Counter(event.partition(" at ")[0] for _, event in events)
     slips = [f"{trial}: {event}" for trial, event in events if event.startswith("incipient slip")]
     others = [f"{trial}: {event}" for trial, event in events if "judge" in event]
     found = ", ".join(f"{number} {kind}" for kind, number in kinds.items())
-    trials = counted(len(said["trials"]), "trial")
+    trials = counted(len(description["trials"]), "trial")
     sections = [
         Section("parameters", [_pairs(changed) or AT_DEFAULTS], rank=1),
         Section("found", [f"{found} in {trials}", *slips, *others], rank=0),
@@ -82,20 +88,20 @@ def of_processed(said: Mapping[str, Any], usual: Mapping[str, Any]) -> list[str]
     return on_a_screen(head, sections, [MORE_AND_FIGURES])
 
 
-def of_model(said: Mapping[str, Any]) -> list[str]:
+def of_model(description: Mapping[str, Any]) -> list[str]:
     """Return the lines for a file of the skin model, from its description in words."""
-    head = [f"file: {end_of(said['file'], COLUMNS - 6)}", f"title: {said['title']}"]
-    head.append(f"program: {said['program']}")
-    results = [f"{name}: {value}" for name, value in said["results"].items()]
+    head = [f"file: {end_of(description['file'], COLUMNS - 6)}", f"title: {description['title']}"]
+    head.append(f"program: {description['program']}")
+    results = [f"{name}: {value}" for name, value in description["results"].items()]
     # What was asked for is little, and what was computed is a list of columns.
-    settings = _settings(said["settings"], rank=0)
+    settings = _settings(description["settings"], rank=0)
     return on_a_screen(head, [settings, Section("results", results, rank=1)], [MORE])
 
 
-def _times(said: Mapping[str, Any]) -> str:
-    begun = _readable(said["start_time"]) if "start_time" in said else "unknown"
-    of = "of bench time" if said.get("simulated") else ""
-    return f"start_time: {begun}, took {time_span(said['duration_s'])} {of}".rstrip()
+def _times(description: Mapping[str, Any]) -> str:
+    begun = _readable(description["start_time"]) if "start_time" in description else "unknown"
+    of = "of bench time" if description.get("simulated") else ""
+    return f"start_time: {begun}, took {time_span(description['duration_s'])} {of}".rstrip()
 
 
 def _readable(time: str) -> str:
@@ -103,16 +109,16 @@ def _readable(time: str) -> str:
     return datetime.fromisoformat(time).isoformat(" ", "seconds")
 
 
-def _status(said: Mapping[str, Any], procedure: type[Procedure] | None) -> str:
+def _status(description: Mapping[str, Any], procedure: type[Procedure] | None) -> str:
     noun = ("point", "points") if procedure is None else procedure.point_name
-    reason = f" ({said['reason']})" if "reason" in said else ""
-    done = f"{said['points_done']} of {counted(said['points_planned'], *noun)}"
-    again = f", attempt {said['attempt']}" if said["attempt"] > 1 else ""
-    return f"status: {said['status']}{reason}, {done}{again}"
+    reason = f" ({description['reason']})" if "reason" in description else ""
+    done = f"{description['points_done']} of {counted(description['points_planned'], *noun)}"
+    again = f", attempt {description['attempt']}" if description["attempt"] > 1 else ""
+    return f"status: {description['status']}{reason}, {done}{again}"
 
 
-def _can_be_resumed(said: Mapping[str, Any]) -> bool:
-    return said["status"] != "complete" and not said.get("imported")
+def _can_be_resumed(description: Mapping[str, Any]) -> bool:
+    return description["status"] != "complete" and not description.get("imported")
 
 
 def _settings(other: Any, rank: int) -> Section:

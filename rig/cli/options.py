@@ -139,7 +139,7 @@ def settings_from(model: type[Settings], given: Mapping[str, str | None]) -> Set
                     f"{option} has an effect only with {_as_given(other, effective)}{so}",
                     f"leave it out, or add {_as_given(other, effective)}",
                 )
-        if (other := _beside(info)) and not getattr(settings, other):
+        if (other := _needed_field(info)) and not getattr(settings, other):
             raise ConfigurationError(
                 f"{option} has an effect only with {option_name(other)}",
                 f"leave it out, or add {option_name(other)}",
@@ -186,11 +186,11 @@ def _needs(info: FieldInfo) -> list[tuple[str, list[str]]]:
     ]
 
 
-def _beside(info: FieldInfo) -> str:
+def _needed_field(info: FieldInfo) -> str:
     """Return the field that has to be given so that another has an effect, stated there as
-    ``json_schema_extra={"beside": "loads_N"}``; "" if there is none."""
+    ``json_schema_extra={"needs": "loads_N"}``; "" if there is none."""
     extra = info.json_schema_extra
-    return str(extra.get("beside", "")) if isinstance(extra, dict) else ""
+    return str(extra.get("needs", "")) if isinstance(extra, dict) else ""
 
 
 def _as_given(field: str, values: list[str]) -> str:
@@ -200,7 +200,7 @@ def _as_given(field: str, values: list[str]) -> str:
 
 
 def _excluded_by(info: FieldInfo) -> str:
-    """Return the field beside which another has no effect, stated there as
+    """Return the field with which another has no effect, stated there as
     ``json_schema_extra={"not_with": "frequencies_Hz"}``; "" if there is none."""
     extra = info.json_schema_extra
     return str(extra.get("not_with", "")) if isinstance(extra, dict) else ""
@@ -211,7 +211,7 @@ def _help(field: str, info: FieldInfo, said: str) -> str:
     words = " ".join(said.split())
     for other, effective in _needs(info):
         words = f"{words} Only with {_as_given(other, effective)}."
-    if other := _beside(info):
+    if other := _needed_field(info):
         words = f"{words} Only with {option_name(other)}."
     if other := _excluded_by(info):
         words = f"{words} Not with {option_name(other)}."

@@ -5,11 +5,11 @@ light curtain's relay. What follows when it opens depends on its class:
 
 process   a condition of the process, such as an air pressure. While it is open the run is on
           hold; when it has been closed for `STEADY_S` the run arms again by itself.
-person    a person may be within reach. It latches: it is to be closed again (released), then
-          reset by a person at the bench, then a command has to be started there. Nothing else
-          lets motion begin: not the batch, not a page, not another client.
+person    a person may be within reach. It latches. Before anything moves again, the contact has
+          to be closed, a person has to reset it at the bench, and a command has to be started
+          there. Neither a batch nor a page nor another client can do that.
 
-The level is judged, not its change: whoever asks `hinders` gets the state as it is now. A contact
+The level is judged, not its change: `blocks_motion` is the state as it is now. A contact
 that cannot be read for `UNREAD_S` counts as open.
 """
 
@@ -85,7 +85,7 @@ class Contact:
         self._closed_since_s: float | None = None if latched else now_s
 
     @property
-    def hinders(self) -> bool:
+    def blocks_motion(self) -> bool:
         """True if nothing may move because of this contact."""
         return self.state is not InterlockState.CLOSED
 

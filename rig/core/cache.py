@@ -110,7 +110,7 @@ def _user_cache_folder() -> Path:
             return folder
     except OSError:
         pass
-    # Somebody else's folder of this name is not trusted: what is in it would be executed.
+    # A folder of this name that belongs to another user is not trusted: its code would be executed.
     return Path(tempfile.mkdtemp(prefix="tactile-rig-cache-"))
 
 

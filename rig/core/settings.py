@@ -167,10 +167,10 @@ def name_without_unit(field_name: str) -> str:
     return field_name
 
 
-OPTION_HINTS = ("short", "only_with", "beside", "not_with")
+OPTION_HINTS = ("short", "only_with", "needs", "not_with")
 """What `json_schema_extra` of a field may say of its option: its letter, the value of another field
 (or a list of values) without which it has no effect, the field that has to be given, and the one
-beside which it has none."""
+with which it has none."""
 
 
 def option_name(field_name: str) -> str:

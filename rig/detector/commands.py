@@ -21,15 +21,17 @@ class XMove:
     """A move of x as it was commanded. Rows count from the first one of the record."""
 
     sample: int
-    """Row from which on x moves so."""
+    """Row from which on x has this speed."""
     speed_mm_s: float
     """Commanded speed, positive towards larger positions; 0 for a stop."""
     until: int
     """Row at which x comes to its target and stops, unless a further move comes before."""
 
     def at_rows(self, row_of: Callable[[int], int]) -> XMove:
-        """Return the same move at the rows of a resampled record; `row_of` gives the row there of a
-        row of this one."""
+        """Return the same move for a resampled record.
+
+        `row_of` converts a row of this record to the corresponding row of that one.
+        """
         return XMove(row_of(self.sample), self.speed_mm_s, row_of(self.until))
 
 
@@ -38,12 +40,12 @@ class HeldForce:
     """A normal force that z was commanded to hold. Rows count from the first one of the record."""
 
     sample: int
-    """Row from which on it is to be held; a servo comes to it some ticks later."""
+    """Row from which on it is to be held; the servo reaches it some ticks later."""
     force_N: float
     """Set point of the normal force."""
 
     def at_rows(self, row_of: Callable[[int], int]) -> HeldForce:
-        """Return the same command at the rows of a resampled record, as `XMove.at_rows` does."""
+        """Return the same command for a resampled record; see `XMove.at_rows`."""
         return HeldForce(row_of(self.sample), self.force_N)
 
 

@@ -145,7 +145,7 @@ class IncipientSlipDetector(Detector):
     def commanded(self, before_mm_s: float, after_mm_s: float) -> None:
         """Note what x is commanded to do, for the logics ``impulse`` and ``rig``."""
         if self._knows_forces and not self._state["force_known"]:
-            # Files of before decision 0123 have the moves of x alone, with which a network of
+            # Files from before decision 0123 have the moves of x alone, with which a network of
             # `kernel.INPUTS` was not taught: for it, the commands are known once both are.
             self._x_before_force = after_mm_s
             return

@@ -51,8 +51,10 @@ class Network(Settings):
 
     @model_serializer(mode="wrap")
     def _as_before(self, serialize: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Leave out what networks of before do not state, so that their fingerprint, which is in
-        the names of processed files, stays."""
+        """Leave out what networks of earlier versions do not state.
+
+        Their fingerprint, which is in the names of processed files, thus remains the same.
+        """
         plain: dict[str, Any] = serialize(self)
         if self.trained_on == MODEL_TRIALS:
             del plain["trained_on"]

@@ -98,8 +98,10 @@ class RigSettings(DetectorSettings):
 
     @model_serializer(mode="wrap")
     def _as_before(self, serialize: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Leave out what parameters of before do not state, so that their fingerprint, which is in
-        processed files and their names, stays."""
+        """Leave out what parameters of earlier versions do not state.
+
+        Their fingerprint, which is in processed files and their names, thus remains the same.
+        """
         plain: dict[str, Any] = serialize(self)
         for later in ("fire_probability_with_x", "over_probability"):
             if plain[later] is None:

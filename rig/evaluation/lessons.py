@@ -247,8 +247,8 @@ def judged(
     for one in lessons:
         if not one.first:
             continue  # the same contact: not another case
-        (said,) = contender.reports(one.volts, one.rate_Hz, (1.0,), one.commands)
-        outcome = judge(one.truth, said, {})
+        (report,) = contender.reports(one.volts, one.rate_Hz, (1.0,), one.commands)
+        outcome = judge(one.truth, report, {})
         label = one.truth.label
         if one.truth.slipped:
             hits.setdefault(f"{label}, in time", []).append(outcome.found)

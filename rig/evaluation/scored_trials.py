@@ -107,7 +107,7 @@ def judge_one(
     it."""
     factors = (1.0, *FACTORS) if sweep else (1.0,)
     judged = [
-        [judge(truth, said, traits) for said in one.reports(volts, rate_Hz, factors, commands)]
+        [judge(truth, report, traits) for report in one.reports(volts, rate_Hz, factors, commands)]
         for one in contenders
     ]
     swept = [outcomes[1:] for outcomes in judged]

@@ -124,7 +124,7 @@ def save(figure: Figure, run_file: Path, simulated: bool, pdf: bool = False) -> 
 
 
 def mark_simulated(figure: Figure) -> None:
-    """Write SIMULATED across the figure, behind nothing and in the way of nothing."""
+    """Write SIMULATED across the figure, above its contents and faint enough to read them."""
     figure.text(
         0.5,
         0.5,

@@ -1,10 +1,10 @@
 """Slips in a run under way that records none, as `rig detect` finds them in its file afterwards.
 
 A run with a detector records what it finds, and the page shows that (`rig.page.view`). For a run
-without one, and for recordings of before, the page's own process has the detector of files judge
-the rows of v_1 and v_2 in the journal, each attempt at a trial by itself, in a thread that keeps
-neither the state of the bench nor STOP waiting. The events of the detector depend on the rows
-alone, so those of a kept trial are the ones that `rig detect` finds in the run file.
+without one, and for recordings of earlier versions, the page's own process has the detector of
+files judge the rows of v_1 and v_2 in the journal, each attempt at a trial by itself, in a thread
+that keeps neither the state of the bench nor STOP waiting. The events of the detector depend on the
+rows alone, so those of a recorded trial are the ones that `rig detect` finds in the run file.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""The state of a bench in one word, from what is known of it. Green is earned, never assumed.
+"""The state of a bench in one word, from what is known of it. Safe is shown only on evidence.
 
-UNSAFE    a mark or a report says so, or a run died and nobody has reported on the bench yet
-unknown   nobody can say: no sign of life of a run that lives, or no run to judge by
+UNSAFE    a mark or a report says so, or a run died and its guard has not reported on the bench
+unknown   the state cannot be known: a run gives no sign of life, or there is no run to judge by
 holding   the run has made the bench safe and waits, or has ended and its program still holds it
 pressed   the object is under force
 running   a run is at work
@@ -34,7 +34,7 @@ class Facts:
     recorded: bool = False
     """There is a journal or a run file to judge by."""
     other_bench: bool = False
-    """It is of another bench than the one that is watched."""
+    """The journal or run file is of another bench than the one that is watched."""
     ended: bool = False
     """The journal's last record is an END."""
     exit: int = 0

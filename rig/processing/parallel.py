@@ -140,7 +140,7 @@ def _on_cluster(
             try:
                 number = done.get(timeout=LOOK_EVERY_S)
             except queue.Empty:
-                if (gone := alive.nobody()) is not None:
+                if (gone := alive.why_gone()) is not None:
                     yield from ((number, gone) for number in futures)
                     return
                 continue
@@ -170,15 +170,15 @@ def _of_worker(future: Any) -> Any:
 
 
 class _Alive:
-    """Whether a cluster still has somebody to wait for."""
+    """Whether a cluster can still return results: it has a scheduler, which knows of a worker."""
 
     def __init__(self, client: Any):
         self._client = client
         self._scheduler_s = self._worker_s = time.monotonic()
         """When the scheduler was last connected, and when it last knew of a worker."""
 
-    def nobody(self) -> RigError | None:
-        """Return why nothing will come any more, or None. Asks the scheduler for its workers."""
+    def why_gone(self) -> RigError | None:
+        """Return why no further result will come, or None. Ask the scheduler for its workers."""
         with contextlib.suppress(Exception):  # one that does not answer is not alive
             client = self._client
             workers = client.sync(client.scheduler.ncores, callback_timeout=CONNECT_S)

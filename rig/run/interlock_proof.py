@@ -53,7 +53,7 @@ def prove(watch: InterlockWatch, name: str, say: Callable[[str], None]) -> None:
 
 
 def _is_seen_open(contact: Contact) -> bool:
-    return contact.hinders and contact.readable
+    return contact.blocks_motion and contact.readable
 
 
 def _closes_within(watch: InterlockWatch, name: str, seconds: float = 0.0) -> bool:

@@ -95,7 +95,7 @@ class InterlockWatch:
         """Read every contact and begin to watch. Nothing may be armed before.
 
         Raises InstrumentError if a contact cannot be read, RigError if the record of a latch cannot
-        be written. What a contact hinders is raised by `check`.
+        be written. `check` raises the error if a contact blocks motion.
         """
         if not self._declared:
             return

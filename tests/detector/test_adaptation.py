@@ -350,7 +350,7 @@ def test_whatever_comes_the_inputs_are_finite_and_cannot_judge_takes_turns_with_
 
 
 def test_moves_of_x_without_a_held_force_are_as_unknown_for_a_network_taught_with_both():
-    """Files of before decision 0123 have them alone."""
+    """Files from before decision 0123 have them alone."""
     moves, force = (XMove(700, 0.5, 1500), XMove(1600, 0.3, 1800)), HeldForce(900, 4.0)
     rows = pressed_and_sheared()
     alone = IncipientSlipDetector(by_hand(), RATE_Hz).network_inputs(rows, moves)

@@ -75,7 +75,7 @@ def test_measured_detected_and_true_slips_of_a_slide_lie_where_its_file_has_them
     assert whole_s is not None
     assert gross_s is not None
     assert found.detected.detector.startswith("paper-hp ")
-    assert found.detected.detector.endswith(" (default)"), "this file is of before live detection"
+    assert found.detected.detector.endswith(" (default)"), "this file is from before live detection"
     # The detector sees the ridge with the strips slip; F_t is largest at gross slip.
     assert found.detected.slip_s == pytest.approx(whole_s, abs=0.02)
     assert found.measured_s == pytest.approx(gross_s, abs=0.03)

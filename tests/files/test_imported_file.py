@@ -168,7 +168,7 @@ def test_changed_marks_are_found(tmp_path: Path) -> None:
 
 
 def test_a_run_of_this_bench_has_nothing_of_it() -> None:
-    """Journals and files of before verify as they did."""
+    """Journals and files of earlier versions verify as they did."""
     header = RunHeader.model_validate(run.header())
     assert "origin" not in to_json(header)
     for change in ({"simulated": None}, {"start_time": None}):

@@ -125,7 +125,7 @@ def read(file: Path) -> list[Entry]:
             keys = json.loads(line)
         except ValueError:
             continue
-        if "told" in keys:  # the name of before
+        if "told" in keys:  # the name in earlier versions
             keys["in_words"] = keys.pop("told")
         keys |= {name: tuple(keys.get(name, ())) for name in ("kinds", "violations", "declared")}
         entries.append(Entry(**keys))

@@ -117,7 +117,7 @@ def baseline_reports(
     arms = np.flatnonzero(armed & ~np.concatenate([[False], armed[:-1]]))
     silent = max(1, round(settings.silence_s * rate_Hz))
     row = np.arange(signal.size)
-    said = []
+    reports = []
     for factor in np.atleast_1d(np.asarray(factors, dtype=np.float64)):
         alarms: list[int] = []
         left, begin = score, 0
@@ -127,8 +127,8 @@ def baseline_reports(
             if settings.statistic == "cusum":
                 # Page's sum restarts after every alarm.
                 left = _score(values, armed & (row >= begin), settings)
-        said.append(DetectorReport(np.array(alarms, dtype=np.float64) / rate_Hz, arms / rate_Hz))
-    return said
+        reports.append(DetectorReport(np.array(alarms, dtype=np.float64) / rate_Hz, arms / rate_Hz))
+    return reports
 
 
 def _signal(volts: ArrayLike, rate_Hz: float, settings: BaselineSettings) -> Floats:

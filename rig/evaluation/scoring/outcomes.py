@@ -163,7 +163,7 @@ class TrialOutcome:
     false; empty without a servo, or where a tick has too few samples (`LEAST_TICK_S`)."""
 
 
-def judge(truth: Truth, said: DetectorReport, traits: Mapping[str, float | str]) -> TrialOutcome:
+def judge(truth: Truth, report: DetectorReport, traits: Mapping[str, float | str]) -> TrialOutcome:
     """Return the outcome of a trial, given the truth, the report of a detector and the conditions.
 
     Raises ValueError for a trial labelled as a slip without the time at which the ridge slipped, or
@@ -181,7 +181,7 @@ def judge(truth: Truth, said: DetectorReport, traits: Mapping[str, float | str])
             f"a trial labelled {truth.label!r} has node_slip_s {truth.node_slip_s:g} s and "
             f"ridge_slip_s {truth.ridge_slip_s:g} s: both must be times, the node's not the later"
         )
-    alarms, armings = said.alarms_s, said.armings_s
+    alarms, armings = report.alarms_s, report.armings_s
     moved = alarms[alarms >= truth.motion_s]
     finds = late = early = _NOTHING
     if truth.slipped:
@@ -192,7 +192,7 @@ def judge(truth: Truth, said: DetectorReport, traits: Mapping[str, float | str])
     false = int((alarms < first).sum()) if truth.slipped else int(alarms.size)
     moving = armings[armings >= truth.motion_s]
     predicting = moving[moving <= truth.ridge_slip_s] if truth.slipped else _NOTHING
-    rolls = said.rolls_s[said.rolls_s < truth.ridge_slip_s] if truth.slipped else said.rolls_s
+    rolls = report.rolls_s[report.rolls_s < truth.ridge_slip_s] if truth.slipped else report.rolls_s
     touching = alarms < truth.lift_off_s if math.isfinite(truth.lift_off_s) else alarms == alarms
     quiet = [((alarms >= begin) & (alarms < end)).sum() for begin, end in truth.quiet_s]
     return TrialOutcome(
@@ -207,9 +207,9 @@ def judge(truth: Truth, said: DetectorReport, traits: Mapping[str, float | str])
         alarmed_moving=bool(moved.size),
         alarmed_touching=bool(touching.any()),
         alarmed_after=bool(late.size),
-        cannot_judge=bool(said.unjudged_s) or said.inverted,
-        slip_unjudged=truth.slipped and _covers(said.unjudged_s, *truth.window_s()),
-        unjudged_s=float(sum(end - begin for begin, end in said.unjudged_s)),
+        cannot_judge=bool(report.unjudged_s) or report.inverted,
+        slip_unjudged=truth.slipped and _covers(report.unjudged_s, *truth.window_s()),
+        unjudged_s=float(sum(end - begin for begin, end in report.unjudged_s)),
         record_s=truth.record_s,
         early_by_s=truth.ridge_slip_s - float(early[0]) if early.size else math.nan,
         after_node_s=found_s - truth.node_slip_s,

@@ -56,8 +56,8 @@ class Detection:
     confidence: float
     reason: str = ""
     predictive_mV: float | None = None
-    """Predictive signal at that row, P_A of a slip; None in recordings of before and for a detector
-    that does not state it."""
+    """Predictive signal at that row, P_A of a slip; None in recordings of earlier versions
+    and for a detector that does not state it."""
     impulse_mV: float | None = None
     """Largest impulse of v_d until that row, P_B of a slip; None likewise, 0 before any."""
 
@@ -91,7 +91,7 @@ def to_text(detections: Sequence[Detection]) -> str:
 
 
 def from_text(text: str) -> list[Detection]:
-    """Return the detections in a reading's column; none for "", as in files of before.
+    """Return the detections in a reading's column; none for "", as in files of earlier versions.
 
     Raises ValueError for a text that is not one of `to_text`.
     """

@@ -124,8 +124,10 @@ def channel_attributes(state: StreamState | None, channel: int) -> dict[str, Any
 
 
 def scaling_of_cf(state: StreamState | None, channel: int) -> dict[str, Any]:
-    """Return scale and offset by the names of the CF conventions, by which other programs apply
-    them; nothing where they change nothing. They say nothing new: files of before lack them.
+    """Return scale and offset under the names of the CF conventions, by which other programs apply
+    them; nothing if they change nothing.
+
+    They repeat what other fields state, and files of earlier versions lack them.
     """
     if state is None or (state.scale[channel], state.offset[channel]) == (1.0, 0.0):
         return {}
