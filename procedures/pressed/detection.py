@@ -74,7 +74,9 @@ class LiveDetection:
         self._live: LiveDetector | None = None
         if name != NO_DETECTOR:
             patient = clock.is_virtual
-            self._live = start(name, RATE_Hz, patient=patient, woken=self.woken.set)
+            self._live = start(
+                name, RATE_Hz, patient=patient, woken=self.woken.set, beat=clock.beat
+            )
 
     def begin(self) -> None:
         """Begin a record: the rows count from 0 again."""

@@ -171,6 +171,9 @@ class Clock(ABC):
     def while_computing(self, beat: Callable[[], None]) -> None:  # noqa: B027 - hardware does not
         """Call `beat` about once a second while a simulated bench computes, as a sign of life."""
 
+    def beat(self) -> None:  # noqa: B027 - real time passes by itself
+        """Give the sign of life of `while_computing`, in a wait while bench time stands still."""
+
     def act(self, do: str, **values: object) -> bool:
         """Make a simulated bench do what a person would do to a real one, such as ``weigh``.
         Returns whether there is such a bench: on a real one a person has to do it."""
@@ -264,6 +267,10 @@ class SlavedClock(Clock):
     def while_computing(self, beat: Callable[[], None]) -> None:
         """Call `beat` during each request to the bench."""
         self._control.beat = beat
+
+    def beat(self) -> None:
+        """Give the sign of life of `while_computing`."""
+        self._control.beat()
 
     def act(self, do: str, **values: object) -> bool:
         """Make the simulated bench do it, and return True."""

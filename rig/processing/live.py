@@ -46,6 +46,8 @@ LONGEST_LAG_S = 0.1
 is of no use to a grip, and a niced process on a busy computer waits for some ten ms."""
 PATIENCE_S = 10.0
 """Longest time in s for which the answer of a patient detector is waited for."""
+BEAT_S = 0.2
+"""Interval in s of the signs of life meanwhile: the guard kills a run after 1 s or more without."""
 START_S = 120.0
 """Longest time in s that a detector may take to be imported and compiled."""
 ENDED_S = 2.0
@@ -169,18 +171,20 @@ def start(
     patient: bool = False,
     longest_lag_s: float = LONGEST_LAG_S,
     woken: Callable[[], None] = lambda: None,
+    beat: Callable[[], None] = lambda: None,
 ) -> LiveDetector:
     """Start a registered detector for recordings at a rate. It is done before anything moves: the
     first use of a compiled one on a computer takes up to a minute.
 
     `settings` are its parameters as JSON, its own ones if left out. `patient`: in virtual time.
-    `woken` is called, from any thread, whenever `take` or `dropped` has something to return.
+    `woken` is called, from any thread, whenever `take` or `dropped` has something to return. `beat`
+    is called in the caller's thread, every 0.2 s while the answer of a patient one is waited for.
 
     Raises RigError where the detector is unknown, cannot be used, or does not judge this rate.
     """
     if is_own(name):
         return _Direct(name, rate_Hz, settings, woken)
-    return _InChild(name, rate_Hz, settings, patient, longest_lag_s, woken)
+    return _InChild(name, rate_Hz, settings, patient, longest_lag_s, woken, beat)
 
 
 def identity_of(chosen: ChosenDetector) -> DetectorIdentity:
@@ -260,9 +264,10 @@ class _InChild(LiveDetector):
         patient: bool,
         longest_lag_s: float,
         woken: Callable[[], None],
+        beat: Callable[[], None],
     ):
         super().__init__(name, woken)
-        self._rate_Hz, self._patient = rate_Hz, patient
+        self._rate_Hz, self._patient, self._beat = rate_Hz, patient, beat
         self._longest_lag_s = PATIENCE_S if patient else longest_lag_s
         self._sent: deque[_Sent] = deque()
         self._numbers, self._answered, self._rows = 0, -1, 0
@@ -341,7 +346,16 @@ class _InChild(LiveDetector):
         except OSError:
             pass  # it has ended; the reader finds out how
         if self._patient:
-            self.settle(PATIENCE_S)
+            self._await_answer()
+
+    def _await_answer(self) -> None:
+        """Wait until all that was handed over is judged or the detector is dropped, with signs of
+        life."""
+        until_s = time.monotonic() + PATIENCE_S
+        self.settle(BEAT_S)
+        while self.in_use and self._answered < self._numbers - 1 and time.monotonic() < until_s:
+            self._beat()
+            self.settle(BEAT_S)
 
     def _first_answer(self) -> DetectorIdentity:
         """Return the identity of the detector that is ready. Raises RigError where it is not."""

@@ -283,6 +283,20 @@ def test_another_package_s_detector_of_our_name_does_not_replace_ours(rig: Any) 
 
 @pytest.mark.thorough
 @pytest.mark.usefixtures("quick_ways")
+def test_one_that_hangs_is_dropped_on_the_simulated_bench_and_the_trial_continues(rig: Any) -> None:
+    hangs = "while self.rows > 500:\n            pass\n        above ="
+    installed(rig, LEVEL.replace("above =", hangs))
+    done = rig.run(
+        "slip-trial", "--json", "--no-figures", "--detector", "lab-level",
+        "--distance", "0.4mm", "--rest", "100ms", "--force-error-peak", "100",
+    )  # fmt: skip
+    assert done.code in (0, 5), done.stderr
+    assert re.search(r"detector lab-level fell behind by \d+ ms: no longer used", done.stderr)
+    assert done.object["outcome"] == "complete"
+
+
+@pytest.mark.thorough
+@pytest.mark.usefixtures("quick_ways")
 def test_it_runs_beside_a_trial_and_the_grip_answers_it(rig: Any) -> None:
     installed(rig)
     done = rig.run(

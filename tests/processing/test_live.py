@@ -267,6 +267,24 @@ def test_one_that_fails_is_dropped_and_nobody_waits_for_it(
     assert not one.in_use
 
 
+def test_a_patient_one_that_hangs_is_dropped_and_signs_of_life_are_given_meanwhile(
+    lab: Callable[..., None],
+    started: Callable[..., live.LiveDetector],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    lab((SAY, "__import__('time').sleep(1000)"))
+    monkeypatch.setattr(live, "PATIENCE_S", 3.0)
+    beats: list[float] = []
+    one = started(patient=True, beat=lambda: beats.append(time.monotonic()))
+    one.begin()
+    begun_s = time.monotonic()
+    for part, first in blocks(crossing()):
+        one.add(part, first)
+    assert "fell behind by " in until(one.dropped)
+    assert len(beats) >= 3, "a busy computer gives fewer than 15"
+    assert time.monotonic() - begun_s < PATIENCE_S
+
+
 RUN = """
 import sys, time
 import numpy as np
