@@ -235,7 +235,10 @@ class Sources:
         if self.files is None:
             return
         listed = [one for one, _ in listed_trials(self.files)]
-        sides = sides_of([(one.sample, one.day) for one in listed])
+        if self.everything:
+            sides = [False] * len(listed)
+        else:
+            sides = sides_of([(one.sample, one.day) for one in listed])
         for one, held_out in zip(listed, sides, strict=True):
             yield file_lesson(one, held_out)
 

@@ -94,6 +94,10 @@ def test_trials_that_share_samples_or_days_are_never_on_both_sides(tmp_path: Pat
     (tmp_path / "list.csv").write_text("file\nt0.h5\nt1.h5\n")
     line = refused("--out", tmp_path / "net.json", "--files", tmp_path / "list.csv")
     assert "all 2 trials share samples or days (a, b), so that none can be held out" in line
+    everything = ("--all", "--epochs", "1", "--units", "2", "--members", "1")
+    said = run("--out", tmp_path / "net.json", "--files", tmp_path / "list.csv", *everything)
+    assert "trained on 2 trials of run files" in said
+    assert "held out" not in said
 
 
 @pytest.mark.parametrize(
