@@ -13,6 +13,7 @@ from rig.core.errors import ConfigurationError
 from rig.detector import DEFAULT_DETECTOR
 
 if TYPE_CHECKING:
+    from rig.evaluation.scoring.seeds import SeedRange
     from rig.evaluation.scoring.tables import ScoredNumber
     from rig.evaluation.wire.regrip_study import StudyRow
 
@@ -37,6 +38,9 @@ def regrip_study(
             metavar="LIST",
         ),
     ] = f"none,always,{DEFAULT_DETECTOR}",
+    tuning: Annotated[
+        bool, typer.Option("--tuning", help="Use seeds reserved for tuning; the table is marked.")
+    ] = False,
     as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")] = False,
     debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
 ) -> None:
@@ -48,16 +52,19 @@ def regrip_study(
     with reported(debug, as_json):
         from rig.cli.score import WireProgress
         from rig.core.cache import user_cache
-        from rig.evaluation.scoring.seeds import seed_range
+        from rig.evaluation.scoring.seeds import check_use, seed_range
         from rig.evaluation.wire.regrip_study import RegripStudy, as_object, table
 
-        drawn, wanted = seed_range(seeds).seeds(), _shares(shares)
+        drawn, wanted = seed_range(seeds), _shares(shares)
         chosen = _strategies(strategies)
+        check_use(drawn, tuning=tuning)
+        if not tuning:
+            _check_unseen(chosen, drawn)
         progress = WireProgress("regrip-study", 1)
         weights = []
         try:
             study = RegripStudy(user_cache(), progress)
-            for weight in study.weights(drawn, wanted, chosen):
+            for weight in study.weights(drawn.seeds(), wanted, chosen):
                 weights.append(weight)
                 if weight.failed:
                     say(f"seed {weight.seed}, {weight.share:g}, {weight.strategy}: {weight.failed}")
@@ -65,17 +72,18 @@ def regrip_study(
             say(f"interrupted after {progress.number} trials; the same command continues")
             raise
         if as_json:
-            print(json.dumps(as_object(weights)))  # noqa: T201 - data
+            said = {"seeds": str(drawn), "tuning": tuning, **as_object(weights)}
+            print(json.dumps(said))  # noqa: T201 - data
         else:
-            for line in lines_of(table(weights)):
+            for line in lines_of(table(weights), "TUNING seeds. " if tuning else ""):
                 print(line)  # noqa: T201 - data
 
 
-def lines_of(rows: list[StudyRow]) -> list[str]:
-    """Return a table as aligned lines."""
+def lines_of(rows: list[StudyRow], mark: str = "") -> list[str]:
+    """Return a table as aligned lines, the first of which bears the mark."""
     lines = [
-        "SIMULATED. Weights are shares of the holding force of the same bench; saved: not lost; "
-        "force: over the least that holds, median of those saved; 95 % by Wilson.",
+        f"SIMULATED. {mark}Weights are shares of the holding force of the same bench; saved: not "
+        "lost; force: over the least that holds, median of those saved; 95 % by Wilson.",
         f"{'weight':>7} {'strategy':<16}{'n':>4}  {'saved':<18}{'squeezed':<18}{'squeezes':>8} "
         f"{'force':>6} {'risen (ms)':>10}",
     ]
@@ -95,6 +103,18 @@ def _share(found: ScoredNumber) -> str:
     if math.isnan(found.value):
         return "-"
     return f"{found.value:.2f} ({found.low:.2f}-{found.high:.2f})"
+
+
+def _check_unseen(strategies: list[str], drawn: SeedRange) -> None:
+    """Raise ConfigurationError if the detector of a strategy was tuned on some of the seeds."""
+    from rig.detector.registered import chosen_detector
+    from rig.evaluation.scoring.contenders import DetectorContender
+    from rig.evaluation.scoring.seeds import check_unseen
+    from rig.evaluation.wire.regrip_study import ALWAYS, NONE
+
+    for name in strategies:
+        if name not in (NONE, ALWAYS):
+            check_unseen(name, DetectorContender(name, chosen_detector(name)).tuned_on, drawn)
 
 
 def _shares(text: str) -> list[float]:

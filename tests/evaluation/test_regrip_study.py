@@ -9,9 +9,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import typer
+from click.testing import Result
+from typer.testing import CliRunner
 
 from rig.cli.regrip_study import lines_of
-from rig.detector.registered import chosen_detector
+from rig.cli.regrip_study import regrip_study as command
+from rig.detector.registered import ChosenDetector, chosen_detector
 from rig.evaluation.wire import regrip_study
 from rig.evaluation.wire.kinds import WireTrial
 from rig.evaluation.wire.regrip_study import RegripStudy, Weight, as_object, table
@@ -127,3 +131,48 @@ def test_a_bench_that_cannot_be_made_is_said_and_counted(monkeypatch: pytest.Mon
     found = weights(Stored())
     assert {one.failed for one in found} == {"exit code 3: stuck"}
     assert {(row.n, row.failed) for row in table(found)} == {(0, 3)}
+
+
+@pytest.mark.parametrize(
+    ("seeds", "tuning", "words"),
+    [
+        ("101:102", False, "seeds 101:102 are reserved for tuning"),
+        ("999999:1000001", False, "lie on both sides of 1000000"),
+        ("1000000:1000001", True, "are reserved for reporting"),
+    ],
+)
+def test_seeds_of_the_other_purpose_are_refused(
+    made: list[WireTrial], seeds: str, tuning: bool, words: str
+) -> None:
+    done = study("--seeds", seeds, *(["--tuning"] if tuning else []))
+    assert done.exit_code == 2, done.output
+    assert words in done.stderr
+    assert not made
+
+
+def test_seeds_that_a_detector_was_tuned_on_are_refused(
+    made: list[WireTrial], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(ChosenDetector, "seeds_seen", lambda self: (1_000_000, 1_000_004))
+    done = study("--seeds", "1000003:1000005")
+    assert done.exit_code == 2, done.output
+    assert "rig was tuned on seeds 1000000:1000005" in done.stderr
+    assert not made
+
+
+def test_the_table_of_tuning_seeds_is_marked(
+    made: list[WireTrial], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("RIG_CACHE", str(tmp_path))
+    done = study("--seeds", "101:102", "--tuning", "--shares", "1.1")
+    assert done.exit_code == 0, done.output
+    assert "SIMULATED. TUNING seeds. Weights are" in done.stdout
+    assert made
+    said = json.loads(study("--seeds", "101:102", "--tuning", "--shares", "1.1", "--json").stdout)
+    assert (said["seeds"], said["tuning"]) == ("101:102", True)
+
+
+def study(*arguments: str) -> Result:
+    app = typer.Typer(pretty_exceptions_enable=False)
+    app.command()(command)
+    return CliRunner().invoke(app, ["--strategies", "rig", *arguments])
