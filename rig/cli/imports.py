@@ -132,7 +132,7 @@ def import_(
             options={name: text for name, text in texts.items() if text},
         )
         lines = {} if labels is None else read_labels(labels)
-        wanted = _files_of(file)
+        wanted = _files_of(file, labels)
         if strange := sorted(set(lines) - {path.name for path in wanted}):
             raise ConfigurationError(
                 f"--labels {labels}: {strange[0]} is not among the files to import",
@@ -167,12 +167,15 @@ def import_(
             raise typer.Exit(int(code))
 
 
-def _files_of(path: Path) -> list[Path]:
-    """Return the file, or all files of a folder that are not hidden, by their names."""
+def _files_of(path: Path, labels: Path | None) -> list[Path]:
+    """Return the file, or all files of a folder that are not hidden, by their names; the list of
+    labels may be in the folder and is no recording."""
     if not path.is_dir():
         return [path]
     found = sorted(one for one in path.iterdir() if one.is_file() and one.name[0] != ".")
     found = [one for one in found if one.suffix.lower() in SUFFIXES]
+    if labels is not None:
+        found = [one for one in found if not one.samefile(labels)]
     if not found:
         raise ConfigurationError(
             f"{path}: no recording in this folder", f"files end in {', '.join(SUFFIXES)}"

@@ -195,10 +195,10 @@ def test_a_folder_of_labelled_trials_can_be_scored(rig: Any) -> None:
         csv(folder / f"t{number}.csv", table)
     (folder / "t3.csv").write_text("nothing\n")
     (folder / "remarks.pdf").write_text("no recording")
-    labels = rig.folder / "labels.csv"
+    labels = folder / "labels.csv"  # among the recordings, of which it is none
     labels.write_text("file,label,motion_s,ridge_slip_s\nt1.csv,hold,0.5,\nt2.csv,slip,0.5,1.2\n")
     line = ("import", "trials", "--channels", "v_1=2,v_2=3", "--time", "1", "--no-figures")
-    done = rig.run(*line, "--labels", "labels.csv", "--json")
+    done = rig.run(*line, "--labels", "trials/labels.csv", "--json")
     assert done.code == 5, done.stderr
     assert "t3.csv: no rows of two numbers" in done.errors[0]
     reported = json.loads(done.stdout)
