@@ -1,5 +1,6 @@
 """Trials on the simulated bench: what is drawn, and how they are made, stored and resumed."""
 
+import importlib
 import json
 import os
 import signal
@@ -232,3 +233,14 @@ def test_the_key_of_a_trial_depends_on_all_that_was_drawn_and_on_the_code(monkey
     assert making.key_of(drawn("slide", 2, None)) != key
     monkeypatch.setattr(making, "code_digest", lambda: "other code")
     assert making.key_of(trial) != key
+
+
+@pytest.mark.parametrize(
+    "module",
+    ["rig.analysis.trial.decimation", "rig.run.execute", "rig.bench.connect", "rig.core.clock"],
+)
+def test_the_code_of_a_trial_is_all_that_has_a_part_in_its_record(monkeypatch, module):
+    file = Path(importlib.import_module(module).__file__)
+    now, read = making.code_digest(), Path.read_bytes
+    monkeypatch.setattr(Path, "read_bytes", lambda path: read(path) + b"# other" * (path == file))
+    assert making.code_digest.__wrapped__() != now

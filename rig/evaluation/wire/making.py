@@ -35,8 +35,21 @@ Read = TypeVar("Read")
 
 FORMAT = 4
 """Raised when what is stored changes its meaning."""
-CODE = ("drivers", "procedures", "rig.physics", "rig.control")
-"""Packages whose code determines what a trial records."""
+CODE = (
+    "drivers",
+    "procedures",
+    "rig.analysis",
+    "rig.bench",
+    "rig.control",
+    "rig.core",
+    "rig.files.journal",
+    "rig.files.runfile",
+    "rig.instruments",
+    "rig.physics",
+    "rig.run",
+)
+"""Packages whose code determines what a trial records: also the decimation of v_1 and v_2, the way
+to the instruments, the clock, and what the file keeps."""
 LONGEST_S = 580.0
 """Time after which a command that makes a trial has failed; the longest takes a tenth of it on a
 free processor."""
