@@ -169,13 +169,19 @@ class IncipientSlipDetector(Detector):
         state["force_changes"] += change
 
     def end(self) -> list[SlipEvent]:
-        """Return one event if there never was a quiet piece to measure offset and noise on, and
-        that has not been reported yet."""
+        """Return one event if the rows were too few to measure offset and noise, or there never
+        was a quiet piece for it and that has not been reported yet."""
         state = self._state[0]
         if state["ready"] or state["unjudged"] or not state["row"]:
             return []
         unjudged = {UNJUDGED: 1e3 * int(state["row"]) / self.rate_Hz}
-        return [self.event("cannot judge", -1, 0.0, kernel.REASONS[kernel.NOT_QUIET], unjudged)]
+        reason = kernel.REASONS[kernel.NOT_QUIET]
+        needed = int(
+            self._constants["warm_up_rows" if self._constants["adapts"] else "quiet_rows"][0]
+        )
+        if state["row"] < needed:
+            reason = f"too short: offset and noise need {needed / self.rate_Hz:.3g} s"
+        return [self.event("cannot judge", -1, 0.0, reason, unjudged)]
 
     def network_inputs(self, volts: ArrayLike, commands: Iterable[Command] = ()) -> NetworkInputs:
         """Return the inputs of the network over a whole recording (n, 2) in V with these commands,

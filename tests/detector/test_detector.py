@@ -223,9 +223,18 @@ def test_what_is_never_quiet_is_reported_and_not_judged():
     assert unjudged_s(events, 3.0) == ((0.0, 3.0),)
 
 
+@pytest.mark.parametrize("name", ["rig", "impulse", "paper-literal", "paper-hp"])
+@pytest.mark.parametrize("rows", [2, 10])
+def test_a_few_rows_are_too_short_to_be_judged(name: str, rows: int):
+    (event,) = reported(np.zeros((rows, 2)), name)
+    assert (event.kind, event.sample) == ("cannot judge", rows - 1)
+    assert event.reason.startswith("too short: offset and noise need 0.")
+
+
 def test_what_is_too_short_to_be_quiet_is_reported_at_its_end():
     events = reported(np.zeros((200, 2)), "paper-hp")
     assert [(event.kind, event.sample) for event in events] == [("cannot judge", 199)]
+    assert events[0].reason == "too short: offset and noise need 0.25 s"
     assert unjudged_s(events, 0.2) == ((pytest.approx(0.0, abs=0.001), 0.2),)
 
 
