@@ -188,6 +188,8 @@ def _in_words(found: DetectionResult) -> str:
         if count := found.events.get(kind, 0):
             parts.append(f"{count} {one if count == 1 else many}")
     parts += [f"cannot judge {seconds:.3f} s ({why})" for why, seconds in found.unjudged_s.items()]
+    if count := found.without_touch:
+        parts.append(f"cannot judge {counted(count, 'trial')} (no touch was seen)")
     saved = "Saved before as" if found.kept else "Saved"
     return (
         f"{counted(found.trials, 'trial')}: {', '.join(parts) or 'nothing found'}. "
@@ -228,6 +230,7 @@ def _result(answer: Answer) -> dict[str, Any]:
         "trials": answer.trials,
         "events": answer.events,
         "unjudged_s": answer.unjudged_s,
+        "trials_without_touch": answer.without_touch,
         "first_slip_trial": trial,
         "first_slip_s": time_s,
         "warnings": list(answer.warnings),

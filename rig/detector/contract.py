@@ -152,6 +152,11 @@ class Detector(ABC):
         return self._rows
 
     @property
+    def touch_seen(self) -> bool | None:
+        """True once the strips' signals have shown a touch; None if the detector looks for none."""
+        return None
+
+    @property
     def low_pass(self) -> LowPass:
         """The low-pass filter of the predictive signal that is stored and drawn beside events."""
         return design_low_pass(LowPassSettings(), self.rate_Hz)

@@ -116,6 +116,7 @@ class IncipientSlipDetector(Detector):
         # `network_inputs`.
         self._seen, self._looked = np.zeros((1, inputs)), np.zeros(0, np.bool_)
         self._shown: list[NetworkInputs] = []
+        self._state, self._touch_before = np.zeros(1, kernel.STATE), False
         self.reset()
 
     @property
@@ -123,8 +124,16 @@ class IncipientSlipDetector(Detector):
         """The low-pass filter that extracts the predictive signal."""
         return self._low_pass
 
+    @property
+    def touch_seen(self) -> bool:
+        """True once v_d or v_s has passed the threshold of a touch, in any row so far."""
+        state = self._state[0]
+        touch = state["stage"] != kernel.NO_TOUCH or state["touched"] or np.any(state["touch"])
+        return self._touch_before or bool(touch)
+
     def reset(self) -> None:
-        """Forget all rows: offset and noise are measured anew."""
+        """Forget all rows but that a touch was seen: offset and noise are measured anew."""
+        self._touch_before = self.touch_seen
         self._first = self.rows
         self._state = np.zeros(1, kernel.STATE)
         self._x_before_force: float | None = None

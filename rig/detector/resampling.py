@@ -167,6 +167,11 @@ class ResampledDetector(Detector):
         self._resampler = StreamingResampler(rate_Hz, wanted_Hz, 2, self._inner.saturation_V)
 
     @property
+    def touch_seen(self) -> bool | None:
+        """True once the judged rows have shown a touch; None if the detector looks for none."""
+        return self._inner.touch_seen
+
+    @property
     def low_pass(self) -> LowPass:
         """The filter of the predictive signal, at the rate at which rows are judged."""
         return self._inner.low_pass

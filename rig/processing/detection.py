@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -87,6 +87,9 @@ class DetectionResult:
     unjudged_s: dict[str, float] = field(default_factory=dict)
     """Time in s that the detector could not judge, in all trials together, by its reason."""
     warnings: tuple[str, ...] = field(default=())
+    without_touch: int = 0
+    """Number of trials in which nothing was found and the strips showed no touch at all: whether
+    they worked is not known. The processed file does not state it."""
     made_by: str = ""
     """`detection_digest` of what did it. Empty from a program that does not know of it."""
 
@@ -159,11 +162,14 @@ def _detect(job: DetectionJob) -> DetectionResult:
     target = processed_path(run_file, stated, job.folder)
     with RunFile.open(run_file) as run:
         source = _source(run, sha256_of(run_file))
-        if (there := _already_there(target, source, made_by, warnings)) is not None:
-            return there
-        trials = detect_trials(run, detector)
-    write_processed(target, source, stated, made_by, trials)
-    return _found(target, False, source, made_by, trials, warnings)
+        trials, kept = _already_there(target, source, made_by, warnings), True
+        if trials is None:
+            trials, kept = detect_trials(run, detector), False
+        without_touch = _without_touch(run, trials, detector)
+    if not kept:
+        write_processed(target, source, stated, made_by, trials)
+    found = _found(target, kept, source, made_by, trials, warnings)
+    return replace(found, without_touch=without_touch)
 
 
 def _stated(detector: ChosenDetector) -> StatedDetector:
@@ -201,7 +207,7 @@ def _refuse_damaged(run_file: Path) -> list[str]:
 
 def _already_there(
     target: Path, source: ProcessedSource, made_by: str, warnings: list[str]
-) -> DetectionResult | None:
+) -> list[DetectedTrial] | None:
     """Return the result that exists, where it is sound, of just this file and made by this code; of
     a run that has gone on since, or damaged, it is written again. RunFileError where it is another
     run's."""
@@ -223,7 +229,7 @@ def _already_there(
         if there.made_by != made_by:
             warnings.append(f"{target.name}: written again: other code has made it")
             return None
-        return _found(target, True, source, made_by, there.trials(), warnings)
+        return there.trials()
 
 
 def _found(
@@ -248,6 +254,27 @@ def _found(
         warnings=tuple(warnings),
         made_by=made_by,
     )
+
+
+def _without_touch(run: RunFile, trials: list[DetectedTrial], chosen: ChosenDetector) -> int:
+    """Return in how many trials nothing was found and no touch was seen. Those in which nothing was
+    found are judged again for it."""
+    silent = {trial.id for trial in trials if not {one.kind for one in trial.events} - {"rejected"}}
+    if not silent or not chosen.is_own:
+        return 0
+    pieces: dict[str | None, list[Waveform]] = {}
+    for waveform in run.waveforms(stream=_stream_of_strips(run)):
+        if waveform.point in silent:
+            pieces.setdefault(waveform.point, []).append(waveform)
+    number = 0
+    for of_trial in pieces.values():
+        rate_Hz = of_trial[0].rate_Hz
+        assert rate_Hz is not None, "the trial was judged"
+        detector = chosen.make(rate_Hz)
+        for piece, volts in _rows_of(of_trial):
+            detector.add(volts, first_sample=piece.first_index - of_trial[0].first_index)
+        number += detector.touch_seen is False
+    return number
 
 
 def _unjudged_by_reason(trials: list[DetectedTrial]) -> dict[str, float]:

@@ -69,7 +69,7 @@ def test_one_line_a_file_says_what_was_found(rig: Any, runs: list[str]) -> None:
         f"of trial-001), 1 motion under load begun. Saved processed/r0.paper-hp-{DETECTOR_VERSION}-"
         in lines[0]
     )
-    assert lines[2].startswith("r2.h5: 1 trial: nothing found. Saved")
+    assert lines[2].startswith("r2.h5: 1 trial: cannot judge 1 trial (no touch was seen). Saved")
     progress = done.stderr.splitlines()
     assert [line.split()[0] for line in progress] == ["1/3", "2/3", "3/3"]
 

@@ -78,6 +78,32 @@ def refused(run_file: Path, detector: ChosenDetector = DETECTOR) -> DetectionFai
 # What was found
 
 
+@pytest.mark.parametrize("name", ["rig", "impulse", "paper-hp"])
+def test_a_trial_in_which_nothing_ever_touched_the_strips_is_not_judged(
+    tmp_path: Path, name: str
+) -> None:
+    dead = {
+        "trial-001": np.zeros((1500, 2)),
+        "trial-002": np.full((1500, 2), 0.01),
+        "trial-003": 1e-3 * trials.slipping(),
+        "trial-004": trials.slipping(),
+    }
+    file = trials.write_trials(tmp_path / "dead_r001.rigj", dead)
+    first, again = (detected(file, detector=chosen_detector(name)) for _ in range(2))
+    assert (first.kept, first.without_touch) == (False, 3)
+    assert (again.kept, again.without_touch) == (True, 3)
+    assert again.events == first.events
+
+
+def test_a_press_that_nothing_follows_was_seen_and_judged(tmp_path: Path) -> None:
+    pressed = trials.slipping()
+    pressed[700:] = trials.quiet(800)
+    file = trials.write_trials(tmp_path / "hold_r001.rigj", {"trial-001": pressed})
+    for name in ("rig", "impulse", "paper-hp"):
+        found = detected(file, detector=chosen_detector(name))
+        assert (found.events["incipient slip"], found.without_touch) == (0, 0)
+
+
 def test_the_slip_is_found_in_its_trial_and_none_in_the_quiet_one(found: DetectionResult) -> None:
     assert found.trials == 2
     assert found.events["incipient slip"] == 1
