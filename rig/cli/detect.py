@@ -142,7 +142,14 @@ def _answer(
     result: DetectionResult | DetectionFailure | RigError, job: DetectionJob, file: Path
 ) -> Answer:
     from rig.processing.detection import DetectionFailure, other_code
+    from rig.processing.parallel import WorkerDiedError
 
+    if isinstance(result, WorkerDiedError) and not job.detector.is_own:
+        name, package = job.detector.name, job.detector.package
+        return WorkerDiedError(
+            f"{file}: {result.message} while detector {name!r} of the package {package} judged",
+            f"fix the package {package}, or choose another detector (rig detectors)",
+        )
     if isinstance(result, DetectionFailure):
         return result.error()
     if isinstance(result, RigError):

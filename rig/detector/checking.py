@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import contextlib
 import math
+import os
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 import numpy as np
@@ -125,6 +126,27 @@ class CheckedDetector(Detector):
         return DetectorError(self._name, self._package, reason)
 
 
+@contextlib.contextmanager
+def quiet_stdout() -> Iterator[None]:
+    """Sends to stderr what code of another package prints or writes to descriptor 1: stdout carries
+    the command's data."""
+    with contextlib.redirect_stdout(sys.stderr):
+        try:
+            # One terminal, or nowhere, as beside a trial: nothing has to be kept apart.
+            stdout = None if os.path.sameopenfile(1, 2) else os.dup(1)
+        except OSError:  # one of them is closed
+            stdout = None
+        if stdout is None:
+            yield
+            return
+        try:
+            os.dup2(2, 1)
+            yield
+        finally:
+            os.dup2(stdout, 1)
+            os.close(stdout)
+
+
 def asked(
     name: str,
     package: str,
@@ -138,7 +160,7 @@ def asked(
     Raises DetectorError, which says at `what` it failed, for all that it raises but `refusals`.
     """
     try:
-        with contextlib.redirect_stdout(sys.stderr):
+        with quiet_stdout():
             return function(*arguments)
     except refusals:
         raise

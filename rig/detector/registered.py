@@ -9,12 +9,9 @@ disables its own detector alone; the message names the package.
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
 import inspect
 import re
-import sys
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from importlib import import_module
@@ -26,7 +23,7 @@ from pydantic import ValidationError
 from rig.core.entry_points import DETECTORS, OWN_PACKAGE, find, load, names, package
 from rig.core.errors import ConfigurationError, is_stop
 from rig.core.settings import Settings
-from rig.detector.checking import CheckedDetector, DetectorError, asked
+from rig.detector.checking import CheckedDetector, DetectorError, asked, quiet_stdout
 from rig.detector.contract import Detector
 from rig.detector.resampling import ResampledDetector
 
@@ -147,13 +144,6 @@ def detector_class(name: str) -> type[Detector]:
     with quiet_stdout():
         found: type[Detector] = load(DETECTORS, name, lambda value: _fault(name, value))
     return found
-
-
-@contextlib.contextmanager
-def quiet_stdout() -> Iterator[None]:
-    """Send to stderr what code of another package prints: stdout carries the command's data."""
-    with contextlib.redirect_stdout(sys.stderr):
-        yield
 
 
 def _fault(name: str, value: Any) -> str | None:

@@ -36,6 +36,12 @@ CLOSE_S = 3.0
 """Longest time in s that cancelling the rest of a cluster's work may take."""
 
 
+class WorkerDiedError(RigError):
+    """Raised for an item whose process, or one beside it, has died."""
+
+    code = ExitCode.INTERNAL
+
+
 def processors() -> int:
     """Return the number of processors that this process may use."""
     return len(os.sched_getaffinity(0))
@@ -79,10 +85,9 @@ def _outcome(future: Future[Result]) -> Result | RigError:
     try:
         return future.result()
     except BrokenExecutor:
-        return RigError(
+        return WorkerDiedError(
             "the process that read it died",
             "of memory or of a damaged file; --jobs 1 reads one file after the other",
-            ExitCode.INTERNAL,
         )
     except Exception as error:  # noqa: BLE001 - one file's trouble, whatever it is, is not all's
         failure = RigError(f"{type(error).__name__}: {error}", code=ExitCode.INTERNAL)
@@ -156,10 +161,9 @@ def _of_worker(future: Any) -> Any:
     try:
         return future.result(timeout=CONNECT_S)
     except KilledWorker:
-        return RigError(
+        return WorkerDiedError(
             "the workers that read it died",
             "of memory or of a damaged file; without --scheduler it is read here",
-            ExitCode.INTERNAL,
         )
     except CancelledError:
         return RigError("the cluster gave it up", "see whether its scheduler and workers are alive")

@@ -265,12 +265,25 @@ def test_every_kind_of_nonsense_is_refused_and_leaves_nothing(rig: Any) -> None:
 
 @pytest.mark.thorough
 def test_what_it_prints_does_not_reach_the_command_s_data(rig: Any) -> None:
-    installed(rig, 'print("loading")\n' + LEVEL.replace("above =", 'print("hello"); above ='))
+    written = 'import os; os.write(1, b"at once\\n")\n'
+    says = 'print("hello"); import os; os.write(1, b"below\\n"); above ='
+    installed(rig, 'print("loading")\n' + written + LEVEL.replace("above =", says))
     done = rig.run("detect", "--detector", "lab-level", "--json", recorded(rig).name)
     assert done.code == 0, done.stderr
     assert json.loads(done.stdout)["summary"]["files"] == 1
     assert "hello" in done.stderr
-    assert "loading" in done.stderr
+    assert {"loading", "at once", "below"} <= set(done.stderr.splitlines())
+
+
+@pytest.mark.thorough
+def test_one_that_ends_its_process_is_named(rig: Any) -> None:
+    installed(rig, LEVEL.replace("above =", "import os; len(volts) > 100 and os._exit(3); above ="))
+    file = recorded(rig)
+    other = trials.write_trials(rig.folder / "b_r001.rigj", {"trial-001": trials.slipping()})
+    done = rig.run("detect", "--detector", "lab-level", "--jobs", "2", file.name, other.name)
+    assert done.code == 1, done.stderr
+    for line in done.errors:
+        assert "died while detector 'lab-level' of the package lab-level judged" in line
 
 
 @pytest.mark.thorough
