@@ -1,4 +1,4 @@
-"""Roll of an object with a head over the artificial skin at constant normal force: paper 5.
+"""Roll a spherical head over the skin and back at constant normal force (paper 5).
 
 The object stands on the rotary stage, the rotary stage on the force sensor; the skin hangs on the
 x-z stage above it. A trial lowers the skin until the head is felt, brings the normal force up and
@@ -50,7 +50,7 @@ model with its assumed friction (decision 0020), not measured."""
 
 
 class RollTrial(TrialProcedure):
-    """Roll of an object with a head over the artificial skin at constant normal force: paper 5."""
+    """Roll a spherical head over the skin and back at constant normal force (paper 5)."""
 
     name = "roll-trial"
     fixtures = ("semi-spherical-object",)

@@ -30,8 +30,8 @@ class RollTrialSettings(PressedSettings):
     angle_deg: float = Field(default=3.5, json_schema_extra=NO_PROFILE)
     """Angle of the roll from upright and back (paper 5); positive rolls towards +x."""
     turn_speed_deg_s: float | None = Field(default=None, gt=0)
-    """Largest speed of the turn. Default: 12 deg/s (paper 5), or as much less as the servo has
-    fewer than 100 ticks a second to hold the force: 3 deg/s at 25 Hz."""
+    """Largest speed of the turn. Default: 12 deg/s (paper 5); less in proportion where the servo
+    has fewer than 100 ticks a second: 3 deg/s at 25 Hz."""
     turn_acceleration_deg_s2: float = Field(default=60.0, gt=0)
     """Acceleration of the turn."""
     stay_s: float = Field(default=0.3, ge=0, le=60, json_schema_extra=NO_PROFILE)

@@ -1,4 +1,4 @@
-"""Slide of the artificial skin on a plate at constant normal force: paper 4.1.
+"""Slide the artificial skin on a plate at constant normal force (paper 4.1).
 
 The skin hangs on the x-z stage above the plate, the plate lies on the force sensor. A trial lowers
 the skin until the plate is felt, brings the normal force up and holds it by a servo on z, rests,
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 
 class SlipTrial(TrialProcedure):
-    """Slide of the artificial skin on a plate at constant normal force: paper 4.1."""
+    """Slide the artificial skin on a plate at constant normal force (paper 4.1)."""
 
     name = "slip-trial"
     fixtures = ("plate",)

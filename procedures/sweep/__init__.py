@@ -1,4 +1,4 @@
-"""Frequency response of a PVDF film in its clamp, volts per newton, 2 to 20000 Hz.
+"""Measure the frequency response of a PVDF film in its clamp, V/N, 2 to 20000 Hz.
 
 The paper's chapter 3: the film is preloaded, a vibrator adds a sinusoidal load, and at each
 frequency load cell and film are sampled together. A sine is fitted to both; their ratio is the
@@ -57,7 +57,7 @@ LEVELLING_RECORDS, LEVELLING_S = 2.5, 0.03
 
 
 class Sweep(Procedure):
-    """Frequency response of a PVDF film in its clamp, volts per newton, 2 to 20000 Hz."""
+    """Measure the frequency response of a PVDF film in its clamp, V/N, 2 to 20000 Hz."""
 
     name = "sweep"
     fixtures = ("film-clamp",)

@@ -1,4 +1,4 @@
-"""Overnight batches: many runs from one file, each taken exactly once."""
+"""Plan, run and watch many runs from one file, usually overnight."""
 
 from __future__ import annotations
 
@@ -31,12 +31,18 @@ app = typer.Typer(
 BatchPath = Annotated[Path, typer.Argument(help="Batch file (TOML).", metavar="FILE")]
 Folder = Annotated[
     Path | None,
-    typer.Argument(help="Folder of the batch [the latest in the results].", metavar="[FOLDER]"),
+    typer.Argument(
+        help="Folder of the batch.  [default: the latest in the results]", metavar="FOLDER"
+    ),
 ]
-Results = Annotated[Path, typer.Option(help="Folder in which the latest batch is found.")]
+Results = Annotated[
+    Path, typer.Option(help="Folder in which the latest batch is found.", metavar="FOLDER")
+]
 BenchPath = Annotated[
     Path | None,
-    typer.Option(help="Bench file; without one, the batch file's, ./bench.toml or simulated."),
+    typer.Option(
+        help="Bench file; without one, the batch file's, ./bench.toml or simulated.", metavar="FILE"
+    ),
 ]
 Debug = Annotated[bool, typer.Option("--debug", help="Show tracebacks.")]
 AsJson = Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")]
@@ -52,7 +58,7 @@ app.command()(batch_plan.schema)
 def run(
     file: BatchPath, bench: BenchPath = None, as_json: AsJson = False, debug: Debug = False
 ) -> None:
-    """Validate a batch file, then take its runs; Ctrl-C stops safely."""
+    """Run a batch. Ctrl-C stops it safely."""
     with reported(debug, as_json):
         from datetime import datetime
 
@@ -87,7 +93,10 @@ def resume(
     as_json: AsJson = False,
     debug: Debug = False,
 ) -> None:
-    """Continue a batch that was stopped, interrupted, paused or held."""
+    """Continue a batch.
+
+    It may have been stopped, interrupted, paused or held.
+    """
     with reported(debug, as_json):
         from rig.batch.execute.batch_clock import renew_window
         from rig.batch.execute.start import refuse_changes
@@ -123,7 +132,10 @@ def rebuild(
     results: Results = RESULTS,
     debug: Debug = False,
 ) -> None:
-    """Make a damaged queue anew from the batch file and the runs' files."""
+    """Rebuild the queue of a batch.
+
+    Where the queue is damaged, it is made from the batch file and the files of the runs.
+    """
     with reported(debug):
         from datetime import datetime
 
@@ -139,7 +151,10 @@ def rebuild(
 
 @app.command()
 def pause(folder: Folder = None, results: Results = RESULTS, debug: Debug = False) -> None:
-    """Make the bench safe and wait; `resume` retakes the point under way."""
+    """Make the bench safe and wait.
+
+    `rig batch resume` continues, and measures the interrupted point again.
+    """
     _request("pause", "pausing", folder, results, debug)
 
 
@@ -152,7 +167,9 @@ def stop(
     ] = False,
     after_run: Annotated[
         bool,
-        typer.Option("--after-run", help="Stop after the run under way [after its point]."),
+        typer.Option(
+            "--after-run", help="Stop after the run under way instead of after its point."
+        ),
     ] = False,
     this_run: Annotated[
         bool,
@@ -160,7 +177,10 @@ def stop(
     ] = False,
     debug: Debug = False,
 ) -> None:
-    """Stop a batch safely after the point under way; `resume` continues it."""
+    """Stop safely after the current point.
+
+    `rig batch resume` continues the batch.
+    """
     if now + after_run + this_run > 1:
         raise typer.BadParameter("--now, --after-run and --this-run exclude each other")
     if this_run:

@@ -24,12 +24,18 @@ def plan(
     file: Annotated[Path, typer.Argument(help="Batch file (TOML).", metavar="FILE")],
     bench: Annotated[
         Path | None,
-        typer.Option(help="Bench file; without one, the batch file's, ./bench.toml or simulated."),
+        typer.Option(
+            help="Bench file; without one, the batch file's, ./bench.toml or simulated.",
+            metavar="FILE",
+        ),
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")] = False,
     debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
 ) -> None:
-    """Validate a batch file and list its runs: when each begins, total time, disk."""
+    """Check a batch file and list its runs.
+
+    Shows when each run begins, the total time and the disk space.
+    """
     with reported(debug, as_json):
         from rig.batch.execute.prepare import prepare
 
@@ -45,7 +51,10 @@ def plan(
 
 
 def schema() -> None:
-    """Print the JSON schema of the batch file, with the settings of the installed procedures."""
+    """Print the JSON schema of batch files.
+
+    It has the settings of the installed procedures.
+    """
     from rig.batch.plan.schema import batch_schema
 
     print(json.dumps(batch_schema(lambda text: say(f"warning: {text}")), indent=2))  # noqa: T201 - stdout carries data

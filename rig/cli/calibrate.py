@@ -62,12 +62,18 @@ Weights = Annotated[str, typer.Option(help="Known forces to apply, ascending.", 
 @app.command("pvdf")
 @with_option_groups
 def pvdf(
-    file: Annotated[Path, typer.Argument(help="Run file of a complete sweep.")],
+    file: Annotated[Path, typer.Argument(help="Run file of a complete sweep.", metavar="FILE")],
     *,
-    film: Annotated[str, typer.Option(help="Label of the film [as the bench file had it].")] = "",
+    film: Annotated[
+        str,
+        typer.Option(help="Label of the film.  [default: that of the bench file]", metavar="NAME"),
+    ] = "",
     wanted: RecordOptions,
 ) -> None:
-    """Determine level b and corner of a film from the run file of a sweep."""
+    """Calibrate a film from its sweep.
+
+    Determines level b and corner from the run file.
+    """
     with reported(wanted.debug, wanted.as_json):
         from rig.cli.film_record import analysed, doubts, film_record, sentences
         from rig.files.runfile.reader import RunFile
@@ -96,14 +102,19 @@ def force(
         str, typer.Option(help="Directions in which weights are applied.", metavar="±AXIS,…")
     ] = "+x,-x,+y,-y,+z",
     sensor: Annotated[
-        str, typer.Option(help="Name of the sensor [serial number of the amplifier].")
+        str,
+        typer.Option(
+            help="Name of the sensor.  [default: serial number of the amplifier]", metavar="NAME"
+        ),
     ] = "",
     rate: Annotated[str, typer.Option(help="Frames per second.", metavar="1/s")] = "1000",
     options: WeighingOptions,
     wanted: RecordOptions,
 ) -> None:
-    """Determine zero and matrix of the force sensor from known weights on each axis, step by
-    step."""
+    """Calibrate the force sensor with weights.
+
+    Determines zero and matrix from known weights on each axis, step by step.
+    """
     with reported(wanted.debug, wanted.as_json), _stoppable(wanted.as_json):
         from rig.analysis.weighing import fit_force, refuse_outlier, sequence
         from rig.cli.weigh import weigh
@@ -137,15 +148,22 @@ def force(
 def load_cell(
     *,
     weights: Weights = "2N,5N,10N",
-    sensor: Annotated[str, typer.Option(help="Name of the load cell [as in the bench file].")] = "",
+    sensor: Annotated[
+        str,
+        typer.Option(
+            help="Name of the load cell.  [default: that of the bench file]", metavar="NAME"
+        ),
+    ] = "",
     input_range: Annotated[
         str, typer.Option("--range", help="Input range of the DAQ's channel.", metavar="V")
     ] = "1.25V",
     options: WeighingOptions,
     wanted: RecordOptions,
 ) -> None:
-    """Determine zero and static sensitivity of the load cell from known weights along z, step by
-    step."""
+    """Calibrate the load cell with weights.
+
+    Determines zero and static sensitivity from known weights along z, step by step.
+    """
     with reported(wanted.debug, wanted.as_json), _stoppable(wanted.as_json):
         from rig.analysis.weighing import fit_load_cell, refuse_outlier, sequence
         from rig.cli.weigh import weigh

@@ -43,9 +43,17 @@ class RecordOptions:
 
     to: Annotated[
         Path | None,
-        typer.Option(help="Folder for the record [calibrations/ next to the bench file]."),
+        typer.Option(
+            help="Folder for the record.  [default: calibrations/ next to the bench file]",
+            metavar="FOLDER",
+        ),
     ] = None
-    operator: Annotated[str, typer.Option(help="Who calibrates [the login name].")] = ""
+    operator: Annotated[
+        str,
+        typer.Option(
+            help="Name of the person who calibrates.  [default: the login name]", metavar="NAME"
+        ),
+    ] = ""
     valid: Annotated[
         str | None,
         typer.Option(help="Period of validity of the record, for example 90d.", metavar="DAYS"),
@@ -53,7 +61,7 @@ class RecordOptions:
     temperature: Annotated[
         float | None, typer.Option(help="Ambient temperature in degrees Celsius.", metavar="degC")
     ] = None
-    notes: Annotated[str, typer.Option(help="Remarks.")] = ""
+    notes: Annotated[str, typer.Option(help="Remarks.", metavar="TEXT")] = ""
     as_json: AsJson = False
     debug: Debug = False
 
@@ -99,7 +107,9 @@ class WeighingOptions:
     yes: Annotated[
         bool, typer.Option("--yes", help="Do not wait for Enter (simulated bench only).")
     ] = False
-    results: Annotated[Path, typer.Option(help="Folder with the guard's report.")] = Path("results")
+    results: Annotated[
+        Path, typer.Option(help="Folder with the guard's report.", metavar="FOLDER")
+    ] = Path("results")
     seed: Seed = 0
     world: World = None
     world_log: WorldLog = None

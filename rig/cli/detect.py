@@ -25,7 +25,9 @@ if TYPE_CHECKING:
 
 
 def detect(
-    files: Annotated[list[Path], typer.Argument(help="Run files (.h5) with the strips' signals.")],
+    files: Annotated[
+        list[Path], typer.Argument(help="Run files (.h5) with the strips' signals.", metavar="FILE")
+    ],
     detector: Annotated[
         str,
         typer.Option(
@@ -43,15 +45,22 @@ def detect(
     ] = DEFAULT_DETECTOR,
     settings: Annotated[
         Path | None,
-        typer.Option(help="TOML file that overrides parameters of the detector.", metavar="TOML"),
+        typer.Option(help="TOML file that overrides parameters of the detector.", metavar="FILE"),
     ] = None,
     to: Annotated[
         Path | None,
-        typer.Option(help="Folder for the results [processed/ next to each file].", metavar="DIR"),
+        typer.Option(
+            help="Folder for the results.  [default: processed/ next to each file]",
+            metavar="FOLDER",
+        ),
     ] = None,
     jobs: Annotated[
         int | None,
-        typer.Option(help="Number of files processed at once [one per processor].", min=1),
+        typer.Option(
+            help="Number of files processed at once.  [default: one per processor]",
+            min=1,
+            metavar="COUNT",
+        ),
     ] = None,
     scheduler: Annotated[
         str | None,

@@ -32,17 +32,22 @@ LONGEST_LINE = 80
 
 Files = Annotated[
     list[Path],
-    typer.Argument(help="Run files, processed files, files of rig skin (.h5) or journals (.rigj)."),
+    typer.Argument(
+        help="Run files, processed files, files of rig skin (.h5) or journals (.rigj).",
+        metavar="FILE",
+    ),
 ]
 Debug = Annotated[bool, typer.Option("--debug", help="Show tracebacks.")]
 
 
 def resume(
-    file: Annotated[Path, typer.Argument(help="Journal or run file of the interrupted run.")],
+    file: Annotated[
+        Path, typer.Argument(help="Journal or run file of the interrupted run.", metavar="FILE")
+    ],
     as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")] = False,
     figures: Annotated[bool, typer.Option(help="Draw the figure of the run.")] = True,
     world_log: Annotated[
-        Path | None, typer.Option(help="File for a simulated bench's own log.")
+        Path | None, typer.Option(help="File for a simulated bench's own log.", metavar="FILE")
     ] = None,
     debug: Debug = False,
 ) -> None:
@@ -93,7 +98,8 @@ def show(
     figures_to: Annotated[
         Path | None,
         typer.Option(
-            help="Draw the figures again, into this folder [that of the run file].", metavar="DIR"
+            help="Draw the figures again, into this folder.  [default: that of the run file]",
+            metavar="FOLDER",
         ),
     ] = None,
     pdf: Annotated[
@@ -310,16 +316,19 @@ def _recomputed(header: RunHeader, readings: Sequence[Reading]) -> Results | Non
 
 
 def analyse(
-    files: Annotated[list[Path], typer.Argument(help="Run files (.h5).")],
+    files: Annotated[list[Path], typer.Argument(help="Run files (.h5).", metavar="FILE")],
     to: Annotated[
         Path | None,
-        typer.Option(help="Folder for the results [processed/ next to each file].", metavar="DIR"),
+        typer.Option(
+            help="Folder for the results.  [default: processed/ next to each file]",
+            metavar="FOLDER",
+        ),
     ] = None,
     debug: Debug = False,
 ) -> None:
-    """Compute and keep the values of the installed analyses of run files.
+    """Compute the values of the installed analyses and save them.
 
-    `rig show` computes and shows the same values without keeping them.
+    `rig show` computes and shows the same values, and saves nothing.
     """
     with reported(debug):
         from rig.files.runfile.reader import RunFile

@@ -32,7 +32,8 @@ def import_(
     file: Annotated[
         Path,
         typer.Argument(
-            help="Text in columns (CSV, tabs), LVM, MATLAB or NumPy npz file; or a folder of them."
+            help="Text in columns (CSV, tabs), LVM, MATLAB or NumPy npz file; or a folder of them.",
+            metavar="FILE",
         ),
     ],
     channels: Annotated[
@@ -54,26 +55,41 @@ def import_(
     scale: Annotated[
         str,
         typer.Option(
-            help="Value of one unit of the file; negative for reversed polarity [1V, 1N, 1s].",
+            help="Value of one unit of the file; negative for reversed polarity.  "
+            "[default: 1V, 1N, 1s]",
             metavar="v_1=1mV,F_n=-2N,…",
         ),
     ] = "",
     delimiter: Annotated[
         Literal["tab", "semicolon", "comma", "space"] | None,
-        typer.Option(help="Separator of a text's columns [recognised]."),
+        typer.Option(
+            help="Separator of a text's columns.  [default: recognised]",
+            metavar="[tab|semicolon|comma|space]",
+        ),
     ] = None,
     decimal: Annotated[
         Literal["point", "comma"] | None,
-        typer.Option(help="Decimal sign of a text [recognised]."),
+        typer.Option(
+            help="Decimal sign of a text.  [default: recognised]", metavar="[point|comma]"
+        ),
     ] = None,
     header_lines: Annotated[
-        int | None, typer.Option(help="Lines above the numbers of a text [recognised].", min=0)
+        int | None,
+        typer.Option(
+            help="Lines above the numbers of a text.  [default: recognised]", min=0, metavar="COUNT"
+        ),
     ] = None,
-    sensor: Annotated[str, typer.Option(help="Sensor that was recorded.")] = "",
-    sample: Annotated[str, typer.Option(help="Sample (skin or film) that was used.")] = "",
-    object_: Annotated[str, typer.Option("--object", help="Object that the skin touched.")] = "",
-    user: Annotated[str, typer.Option(help="Name of the person who recorded it.")] = "",
-    notes: Annotated[str, typer.Option(help="Remarks.")] = "",
+    sensor: Annotated[str, typer.Option(help="Sensor that was recorded.", metavar="NAME")] = "",
+    sample: Annotated[
+        str, typer.Option(help="Sample (skin or film) that was used.", metavar="NAME")
+    ] = "",
+    object_: Annotated[
+        str, typer.Option("--object", help="Object that the skin touched.", metavar="NAME")
+    ] = "",
+    user: Annotated[
+        str, typer.Option(help="Name of the person who recorded it.", metavar="NAME")
+    ] = "",
+    notes: Annotated[str, typer.Option(help="Remarks.", metavar="TEXT")] = "",
     start_time: Annotated[
         str | None,
         typer.Option(
@@ -81,14 +97,16 @@ def import_(
             metavar="2026-11-22T09:30:00+01:00",
         ),
     ] = None,
-    results: Annotated[Path, typer.Option(help="Folder for run files.")] = Path("results"),
+    results: Annotated[Path, typer.Option(help="Folder for run files.", metavar="FOLDER")] = Path(
+        "results"
+    ),
     as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")] = False,
     labels: Annotated[
         Path | None,
         typer.Option(
             help="CSV list of what happened: file, label, motion_s, ridge_slip_s, lift_off_s, … "
             "(s of the record). rig score --files and rig train --files use it.",
-            metavar="CSV",
+            metavar="FILE",
         ),
     ] = None,
     figures: Annotated[bool, typer.Option(help="Draw the figure of the recording.")] = True,

@@ -24,9 +24,14 @@ if TYPE_CHECKING:
     from rig.run.interlocks import InterlockWatch
 
 BENCH_FILE = Path("bench.toml")
-BenchToml = Annotated[Path, typer.Option(help="Bench file.")]
-SameBench = Annotated[Path | None, typer.Option(help="Bench file [bench.toml].")]
-Contact = Annotated[str | None, typer.Argument(help="Name of the contact; all that are latched.")]
+BenchToml = Annotated[Path, typer.Option(help="Bench file.", metavar="FILE")]
+SameBench = Annotated[
+    Path | None, typer.Option(help="Bench file.  [default: bench.toml]", metavar="FILE")
+]
+Contact = Annotated[
+    str | None,
+    typer.Argument(help="Name of the contact.  [default: all that are latched]", metavar="NAME"),
+]
 REMOTE = ("SSH_CONNECTION", "SSH_TTY")
 """Variables of a shell that somebody has opened from another computer."""
 
@@ -67,10 +72,11 @@ def show(context: typer.Context, bench: BenchToml = BENCH_FILE, debug: Debug = F
 def reset(
     context: typer.Context, name: Contact = None, bench: SameBench = None, debug: Debug = False
 ) -> None:
-    """Reset contacts of a person that have opened and are closed again.
+    """Reset `person` contacts that have opened.
 
-    At the bench only, from a terminal of its computer: look at the bench first, nothing else checks
-    it. The time and the user are recorded. Nothing starts by itself afterwards.
+    A contact is reset only when it is closed again. At the bench only, from a terminal of its
+    computer: look at the bench first, nothing else checks it. The time and the user are recorded.
+    Nothing starts by itself afterwards.
     """
     with reported(debug):
         _require_terminal()
@@ -98,11 +104,14 @@ def reset(
 @app.command()
 def proof(
     context: typer.Context,
-    name: Annotated[str, typer.Argument(help="Name of the contact.")],
+    name: Annotated[str, typer.Argument(help="Name of the contact.", metavar="NAME")],
     bench: SameBench = None,
     debug: Debug = False,
 ) -> None:
-    """Have a contact opened and closed by hand, and record with date that both were seen."""
+    """Test a contact by opening and closing it by hand.
+
+    The date is recorded when the program has seen both.
+    """
     from rig.run.interlock_proof import prove
     from rig.run.stopping import StopFlag
 

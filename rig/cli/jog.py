@@ -6,10 +6,11 @@ import logging
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from rig.bench.settings import Fixture
 from rig.cli.option_groups import (
     BenchFile,
     Debug,
@@ -41,23 +42,30 @@ class JogOptions:
     """The settings of hand control, as texts with units."""
 
     step: Annotated[
-        str | None, typer.Option(help="Step of a linear axis per key press [0.1 mm].", metavar="mm")
+        str | None,
+        typer.Option(help="Step of a linear axis per key press.  [default: 0.1 mm]", metavar="mm"),
     ] = None
     speed: Annotated[
-        str | None, typer.Option(help="Speed of linear axes [1 mm/s, the largest].", metavar="mm/s")
+        str | None,
+        typer.Option(help="Speed of linear axes.  [default: 1 mm/s; at most that]", metavar="mm/s"),
     ] = None
     angle_step: Annotated[
         str | None,
-        typer.Option(help="Step of the rotary stage per key press [0.2 deg].", metavar="deg"),
+        typer.Option(
+            help="Step of the rotary stage per key press.  [default: 0.2 deg]", metavar="deg"
+        ),
     ] = None
     turn_speed: Annotated[
         str | None,
-        typer.Option(help="Speed of the rotary stage [2 deg/s, the largest].", metavar="deg/s"),
+        typer.Option(
+            help="Speed of the rotary stage.  [default: 2 deg/s; at most that]", metavar="deg/s"
+        ),
     ] = None
     largest_force: Annotated[
         str | None,
         typer.Option(
-            help="Safety limit on each force axis, not tared; exceeding it stops the bench [5 N].",
+            help="Safety limit on each force axis, not tared; exceeding it stops the bench.  "
+            "[default: 5 N]",
             metavar="N",
         ),
     ] = None
@@ -84,7 +92,9 @@ class JogBench(BenchRequest):
     """The options of hand control that select its bench."""
 
     bench: BenchFile = None
-    results: Annotated[Path, typer.Option(help="Folder for the log.")] = Path("results")
+    results: Annotated[Path, typer.Option(help="Folder for the log.", metavar="FOLDER")] = Path(
+        "results"
+    )
     stages: SimulatedStages = None
     seed: Seed = 0
     world: World = None
@@ -97,11 +107,15 @@ def jog(
     options: JogOptions,
     request: JogBench,
     axis: Annotated[
-        str | None, typer.Option(help="Axis to begin with: stage_z, stage_x or rotary.")
+        str | None,
+        typer.Option(help="Axis to begin with: stage_z, stage_x or rotary.", metavar="NAME"),
     ] = None,
     fixture: Annotated[
-        Literal["film-clamp", "plate", "semi-spherical-object"] | None,
-        typer.Option(help="Fixture of a simulated bench: film-clamp by default."),
+        Fixture | None,
+        typer.Option(
+            help="Fixture of a simulated bench.  [default: film-clamp]",
+            metavar="[film-clamp|plate|semi-spherical-object]",
+        ),
     ] = None,
     debug: Debug = False,
 ) -> None:
@@ -121,7 +135,7 @@ def _perform(
     request: BenchRequest,
     settings: JogSettings,
     axis: str | None,
-    fixture: Literal["film-clamp", "plate", "semi-spherical-object"] | None,
+    fixture: Fixture | None,
     debug: bool,
 ) -> None:
     """Choose the bench, jog it, report how it ended, and exit with its code."""

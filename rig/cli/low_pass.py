@@ -70,7 +70,8 @@ def filter_(
     ] = None,
     rate: Annotated[str, typer.Option(help="Sampling rate.", metavar="Hz")] = "1000",
     results: Annotated[
-        Path, typer.Option(help="Folder for the figure and its data.", file_okay=False)
+        Path,
+        typer.Option(help="Folder for the figure and its data.", file_okay=False, metavar="FOLDER"),
     ] = Path("results"),
     figures: Annotated[
         bool, typer.Option(help="Draw the figure (PNG and SVG) and write its data (CSV).")

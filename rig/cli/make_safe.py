@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 def make_safe(
-    bench: Annotated[Path, typer.Option(help="Bench file.")] = Path("bench.toml"),
+    bench: Annotated[Path, typer.Option(help="Bench file.", metavar="FILE")] = Path("bench.toml"),
     debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
 ) -> None:
     """Put every instrument of a bench into its safe state: motion stopped, outputs off.

@@ -17,12 +17,18 @@ from rig.run.bench_selector import existing_bench_file
 
 
 def monitor(
-    results: Annotated[Path, typer.Option(help="Folder of results to watch.")] = Path("results"),
+    results: Annotated[
+        Path, typer.Option(help="Folder of results to watch.", metavar="FOLDER")
+    ] = Path("results"),
     bench: Annotated[
-        Path | None, typer.Option(help="Bench file, whose instruments are read if no run uses it.")
+        Path | None,
+        typer.Option(
+            help="Bench file, whose instruments are read if no run uses it.", metavar="FILE"
+        ),
     ] = None,
     seconds: Annotated[
-        float | None, typer.Option(help="End after this time [until Ctrl-C].", metavar="s", min=0)
+        float | None,
+        typer.Option(help="End after this time.  [default: at Ctrl-C]", metavar="s", min=0),
     ] = None,
     debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
 ) -> None:

@@ -17,11 +17,14 @@ from typing import Annotated, Any, TypeVar, dataclass_transform, get_origin, get
 import typer
 
 BenchFile = Annotated[
-    Path | None, typer.Option(help="Bench file; without one, ./bench.toml or the simulated bench.")
+    Path | None,
+    typer.Option(
+        help="Bench file; without one, ./bench.toml or the simulated bench.", metavar="FILE"
+    ),
 ]
 AsJson = Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")]
 Debug = Annotated[bool, typer.Option("--debug", help="Show tracebacks.")]
-Seed = Annotated[int, typer.Option(help="Seed of the simulated bench.", min=0)]
+Seed = Annotated[int, typer.Option(help="Seed of the simulated bench.", min=0, metavar="NUMBER")]
 World = Annotated[
     Path | None,
     typer.Option(
@@ -30,8 +33,12 @@ World = Annotated[
         "strips and head drawn by --seed.",
     ),
 ]
-Fault = Annotated[Path | None, typer.Option(help="Fault plan (TOML) of a simulated bench.")]
-WorldLog = Annotated[Path | None, typer.Option(help="File for a simulated bench's own log.")]
+Fault = Annotated[
+    Path | None, typer.Option(help="Fault plan (TOML) of a simulated bench.", metavar="FILE")
+]
+WorldLog = Annotated[
+    Path | None, typer.Option(help="File for a simulated bench's own log.", metavar="FILE")
+]
 
 _MARK = "__option_group__"
 Group = TypeVar("Group")

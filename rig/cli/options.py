@@ -20,6 +20,9 @@ from rig.core.settings import Settings, descriptions, option_name, unit_of
 from rig.core.units import parse
 from rig.run.bench_selector import require_variant, simulated_variants
 
+STATED_DEFAULT = "Default: "
+"""Words in the docstring of a setting before a default that is not a value."""
+
 
 def _variant(name: str | None) -> str | None:
     """Return the name of an installed variant of the simulated bench, or None for the usual one."""
@@ -44,7 +47,7 @@ SimulatedStages = Annotated[
         "--stages",
         callback=_variant,
         metavar=_variants(),
-        help="Stages z and x of a simulated bench; by default the first of these.",
+        help="Stages z and x of a simulated bench.  [default: the first of these]",
     ),
 ]
 """The option ``--stages`` of the commands that can start a simulated bench."""
@@ -76,10 +79,18 @@ def parameters(model: type[Settings]) -> list[inspect.Parameter]:
 
 
 def _metavar(field: str, info: FieldInfo) -> str:
-    """Return what stands for the value in the help: its choices, else its unit, else VALUE."""
+    """Return what stands for the value in the help: its choices, else its unit, else LIST, NAME,
+    COUNT or NUMBER."""
     if get_origin(info.annotation) is Literal:
         return f"[{'|'.join(str(choice) for choice in get_args(info.annotation))}]"
-    return unit_of(field) or "VALUE"
+    if unit := unit_of(field):
+        return unit
+    if _is_list(info):
+        return "LIST"
+    if info.annotation is str:
+        return "NAME"
+    is_count = info.annotation is int and not field.endswith("seed")
+    return "COUNT" if is_count else "NUMBER"
 
 
 def texts_of(model: type[Settings], given: Mapping[str, list[str] | bool | None]) -> dict[str, str]:
@@ -207,8 +218,10 @@ def _excluded_by(info: FieldInfo) -> str:
 
 
 def _help(field: str, info: FieldInfo, said: str) -> str:
-    """Return what an option is for, with what it needs, its default and its range."""
-    words = " ".join(said.split())
+    """Return what an option is for, with what it needs, its default and its range. A docstring may
+    end with a default in words, ``Default: 100 Hz, or what the stages allow.``"""
+    words, _, in_words = " ".join(said.split()).partition(STATED_DEFAULT)
+    words = words.rstrip()
     for other, effective in _needs(info):
         words = f"{words} Only with {_as_given(other, effective)}."
     if other := _needed_field(info):
@@ -222,10 +235,12 @@ def _help(field: str, info: FieldInfo, said: str) -> str:
             shown = f"{len(default)} values, {default[0]:g} to {default[-1]:g}"
         else:
             shown = f"{default:g}" if isinstance(default, float) else str(default)
-        facts.append(f"{shown} {unit_of(field) or ''}".rstrip())
+        facts.append(f"default: {shown} {unit_of(field) or ''}".rstrip())
+    elif in_words:
+        facts.append(f"default: {in_words.removesuffix('.')}")
     if within := _range(info):
         facts.append(within)
-    return f"{words} [{'; '.join(facts)}]" if facts else words
+    return f"{words}  [{'; '.join(facts)}]" if facts else words
 
 
 def _range(info: FieldInfo) -> str:

@@ -15,12 +15,15 @@ PORT = 8470
 
 
 def page(
-    results: Annotated[Path, typer.Option(help="Folder of results to watch.")] = Path("results"),
+    results: Annotated[
+        Path, typer.Option(help="Folder of results to watch.", metavar="FOLDER")
+    ] = Path("results"),
     bench: Annotated[
-        Path | None, typer.Option(help="Bench file, for making the bench safe without a run.")
+        Path | None,
+        typer.Option(help="Bench file, for making the bench safe without a run.", metavar="FILE"),
     ] = None,
     port: Annotated[
-        int, typer.Option(help="Port on 127.0.0.1; 0 for any.", min=0, max=65535)
+        int, typer.Option(help="Port on 127.0.0.1; 0 for any.", min=0, max=65535, metavar="NUMBER")
     ] = PORT,
     rate: Annotated[
         float, typer.Option(help="Most drawings a second.", metavar="Hz", min=1, max=20)

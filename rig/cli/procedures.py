@@ -36,7 +36,9 @@ class ProcedureRequest(BenchRequest):
     """Options that every procedure has."""
 
     bench: BenchFile = None
-    results: Annotated[Path, typer.Option(help="Folder for run files.")] = Path("results")
+    results: Annotated[Path, typer.Option(help="Folder for run files.", metavar="FOLDER")] = Path(
+        "results"
+    )
     seed: Seed = 0
     dry_run: Annotated[
         bool,
@@ -50,9 +52,9 @@ class ProcedureRequest(BenchRequest):
     fault: Fault = None
     world_log: WorldLog = None
     as_json: AsJson = False
-    user: Annotated[str, typer.Option(help="Name of the person who runs it.")] = ""
-    sample: Annotated[str, typer.Option(help="Sample on the bench.")] = ""
-    notes: Annotated[str, typer.Option(help="Remarks.")] = ""
+    user: Annotated[str, typer.Option(help="Name of the person who runs it.", metavar="NAME")] = ""
+    sample: Annotated[str, typer.Option(help="Sample on the bench.", metavar="NAME")] = ""
+    notes: Annotated[str, typer.Option(help="Remarks.", metavar="TEXT")] = ""
     accept: Annotated[
         str,
         typer.Option(

@@ -44,8 +44,8 @@ MODEL_SEEDS, WIRE_SEEDS = "1000000:1001000", "1000000:1000020"
 Seeds = Annotated[
     str | None,
     typer.Option(
-        help=f"Seeds of the random trials, END excluded. Default: {MODEL_SEEDS}; with --wire "
-        f"{WIRE_SEEDS}.",
+        help=f"Seeds of the random trials, END excluded.  [default: {MODEL_SEEDS}; with "
+        f"--wire {WIRE_SEEDS}]",
         metavar="FIRST:END",
     ),
 ]
@@ -73,7 +73,7 @@ Wire = Annotated[
 Files = Annotated[
     Path | None,
     typer.Option(
-        help="CSV list of labelled run files, scored in place of random trials.", metavar="CSV"
+        help="CSV list of labelled run files, scored in place of random trials.", metavar="FILE"
     ),
 ]
 Detectors = Annotated[
@@ -81,19 +81,20 @@ Detectors = Annotated[
     typer.Option(
         "--detector",
         help="Detector to score: impulse, rig, paper-literal, paper-hp, or one of another package "
-        f"(rig detectors); repeatable. Default: {DEFAULT_DETECTOR}.",
+        f"(rig detectors); repeatable.  [default: {DEFAULT_DETECTOR}]",
         metavar="NAME",
     ),
 ]
 DetectorFile = Annotated[
-    Path | None, typer.Option(help="TOML file overriding parameters of the one --detector.")
+    Path | None,
+    typer.Option(help="TOML file overriding parameters of the one --detector.", metavar="FILE"),
 ]
 WithBaselines = Annotated[
     bool,
     typer.Option("--baselines", help="Also score band power, wavelet, CUSUM and a single channel."),
 ]
 BaselineFile = Annotated[
-    Path | None, typer.Option(help="JSON file with baselines, as --tune writes it.")
+    Path | None, typer.Option(help="JSON file with baselines, as --tune writes it.", metavar="FILE")
 ]
 Tune = Annotated[
     Path | None,
@@ -106,25 +107,35 @@ Sweep = Annotated[
     bool, typer.Option(help="Also score at thresholds from 1/8 to 8 times the own one.")
 ]
 PopulationFile = Annotated[
-    Path | None, typer.Option(help="JSON file with the ranges of the trials.")
+    Path | None, typer.Option(help="JSON file with the ranges of the trials.", metavar="FILE")
 ]
 ShowPopulation = Annotated[
     bool, typer.Option("--show-population", help="Print the ranges of the trials and exit.")
 ]
 FrontEndFile = Annotated[
-    Path | None, typer.Option(help="JSON file with the ranges of noise, mains and gains.")
+    Path | None,
+    typer.Option(help="JSON file with the ranges of noise, mains and gains.", metavar="FILE"),
 ]
 ShowFrontEnd = Annotated[
     bool,
     typer.Option("--show-front-end", help="Print the ranges of noise, mains and gains and exit."),
 ]
-SkinFile = Annotated[Path | None, typer.Option(help="JSON file with the settings of the skin.")]
+SkinFile = Annotated[
+    Path | None, typer.Option(help="JSON file with the settings of the skin.", metavar="FILE")
+]
 Elements = Annotated[
-    int | None, typer.Option(help="Finite elements along a ridge. Default: 16.", min=2, max=40)
+    int | None,
+    typer.Option(
+        help="Finite elements along a ridge.  [default: 16]", min=2, max=40, metavar="COUNT"
+    ),
 ]
 RidgeRead = Annotated[
     int | None,
-    typer.Option(help="Ridge whose strips are read; 1 is the leftmost. Default: 3.", min=1),
+    typer.Option(
+        help="Ridge whose strips are read; 1 is the leftmost.  [default: 3]",
+        min=1,
+        metavar="NUMBER",
+    ),
 ]
 YoungsModulus = Annotated[
     str | None, typer.Option(help="Young's modulus of the skin.", metavar="MPa")
@@ -136,8 +147,12 @@ Speed = Annotated[
 SwappedGains = Annotated[
     bool, typer.Option("--swapped-gains", help="Exchange the amplifiers of the two channels.")
 ]
-Jobs = Annotated[int, typer.Option(help="Number of parallel processes.", min=1, max=64)]
-Out = Annotated[Path, typer.Option(help="New folder for tables and figures.", file_okay=False)]
+Jobs = Annotated[
+    int, typer.Option(help="Number of parallel processes.", min=1, max=64, metavar="COUNT")
+]
+Out = Annotated[
+    Path, typer.Option(help="New folder for tables and figures.", file_okay=False, metavar="FOLDER")
+]
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
 Debug = Annotated[bool, typer.Option("--debug", help="Show tracebacks of errors.")]
 

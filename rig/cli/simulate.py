@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from rig.bench.settings import Fixture
 from rig.cli.option_groups import World
 from rig.cli.options import SimulatedStages
 from rig.cli.outcome import reported, say
@@ -19,8 +20,8 @@ if TYPE_CHECKING:
 
 def simulate(
     fixture: Annotated[
-        Literal["film-clamp", "plate", "semi-spherical-object"],
-        typer.Option(help="Mounted fixture."),
+        Fixture,
+        typer.Option(help="Mounted fixture.", metavar="[film-clamp|plate|semi-spherical-object]"),
     ] = "film-clamp",
     stages: SimulatedStages = None,
     replace: Annotated[
@@ -30,12 +31,17 @@ def simulate(
             help="Use the installed simulator of another driver, such as force_sensor=acme-f10.",
         ),
     ] = None,
-    seed: Annotated[int, typer.Option(help="Seed of films and noise.", min=0)] = 0,
+    seed: Annotated[
+        int, typer.Option(help="Seed of films and noise.", min=0, metavar="NUMBER")
+    ] = 0,
     world: World = None,
-    fault: Annotated[Path | None, typer.Option(help="Fault plan (TOML).")] = None,
-    world_log: Annotated[Path | None, typer.Option(help="File for the World's own log.")] = None,
+    fault: Annotated[Path | None, typer.Option(help="Fault plan (TOML).", metavar="FILE")] = None,
+    world_log: Annotated[
+        Path | None, typer.Option(help="File for the World's own log.", metavar="FILE")
+    ] = None,
     write: Annotated[
-        Path | None, typer.Option(help="Write the bench file here instead of to stdout.")
+        Path | None,
+        typer.Option(help="Write the bench file here instead of to stdout.", metavar="FILE"),
     ] = None,
     debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
 ) -> None:

@@ -60,12 +60,14 @@ At = Annotated[
 class OutputOptions:
     """Options that all commands of the skin have in common."""
 
-    results: Annotated[Path, typer.Option(help="Folder for data and figures.", file_okay=False)] = (
-        Path("results")
-    )
+    results: Annotated[
+        Path, typer.Option(help="Folder for data and figures.", file_okay=False, metavar="FOLDER")
+    ] = Path("results")
     settings: Annotated[
         Path | None,
-        typer.Option(help="JSON file with settings, as --show-settings prints them."),
+        typer.Option(
+            help="JSON file with settings, as --show-settings prints them.", metavar="FILE"
+        ),
     ] = None
     show_settings: Annotated[
         bool, typer.Option("--show-settings", help="Print the settings as JSON and exit.")
@@ -82,7 +84,9 @@ class SkinOptions:
 
     skin: Annotated[
         Path | None,
-        typer.Option(help="JSON file with the settings of the skin; replaces --elements."),
+        typer.Option(
+            help="JSON file with the settings of the skin; replaces --elements.", metavar="FILE"
+        ),
     ] = None
     show_skin: Annotated[
         bool, typer.Option("--show-skin", help="Print the settings of the skin as JSON and exit.")
@@ -90,7 +94,10 @@ class SkinOptions:
     elements: Annotated[
         int,
         typer.Option(
-            help="Finite elements along a ridge; fewer than 6 are fast but coarse.", min=2, max=40
+            help="Finite elements along a ridge; fewer than 6 are fast but coarse.",
+            min=2,
+            max=40,
+            metavar="COUNT",
         ),
     ] = 8
     normal_force: Annotated[str, typer.Option(help="Normal force F_n.", metavar="N")] = "4N"
@@ -137,7 +144,10 @@ def slide(
     pressed: SkinOptions,
     output: OutputOptions,
 ) -> None:
-    """Press a plate on and slide it; draw v_d, forces, stick-slip map and the deformed skin."""
+    """Press a plate on and slide it.
+
+    Draws v_d, forces, stick-slip map and the deformed skin.
+    """
     from rig.physics.trials import PressSettings, SlideSettings
     from rig.physics.trials import slide as run
 
@@ -175,7 +185,10 @@ def roll(
     pressed: SkinOptions,
     output: OutputOptions,
 ) -> None:
-    """Press a cylinder or sphere on and roll it; draw v_d, forces, sticking, the deformed skin."""
+    """Press a cylinder or sphere on and roll it.
+
+    Draws v_d, forces, sticking and the deformed skin.
+    """
     from rig.physics.trials import RollSettings
     from rig.physics.trials import roll as run
 
@@ -214,7 +227,10 @@ def history(
     ] = None,
     output: OutputOptions,
 ) -> None:
-    """Run the paper's simulation 4.2; draw stress difference, rate and deformed skin."""
+    """Run the simulation of the paper's 4.2.
+
+    Draws stress difference, rate and the deformed skin.
+    """
     from rig.physics.loading_history import RELIEFS, HistorySettings, run_history
     from rig.physics.skin.elasticity import STRESSES, ElasticSkin
     from rig.physics.skin.field import deformed
@@ -264,7 +280,10 @@ def history(
 def map_(
     output: OutputOptions,
 ) -> None:
-    """Map v_d of a slide over ridge, place of the strips and stress component."""
+    """Map v_d of a slide by place of the strips.
+
+    Over ridge, place of the strips and stress component.
+    """
     from rig.physics.design_map import MapSettings, design_map
 
     with reported(output.debug, output.as_json), model_errors():

@@ -36,12 +36,14 @@ the bench twice as it was recorded and through two."""
 
 
 def train(
-    out: Annotated[Path, typer.Option(help="Network file to write (JSON).", dir_okay=False)],
+    out: Annotated[
+        Path, typer.Option(help="Network file to write (JSON).", dir_okay=False, metavar="FILE")
+    ],
     seeds: Annotated[
         str | None,
         typer.Option(
             help="Seeds of trials of the skin model, END excluded. Each seed gives one trial of "
-            f"each kind. Default: {MODEL_SEEDS}, or none with --wire or --files.",
+            f"each kind.  [default: {MODEL_SEEDS}; none with --wire or --files]",
             metavar="FIRST:END",
         ),
     ] = None,
@@ -58,16 +60,18 @@ def train(
         typer.Option(
             help="CSV list of run files, labelled as for `rig score --files`. Roll trials need no "
             "label: they have no slip.",
-            metavar="CSV",
+            metavar="FILE",
         ),
     ] = None,
     population: Annotated[
         Path | None,
-        typer.Option(help="JSON file with the ranges of the model's trials."),
+        typer.Option(help="JSON file with the ranges of the model's trials.", metavar="FILE"),
     ] = None,
     front_end: Annotated[
         Path | None,
-        typer.Option(help="JSON file with the ranges of the front end of the model's trials."),
+        typer.Option(
+            help="JSON file with the ranges of the front end of the model's trials.", metavar="FILE"
+        ),
     ] = None,
     everything: Annotated[
         bool,
@@ -79,18 +83,32 @@ def train(
     members: Annotated[
         int,
         typer.Option(
-            help="Number of networks that are trained apart and averaged into one.", min=1, max=16
+            help="Number of networks that are trained apart and averaged into one.",
+            min=1,
+            max=16,
+            metavar="COUNT",
         ),
     ] = 2,
-    units: Annotated[int, typer.Option(help="Hidden units of each of them.", min=1, max=256)] = 64,
+    units: Annotated[
+        int, typer.Option(help="Hidden units of each of them.", min=1, max=256, metavar="COUNT")
+    ] = 64,
     epochs: Annotated[
-        int, typer.Option(help="Number of passes over all recordings.", min=1, max=1000)
+        int,
+        typer.Option(
+            help="Number of passes over all recordings.", min=1, max=1000, metavar="COUNT"
+        ),
     ] = 40,
     seed: Annotated[
         int,
-        typer.Option(help="Seed of the initial weights and of the order of the recordings.", min=0),
+        typer.Option(
+            help="Seed of the initial weights and of the order of the recordings.",
+            min=0,
+            metavar="NUMBER",
+        ),
     ] = 0,
-    jobs: Annotated[int, typer.Option(help="Number of parallel processes.", min=1, max=64)] = 1,
+    jobs: Annotated[
+        int, typer.Option(help="Number of parallel processes.", min=1, max=64, metavar="COUNT")
+    ] = 1,
     debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks of errors.")] = False,
 ) -> None:
     """Train the network of the detector `rig` on trials whose truth is known."""

@@ -169,13 +169,13 @@ def test_every_field_becomes_one_option_with_unit_and_default_in_its_help() -> N
     found = {p.name: p.annotation.__metadata__[0] for p in parameters(Example)}
     assert list(found) == list(Example.model_fields)
     assert found["normal_force_N"].metavar == "N"
-    assert found["normal_force_N"].help == "Preload. [2 N; above 0, at most 20]"
-    assert found["speeds_mm_s"].help == "Speeds. [2 values, 1 to 5 mm/s]"
-    assert found["cycles"].metavar == "VALUE"
+    assert found["normal_force_N"].help == "Preload.  [default: 2 N; above 0, at most 20]"
+    assert found["speeds_mm_s"].help == "Speeds.  [default: 2 values, 1 to 5 mm/s]"
+    assert found["cycles"].metavar == "COUNT"
     assert found["rate_S_s"].help == "Rate, if not the usual one."
-    assert found["cycles"].help == "Cycles. [4; at least 1]"
-    assert found["speed_mm_s"].help == "Speed. Not with --speeds. [1 mm/s]"
-    assert found["ramp_N_s"].help == "Rate. Only with --loading ramp. [2 N/s]"
+    assert found["cycles"].help == "Cycles.  [default: 4; at least 1]"
+    assert found["speed_mm_s"].help == "Speed. Not with --speeds.  [default: 1 mm/s]"
+    assert found["ramp_N_s"].help == "Rate. Only with --loading ramp.  [default: 2 N/s]"
 
 
 def test_an_option_without_effect_is_refused_with_what_it_needs() -> None:

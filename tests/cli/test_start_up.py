@@ -57,9 +57,9 @@ def test_a_procedures_help_shows_its_settings_with_units_and_defaults() -> None:
     shown = " ".join(rig("sweep", "--help").stdout.split())
     for words in (
         "--load N",
-        "[1 N; above 0]",
+        "[default: 1 N; above 0]",
         "--preload N",
-        "[25 N; above 0]",
+        "[default: 25 N; above 0]",
         "--settling s",
         "--dry-run",
         "--json",
