@@ -255,7 +255,7 @@ class PressedTrial:
         for one in self.record.detections:
             if one.kind == SLIP:
                 self.run.inform(
-                    f"{self.record.point}: Slip detected at {one.time_s:.3f} s "
+                    f"{self.record.point}: incipient slip at {one.time_s:.3f} s "
                     f"({self.settings.detector})"
                 )
 

@@ -42,6 +42,7 @@ class TrialProcedure(Procedure):
 
     streams: ClassVar[tuple[StreamPlan, ...]] = STREAMS
     drift: ClassVar[Mapping[str, DriftFigure]] = TOUCH_DRIFT
+    stated_in_title: ClassVar[str] = "normal_force_N"
     summary_labels: ClassVar[Mapping[str, str]] = SUMMARY_LABELS
     point_name = ("trial", "trials")
     method = (

@@ -64,6 +64,7 @@ class Sweep(Procedure):
     Settings = SweepSettings
     layout = sweep_layout.LAYOUT
     streams = (StreamPlan("waveform", "daq", CHANNELS, "Load cell and film, raw counts"),)
+    stated_in_title = "preload_N"
     summary_labels = {  # noqa: RUF012
         "model.level": "level b at 1 Hz, at the mean preload; the World's is at its nominal one",
         "force_zero_N": contact.ZERO_LABEL,

@@ -18,6 +18,7 @@ from rig.detector import DEFAULT_DETECTOR
 if TYPE_CHECKING:
     from rich.progress import Progress, TaskID
 
+    from rig.detector.events import EventKind
     from rig.detector.registered import ChosenDetector
     from rig.processing.detection import DetectionFailure, DetectionJob, DetectionResult
 
@@ -31,15 +32,10 @@ def detect(
     detector: Annotated[
         str,
         typer.Option(
-            help="impulse, rig, paper-literal, paper-hp, or one of another package (rig "
-            "detectors). On the simulated bench (decision 0126) paper-hp finds 5 slips of 10 in "
-            "time and alarms falsely in 1 of 50 trials without a slip, but where the object is let "
-            "go; rig finds 9 of 10 and alarms falsely in 1 of 110 where the commands of x and of "
-            "the held force are known, as in this program's trials, else 6 of 7 and 1 of 50; it "
-            "misses 1 slip of 4 in holds and re-grips, 1 of 6 by a falling force, and 1 of 4 where "
-            "friction hardly falls; impulse finds 2 of 3 and alarms falsely in 1 of 16. A grip "
-            "needs 95 % in time: none is shown to be good enough, and the default stays until one "
-            "is.",
+            help="One of rig detectors. paper-hp misses half of the simulated slips and alarms "
+            "falsely when the object is let go; rig misses some in holds and re-grips, by a "
+            "falling force and where friction hardly falls; impulse alarms falsely most often. "
+            "For a grip none is shown to be good enough, and the default stays until one is.",
             metavar="NAME",
         ),
     ] = DEFAULT_DETECTOR,
@@ -191,18 +187,16 @@ def _report(file: Path, answer: Answer, as_json: bool, debug: bool) -> None:
 def _in_words(found: DetectionResult) -> str:
     """Return the result as one line, ``1 trial: 1 incipient slip (first at 6.384 s of trial-001),
     2 motions under load begun. Saved FILE; draw with: rig show --figures FILE``."""
+    from rig.detector.events import counted_events
+
     parts = []
     if slips := found.events.get("incipient slip", 0):
         assert found.first_slip is not None
         trial, time_s = found.first_slip
-        parts.append(f"{counted(slips, 'incipient slip')} (first at {time_s:.3f} s of {trial})")
-    for kind, one, many in (
-        ("predictive", "motion under load begun", "motions under load begun"),
-        ("roll", "roll", "rolls"),
-        ("rejected", "ignored", "ignored"),
-    ):
-        if count := found.events.get(kind, 0):
-            parts.append(f"{count} {one if count == 1 else many}")
+        first = f"first at {time_s:.3f} s of {trial}"
+        parts.append(f"{counted_events('incipient slip', slips)} ({first})")
+    kinds: tuple[EventKind, ...] = ("predictive", "roll", "rejected")
+    parts += [counted_events(kind, n) for kind in kinds if (n := found.events.get(kind, 0))]
     parts += [f"cannot judge {seconds:.3f} s ({why})" for why, seconds in found.unjudged_s.items()]
     if count := found.without_touch:
         parts.append(f"cannot judge {counted(count, 'trial')} (no touch was seen)")

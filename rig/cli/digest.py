@@ -66,6 +66,8 @@ def of_run(
 def of_processed(description: Mapping[str, Any], usual: Mapping[str, Any]) -> list[str]:
     """Return the lines for a processed file, from its whole description and the parameters that its
     detector has by default."""
+    from rig.detector.events import EVENT_KINDS, SHOWN_AS, counted_events
+
     names = [f"{description['detector']} {description['version']}", description.get("package", "")]
     head = [f"file: {end_of(description['file'], COLUMNS - 6)}", f"title: {description['title']}"]
     head += [f"run: {end_of(description['run'], COLUMNS - 5)}"]
@@ -79,11 +81,12 @@ def of_processed(description: Mapping[str, Any], usual: Mapping[str, Any]) -> li
     kinds = Counter(event.partition(" at ")[0] for _, event in events)
     slips = [f"{trial}: {event}" for trial, event in events if event.startswith("incipient slip")]
     others = [f"{trial}: {event}" for trial, event in events if "judge" in event]
-    found = ", ".join(f"{number} {kind}" for kind, number in kinds.items())
-    trials = counted(len(description["trials"]), "trial")
+    in_order = sorted(EVENT_KINDS, key="incipient slip".__ne__)
+    counts = [counted_events(k, kinds[SHOWN_AS[k]]) for k in in_order if SHOWN_AS[k] in kinds]
+    found = f"{counted(len(description['trials']), 'trial')}: {', '.join(counts) or 'nothing found'}"
     sections = [
         Section("parameters", [_pairs(changed) or AT_DEFAULTS], rank=1),
-        Section("found", [f"{found} in {trials}", *slips, *others], rank=0),
+        Section("found", [found, *slips, *others], rank=0),
     ]
     return on_a_screen(head, sections, [MORE_AND_FIGURES])
 

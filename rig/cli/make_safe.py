@@ -10,15 +10,18 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from rig.cli.outcome import reported, say
+from rig.cli.outcome import reported, say, say_failure
 from rig.core.errors import ConfigurationError, ExitCode, RigError, UnsafeError
 
 if TYPE_CHECKING:
     from rig.bench.plan import Restable
 
 
+BENCH_FILE = Path("bench.toml")
+
+
 def make_safe(
-    bench: Annotated[Path, typer.Option(help="Bench file.", metavar="FILE")] = Path("bench.toml"),
+    bench: Annotated[Path, typer.Option(help="Bench file.", metavar="FILE")] = BENCH_FILE,
     debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
 ) -> None:
     """Put every instrument of a bench into its safe state: motion stopped, outputs off.
@@ -37,9 +40,9 @@ def make_safe(
 
         if not bench.exists():
             raise ConfigurationError(
-                f"there is no bench file {bench}",
-                "name the one of the bench with --bench; the simulated bench that a command starts "
-                "for itself makes itself safe",
+                f"no {bench} here" if bench == BENCH_FILE else f"there is no bench file {bench}",
+                "name the bench file with --bench (a simulated bench that a command starts for "
+                "itself makes itself safe)",
             )
         text = read_text(bench, "bench file", MAX_TOML_BYTES)
         described = parse_to_make_safe(text, str(bench))
@@ -58,9 +61,11 @@ def make_safe(
         if roles:
             say(f"{name}: {', '.join(roles)} made safe")
         if not safe or described.settings is None:
+            for role, why in failures.items():
+                say_failure(UnsafeError(f"{role}: {why}"), debug)
             raise UnsafeError(
-                "; ".join(f"{role}: {why}" for role, why in failures.items()),
-                "switch the bench off by hand and find out why",
+                f"NOT SAFE: {', '.join(failures) or name}. Switch the bench off by hand and find "
+                "out why"
             )
         _clear_marks(described)
         if failures:

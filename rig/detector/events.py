@@ -22,8 +22,24 @@ SHOWN_AS: dict[EventKind, str] = {
     "cannot judge": "cannot judge",
     "judges again": "judges again",
 }
-"""What the kinds are called where people read them. The paper calls the first one predictive; it
-comes in every hold and roll as well, so that it predicts no slip."""
+"""What the kinds are called where people read them, in the singular. The paper calls the first one
+predictive; it comes in every hold and roll as well, so that it predicts no slip."""
+
+_SEVERAL: dict[EventKind, str] = {
+    "predictive": "motions under load begun",
+    "incipient slip": "incipient slips",
+    "roll": "rolls",
+}
+
+
+def counted_events(kind: EventKind, number: int) -> str:
+    """Return how often a kind of event was found.
+
+    >>> counted_events("predictive", 2)
+    '2 motions under load begun'
+    """
+    several = _SEVERAL.get(kind, SHOWN_AS[kind])
+    return f"{number} {SHOWN_AS[kind] if number == 1 else several}"
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from typing import Any
 import rig
 from rig.bench.connected import Bench
 from rig.core.errors import ConfigurationError
-from rig.core.settings import Settings, fingerprint, leaves
+from rig.core.settings import Settings, fingerprint, leaves, name_without_unit, unit_of
 from rig.files.journal.reader import JournalContents
 from rig.files.journal.writer import JournalWriter, begin_journal, begin_journal_at
 from rig.run.guard import GUARD_SUFFIX, report_path
@@ -177,16 +177,29 @@ class RunJob:
         passed_s = (datetime.now().astimezone() - begun).total_seconds()
         return max(passed_s, self.resume.last_time)
 
+    def _title(self, bench: Bench) -> str:
+        """Return what was measured, such as ``sweep of film 'A', 25 N preload``."""
+        mounted, name = bench.settings.fixture.mounted, self.procedure.stated_in_title
+        film = bench.settings.film.name if bench.settings.film is not None else ""
+        of_film = f"of film {film!r}" if film else "of a film"
+        on = of_film if mounted == "film-clamp" else f"on {mounted}"
+        title = f"{self.procedure.name} {on}"
+        value = getattr(self.settings, name, None)
+        if not isinstance(value, float):
+            return title
+        words = name_without_unit(name).replace("_", " ")
+        return f"{title}, {value:g} {unit_of(name) or ''} {words}"
+
     def _header(
         self, bench: Bench, points: Sequence[Point], time_of_day: TimeOfDay
     ) -> dict[str, Any]:
         bench_toml = self.recorded_toml or bench.plan.text
         simulated = bench.simulated
-        marker = "SIMULATED " if simulated else ""
+        marker = "SIMULATED – " if simulated else ""
         return {
             "procedure": self.procedure.name,
             "layout": self.procedure.layout.to_json(),
-            "title": f"{marker}{self.procedure.name} on bench {bench.settings.name}",
+            "title": marker + self._title(bench),
             "run_uuid": str(uuid.uuid4()),
             "collection": self.collection,
             "run_number": self.run_number,

@@ -97,6 +97,8 @@ class Procedure(ABC):
     """Every stream that `take` records."""
     drift: ClassVar[Mapping[str, DriftFigure]] = MappingProxyType({})
     """Numbers of the summary by which a batch's reference run shows wear, by their key."""
+    stated_in_title: ClassVar[str] = ""
+    """Field of the settings whose value the title of a run states, such as ``preload_N``."""
     summary_labels: ClassVar[Mapping[str, str]] = MappingProxyType({})
     """Label and, after a semicolon, unit of values of the summary, by name, for the terminal. The
     other values are shown by their names."""

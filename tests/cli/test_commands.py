@@ -231,9 +231,12 @@ def test_a_bench_in_real_time_is_driven_made_safe_and_ended(rig: Any) -> None:
 
     gone = rig.run("make-safe", "--bench", "sim.toml")
     assert gone.code == 7
-    (error,) = gone.errors
-    for words in ("generator: OUTP1 0", "daq: STOP", "stage_z: ", "by hand"):
-        assert words in error
+    *reasons, last = gone.errors
+    for words in ("error: generator: OUTP1 0", "error: daq: STOP", "error: stage_z: "):
+        assert [line for line in reasons if line.startswith(words)], words
+    assert last.startswith("error: NOT SAFE: ")
+    for words in ("generator", "daq", "stage_z", "Switch the bench off by hand and find out why"):
+        assert words in last
 
 
 def test_make_safe_clears_the_mark_that_kept_runs_from_starting(rig: Any) -> None:

@@ -232,7 +232,7 @@ def test_an_imported_recording_is_processed_and_marked(rig: Any) -> None:
     assert result["simulated"] is None
     assert result["events"]["incipient slip"] == 1
     shown = rig.run("show", "--no-figures", result["file"])
-    assert "title: IMPORTED Slips detected: recording own.csv" in shown.stdout
+    assert "title: IMPORTED – slip detection in 1 trial: recording own.csv" in shown.stdout
     assert rig.run("verify", result["file"]).code == 0
 
 

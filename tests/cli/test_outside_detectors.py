@@ -317,7 +317,7 @@ def test_it_runs_beside_a_trial_and_the_grip_answers_it(rig: Any) -> None:
         "--distance", "0.4mm", "--rest", "100ms", "--force-error-peak", "100",
     )  # fmt: skip
     assert done.code in (0, 5), done.stderr
-    assert "Slip detected at " in done.stderr
+    assert "incipient slip at " in done.stderr
     with RunFile.open(rig.folder / done.object["file"]) as run:
         (reading,) = run.readings()
     (live,) = from_text(reading["detections"])

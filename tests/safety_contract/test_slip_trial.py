@@ -74,7 +74,7 @@ def test_a_trial_shows_what_the_model_does_and_measures_the_friction(rig, skin8)
     ]
     assert events.count("slip-detected") == [one.kind for one in live].count("incipient slip") > 0
     slip_s = next(one.time_s for one in live if one.kind == "incipient slip")
-    assert f"trial-001: Slip detected at {slip_s:.3f} s (paper-hp)" in ended.stderr
+    assert f"trial-001: incipient slip at {slip_s:.3f} s (paper-hp)" in ended.stderr
     assert len(ticks) == len(series["position"].counts["z"])
     assert (np.diff(ticks) > 0).all()
     assert reading["force_error_rms_percent"] < 2

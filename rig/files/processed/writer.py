@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rig.core.settings import fingerprint, leaves, unit_of
+from rig.core.units import counted
 from rig.files.errors import RecordingError, RunFileError
 from rig.files.hdf5.guarded_file import GuardedFile
 from rig.files.hdf5.nexus import (
@@ -114,7 +115,7 @@ def _write(
             _write_root(file, name, source)
             entry = group(file, "entry", "NXentry")
             entry.attrs["default"] = "data"
-            _write_source(entry, source)
+            _write_source(entry, source, len(trials))
             _write_process(entry, detector, made_by)
             _write_events(group(entry, "events", "NXcollection"), trials)
             _write_trials(entry, source, trials)
@@ -142,9 +143,9 @@ def _write_root(file: h5py.File, name: str, source: ProcessedSource) -> None:
     file.attrs["h5py_version"] = h5py.version.version
 
 
-def _write_source(entry: h5py.Group, source: ProcessedSource) -> None:
+def _write_source(entry: h5py.Group, source: ProcessedSource, trials: int) -> None:
     text_field(entry, "definition", DEFINITION).attrs["version"] = LAYOUT_VERSION
-    text_field(entry, "title", marked(source, f"Slips detected: {_unmarked(source)}"))
+    text_field(entry, "title", _title(source, trials))
     for name in ("start_time", "end_time"):
         if getattr(source, name) is not None:
             text_field(entry, name, getattr(source, name))
@@ -161,8 +162,14 @@ def marked(source: ProcessedSource, title: str) -> str:
     return f"{source.mark} {title}" if source.mark else title
 
 
+def _title(source: ProcessedSource, trials: int) -> str:
+    """Return ``SIMULATED – slip detection in 2 trials: slip-trial on plate, 4 N normal force``."""
+    dash = f"{source.mark} – " if source.mark else ""
+    return f"{dash}slip detection in {counted(trials, 'trial')}: {_unmarked(source)}"
+
+
 def _unmarked(source: ProcessedSource) -> str:
-    return source.title.removeprefix(source.mark).lstrip() or source.file_name
+    return source.title.removeprefix(source.mark).lstrip(" –") or source.file_name
 
 
 def _write_process(entry: h5py.Group, detector: StatedDetector, made_by: str) -> None:
