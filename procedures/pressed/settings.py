@@ -338,10 +338,10 @@ def _put_in(readings: Sequence[Reading]) -> list[str]:
     if (body := known.get("object", {})).get("shape") in ("cylinder", "sphere"):
         shape = f"a {body['shape']} of {body['radius_mm']:g} mm radius"
         other = ", not the paper's semi-spherical head" if body["shape"] == "cylinder" else ""
-        lines.append(f"Put in by the World: the object is {shape}{other} (radius ASSUMED).")
+        lines.append(f"In the simulation the object is {shape}{other} (radius ASSUMED).")
     if "static_coefficient" in known:
         lines.append(
-            f"Put in by the World: friction {known['static_coefficient']:g} at rest, "
+            f"True values in the simulation: friction {known['static_coefficient']:g} at rest, "
             f"{known['kinetic_coefficient']:g} in motion, over "
             f"{known['weakening_distance_um']:g} um (ASSUMED), and the skin: its finger radius is "
             "calibrated so that all nine ridges touch at 4 N, its other dimensions are ASSUMED "

@@ -169,7 +169,7 @@ def _valued(estimate: Mapping[str, Any]) -> str:
 
 
 def _of_world(value: float | None) -> str:
-    return "" if value is None or math.isnan(value) else f" (World: {value:.6g})"
+    return "" if value is None or math.isnan(value) else f" (true value: {value:.6g})"
 
 
 def _truth(readings: Sequence[Reading]) -> FilmTruth | None:

@@ -179,7 +179,7 @@ def _brief(header: RunHeader, procedure: type[Procedure] | None, results: Result
             return CheckedProcedure(procedure(settings)).in_brief(results.values, results.put_in)
         except (RigError, ValueError):  # ValueError: settings of another version
             pass
-    return single_values(results.values, results.put_in)
+    return single_values(results.values, results.put_in, results.labels)
 
 
 def _flat(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:

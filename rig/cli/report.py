@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from collections.abc import Mapping, Sequence, Set
 from typing import TYPE_CHECKING, Any, Self
 
@@ -11,7 +12,6 @@ from rich.progress import BarColumn, Progress, ProgressColumn, Task, TaskID, Tex
 from rich.text import Text
 
 from rig.cli.outcome import say, say_failure, turning
-from rig.core.settings import name_without_unit, unit_of
 from rig.core.units import counted, duration
 from rig.figures.drawing import DrawingProcess, Drawn
 from rig.run.observers import HOLD, PAUSED, RUNNING, RunObserver
@@ -147,32 +147,21 @@ def finish(
     if as_json:
         print(json.dumps(as_object(outcome, [str(path) for path in drawn.files])))  # noqa: T201 - stdout carries data
     else:
-        _report_summary(procedure, outcome)
+        _report_summary(outcome)
     for line in closing_lines(procedure, outcome, drawn.files):
         say(line)
 
 
-def _report_summary(procedure: type[Procedure], outcome: RunOutcome) -> None:
-    for name, value in outcome.summary.items():
-        if isinstance(value, list) and all(isinstance(item, str) for item in value):
-            for sentence in value:
-                say(f"  {sentence}")
-        elif isinstance(value, list):
-            numbers = ", ".join(f"{item:.4g}" for item in value)
-            say(f"  {_labelled(procedure, name, numbers)}")
-        elif not isinstance(value, dict):  # Tables are shown by --json only.
-            shown = f"{value:.4g}" if isinstance(value, float) else str(value)
-            say(f"  {_labelled(procedure, name, shown)}")
-    if outcome.file is not None:
+def _report_summary(outcome: RunOutcome) -> None:
+    """Report the results in brief; the file's path goes to stdout for a program that reads it. A
+    person at a terminal sees it in the closing lines."""
+    if outcome.in_brief:
+        scattered = any(" ± " in line for line in outcome.in_brief) and "trials" in outcome.summary
+        say("Results (mean ± standard deviation):" if scattered else "Results:")
+    for line in outcome.in_brief:
+        say(f"  {line}")
+    if outcome.file is not None and not sys.stdout.isatty():
         print(outcome.file, flush=True)  # noqa: T201 - stdout carries data
-
-
-def _labelled(procedure: type[Procedure], name: str, shown: str) -> str:
-    """Return ``label: value unit`` for a value of the summary."""
-    unit = {None: "", "percent": " %"}.get(unit_of(name), f" {unit_of(name)}")
-    label = procedure.summary_labels.get(name, name_without_unit(name).replace("_", " "))
-    label, _, stated = label.partition(";")
-    return f"{label}: {shown}{f' {stated.strip()}' if stated else unit}"
 
 
 def finish_dry_run(procedure: type[Procedure], outcome: RunOutcome, as_json: bool) -> None:

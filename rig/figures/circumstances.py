@@ -102,4 +102,4 @@ def _object_of(run: RunFile) -> str:
     body = json.loads(str(account)).get("object", {})
     if body.get("shape") not in ("cylinder", "sphere"):
         return name
-    return f"{name} (World: {body['shape']}, {body['radius_mm']:g} mm radius)"
+    return f"{name} (simulated: {body['shape']}, {body['radius_mm']:g} mm radius)"

@@ -35,6 +35,7 @@ from rig.run.checked_procedure import CheckedProcedure, internal
 from rig.run.context import Run
 from rig.run.guard import GuardLink
 from rig.run.holds import PauseSwitch
+from rig.run.in_brief import single_values
 from rig.run.interlock_proof import prove
 from rig.run.interlock_store import InterlockStore
 from rig.run.interlocks import InterlockError
@@ -397,6 +398,10 @@ class _Execution:
             self.outcome.summary = found.values
             if self.readings:
                 self.recorder.put_results(found)
+            try:
+                self.outcome.in_brief = self.procedure.in_brief(found.values, found.put_in)
+            except RigError:  # a bug of the procedure: its values are shown one by one
+                self.outcome.in_brief = single_values(found.values, found.put_in, found.labels)
         except Exception as error:  # noqa: BLE001 - a bug in an analysis does not end what follows
             reported_error = error if isinstance(error, RigError) else internal(error)
             self.outcome.warnings.append(f"no results in the run file: {reported_error.one_line()}")

@@ -6,17 +6,21 @@ from collections.abc import Mapping
 from typing import Any
 
 from rig.analysis.estimate import with_error
+from rig.core.settings import name_without_unit, unit_of
 
 MEAN, DEVIATION = "mean_", "standard_deviation_"
 
 
-def single_values(summary: Mapping[str, Any], put_in: Mapping[str, Any]) -> list[str]:
-    """Return a line for each number and text of a summary, without its tables: a mean with its
-    standard deviation, and beside it what a simulated World put in.
+def single_values(
+    summary: Mapping[str, Any], put_in: Mapping[str, Any], labels: Mapping[str, str] | None = None
+) -> list[str]:
+    """Return a line for each number and text of a summary, without its tables: label, value and
+    unit; a mean with its standard deviation, and the true value of a simulation. `labels` are those
+    of `Procedure.summary_labels`.
 
     >>> summary = {"mean_creep_um": 3.14159, "standard_deviation_creep_um": 0.012, "table": {}}
     >>> single_values(summary, {"mean_creep_um": 3.0})
-    ['mean_creep_um: 3.142 ± 0.012 (World: 3)']
+    ['creep: 3.142 ± 0.012 um (true value: 3)']
     """
     lines: list[str] = []
     for name, value in summary.items():
@@ -27,12 +31,24 @@ def single_values(summary: Mapping[str, Any], put_in: Mapping[str, Any]) -> list
             lines += value
             continue
         deviation = summary.get(DEVIATION + name.removeprefix(MEAN))
-        world = put_in.get(name)
+        true = put_in.get(name)
+        shown = _in_words(value) if deviation is None else _scattered(value, deviation)
+        mean_of = name if deviation is None else name.removeprefix(MEAN)
+        label, unit = _label_and_unit(name, mean_of, labels or {})
         lines.append(
-            f"{name}: {_in_words(value) if deviation is None else _scattered(value, deviation)}"
-            + ("" if world is None else f" (World: {_in_words(world)})")
+            f"{label}: {shown}{unit}"
+            + ("" if true is None else f" (true value: {_in_words(true)})")
         )
     return lines
+
+
+def _label_and_unit(name: str, said: str, labels: Mapping[str, str]) -> tuple[str, str]:
+    """Return what a value is called, by its label or else by the words of its name, and its unit
+    with a space before it."""
+    words = name_without_unit(said).replace("_", " ")
+    label, _, stated = labels.get(name, words).partition(";")
+    unit = stated.strip() or {None: "", "percent": "%"}.get(unit_of(name), unit_of(name))
+    return label, f" {unit}" if unit else ""
 
 
 def _scattered(mean: Any, deviation: Any) -> str:

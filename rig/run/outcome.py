@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -32,6 +32,8 @@ class RunOutcome:
     presses: int = 0
     """Number of times that z has gone down to press the object in this attempt."""
     summary: Mapping[str, Any] = field(default_factory=dict)
+    in_brief: Sequence[str] = ()
+    """The summary in lines, as `rig show` shows it."""
     failures: list[RigError] = field(default_factory=list)
     """Failures, the first cause first."""
     off_failures: list[ShutdownFailure] = field(default_factory=list)

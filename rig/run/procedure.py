@@ -227,4 +227,4 @@ class Procedure(ABC):
         those of the file. An exception costs nothing but the choice: the single values of the
         summary are shown then, as they are by default.
         """
-        return single_values(summary, put_in)
+        return single_values(summary, put_in, self.summary_labels)

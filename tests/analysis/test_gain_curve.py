@@ -326,10 +326,10 @@ def test_a_simulated_film_is_recovered_and_not_measured():
     )
     found = analyse(*default_sweep())
     text = "\n".join(found.sentences(truth))
-    assert "(World: 500.00 Hz)" in text
-    assert "(World: 1999.00 Hz)" in text
-    assert "(World: 20 dB/decade, put in)" in text
-    assert "b recovered: " in text
+    assert "(true value in the simulation: 500.00 Hz)" in text
+    assert "(true value in the simulation: 1999.00 Hz)" in text
+    assert "(true value in the simulation: 20 dB/decade)" in text
+    assert "Level b found: " in text
     assert "measured at" not in text
     plain = "\n".join(found.sentences())
     assert "World" not in plain

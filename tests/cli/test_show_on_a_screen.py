@@ -130,7 +130,7 @@ def test_a_whole_sweep_fits(rig: Any, loads: str) -> None:
     said = shown(rig, done.object["file"])
     for text in (
         "  20 dB/decade (stress rate): holds",
-        "(World: 20)",
+        "(true value: 20)",
         "  level b at 1 Hz: ",
         "  corner: 145",
         "  joint fit: χ² = ",

@@ -62,7 +62,9 @@ def test_the_heading_says_along_which_path_a_trial_went(tmp_path, settings, said
 def test_the_heading_says_what_the_head_of_a_simulated_bench_is(tmp_path: Path) -> None:
     folder = unpack(tmp_path)
     with RunFile.open(folder / ROLL) as run:
-        assert "object: semi-spherical-object (World: cylinder, 30 mm radius)" in statements(run)
+        assert "object: semi-spherical-object (simulated: cylinder, 30 mm radius)" in statements(
+            run
+        )
     with RunFile.open(folder / FAST_SLIDE) as run:
         assert "object: plate" in statements(run)
 

@@ -109,8 +109,8 @@ class SweepAnalysis:
     def sentences(self, truth: FilmTruth | None = None) -> list[str]:
         """Return the results in words, in the order of the paper.
 
-        With the film of a simulated bench each number is said to be recovered, beside what the
-        World put in; without one it is said to be measured.
+        With the film of a simulated bench each number is said to be found, beside its true value
+        in the simulation; without one it is said to be measured.
         """
         lines = [f"{self.points} points. {self._slope_sentence(truth)}"]
         lines.append(self._level_sentence(truth))
@@ -184,10 +184,10 @@ class SweepAnalysis:
 
     def _drop_sentence(self, drop: DropEstimate, truth: FilmTruth | None) -> str:
         true_Hz = truth and truth.drop_near_Hz(drop.frequency.value)
-        found = "measured at" if truth is None else "recovered at"
-        world = f" (World: {true_Hz:.2f} Hz)" if true_Hz else ""
+        found = "measured at" if truth is None else "found at"
+        world = f" (true value in the simulation: {true_Hz:.2f} Hz)" if true_Hz else ""
         if truth is not None and not true_Hz:
-            world = " (the World has none there)"
+            world = " (the simulation has none there)"
         return (
             f"Notch {found} {drop.frequency}{world}{self._beyond(drop)}, {drop.depth} deep, pole Q "
             f"{drop.pole_Q}."
@@ -197,9 +197,9 @@ class SweepAnalysis:
         if truth is None:
             return f"Corner measured: {self.corner} (the paper's gain saturates above 2 kHz)."
         return (
-            f"Corner recovered: {self.corner} (World: {truth.corner_Hz:.2f} Hz). One pole near "
-            "2 kHz is put in by the World, after the paper's measurement; no circuit of Table 1 "
-            "gives it."
+            f"Corner found: {self.corner} (true value in the simulation: {truth.corner_Hz:.2f} "
+            "Hz). The simulated film has one pole near 2 kHz, after the paper's measurement; no "
+            "circuit of Table 1 gives it."
         )
 
     def _slope_sentence(self, truth: FilmTruth | None) -> str:
@@ -218,11 +218,14 @@ class SweepAnalysis:
         )
 
     def _level_sentence(self, truth: FilmTruth | None) -> str:
-        how = "measured" if truth is None else "recovered"
-        text = f"b {how}: {self.level} re 1 V/N at 1 Hz (asymptote{self._at_load()})"
+        how = "measured" if truth is None else "found"
+        text = f"Level b {how}: {self.level} re 1 V/N at 1 Hz (asymptote{self._at_load()})"
         if truth is not None:
             one_newton = " and 1 N" if truth.gain_per_load_decade_dB else ""
-            text += f" (World: {truth.level_dB:.3f} dB at the nominal preload{one_newton})"
+            text += (
+                f" (true value in the simulation: {truth.level_dB:.3f} dB at the nominal "
+                f"preload{one_newton})"
+            )
         if self.plain is None:
             return text + "."
         return (
@@ -336,8 +339,8 @@ def analyse(
 
 
 def _put_in(value: float | None, unit: str) -> str:
-    """Return what the World put in as a remark; nothing on a real bench."""
-    return "" if value is None else f" (World: {value:g} {unit}, put in)"
+    """Return the true value in the simulation as a remark; nothing on a real bench."""
+    return "" if value is None else f" (true value in the simulation: {value:g} {unit})"
 
 
 def _linearity_as_dict(linearity: LoadLinearity | None, bounds: Bounds) -> dict[str, Any] | None:
