@@ -346,7 +346,7 @@ def draw_rows(axes: Axes, instants: SlipInstants, seen: tuple[float, float]) -> 
 
 def _legend(instants: SlipInstants) -> str:
     """Return what the accounts rest on, and how events are drawn."""
-    true = "" if instants.true is None else "true (simulation): first node to whole"
+    true = "" if instants.true is None else "true: first node to whole ridge"
     measured = "measured: largest $F_t/F_n$" if instants.measurable else ""
     found = instants.detected
     grey = ", grey: cannot judge" if any(e.kind == "cannot judge" for e in found.events) else ""

@@ -49,6 +49,14 @@ def parse_batch(text: str, name: str) -> tuple[BatchFile, BatchPlan, BatchText]:
         raise RefusedBatchError(error.findings, source) from error
 
 
+BOOL, INTEGER = "true or false", "a whole number"
+"""What two of the kinds of a value in a batch file have to be, in the words of `finding`."""
+ONE_VALUE = (
+    'an entry has to be one value: a number, text ("200Hz"), true or false. A list is written as '
+    'text ("20,200")'
+)
+
+
 def _findings(error: ValidationError, tables: Mapping[str, Any]) -> Iterator[PlanFinding]:
     """Return pydantic's findings in words. A value that could be of several kinds and is of none of
     them is one finding."""
@@ -69,7 +77,10 @@ def _findings(error: ValidationError, tables: Mapping[str, Any]) -> Iterator[Pla
     for where, messages in by_place.items():
         first, *others = dict.fromkeys(messages)
         reasons = [other.rpartition(": ")[2].removeprefix("has to be ") for other in others]
-        yield PlanFinding(where, " or ".join([first, *reasons]))
+        if {BOOL, INTEGER} <= {first.rpartition(": ")[2].removeprefix("has to be "), *reasons}:
+            yield PlanFinding(where, f"{first.rpartition(': ')[0]}: {ONE_VALUE}")
+        else:
+            yield PlanFinding(where, " or ".join([first, *reasons]))
 
 
 def _existing(where: KeyPath, tables: Any) -> KeyPath:
