@@ -23,6 +23,7 @@ from rig.bench.apply_calibrations import apply_calibrations
 from rig.bench.connect import by_link, connect
 from rig.bench.connected import Bench
 from rig.bench.plan import BenchPlan
+from rig.control.tick_loop import TooSlowError
 from rig.core.clock import Clock
 from rig.core.errors import ExitCode, InstrumentTimeoutError, RigError
 from rig.files.errors import RecordingError
@@ -179,8 +180,9 @@ class _Execution:
                 self.loop.record_all(points)
             self.outcome.status, self.outcome.code = "complete", self._judge()
         except StopRequestedError as stopped:
-            self.outcome.status, self.outcome.code = "stopped", stopped.code
-            self.outcome.failures.append(stopped)
+            _failed(self.outcome, stopped)
+        except TooSlowError as late:
+            self._stopped_or_too_slow(late)
         except RigError as error:
             _failed(self.outcome, error)
         except Exception as error:  # noqa: BLE001 - a bug ends a run as safely as anything else
@@ -196,6 +198,16 @@ class _Execution:
             self._hand_over()
         else:
             self.guard.done()
+
+    def _stopped_or_too_slow(self, late: TooSlowError) -> None:
+        """End the run because its ticks came too late; or as stopped, with the late ticks as a
+        warning, where a person asked for that before the loop looked for a stop again."""
+        if self.stop.requested is None:
+            _failed(self.outcome, late)
+            return
+        _failed(self.outcome, StopRequestedError(self.stop.requested))
+        with contextlib.suppress(RigError):  # a failed recorder is reported by _save
+            self.run.event("warning", "late-ticks", f"while the run stopped: {late.one_line()}")
 
     def _hand_over(self) -> None:
         """Leave the bench to the guard, and mark the bench as that leaves it."""

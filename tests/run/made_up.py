@@ -12,7 +12,7 @@ import pytest
 
 from rig.bench.plan import BenchPlan, InstrumentPlan
 from rig.bench.settings import BenchSettings
-from rig.core.clock import WallClock
+from rig.core.clock import Clock, WallClock
 from rig.core.settings import Settings
 from rig.files.journal.layout import Column, Layout, Plot
 from rig.instruments.roles import Identity
@@ -117,6 +117,7 @@ def run_of(
     patch: pytest.MonkeyPatch,
     *observers: RunObserver,
     stop: StopFlag | None = None,
+    clock: Clock | None = None,
 ) -> RunOutcome:
     """Execute a procedure on a bench with one instrument; nothing else is replaced but the guard,
     which is a process of its own."""
@@ -126,4 +127,5 @@ def run_of(
     part = InstrumentPlan("generator", "made-up", driver, Settings())
     own = BenchSettings.model_validate({"name": "b", "fixture": {"mounted": "film-clamp"}})
     plan = BenchPlan(own, (part,), "", "bench.toml")
-    return execute(RunJob(procedure, 0, folder), plan, WallClock(), stop or StopFlag(), *observers)
+    job = RunJob(procedure, 0, folder)
+    return execute(job, plan, clock or WallClock(), stop or StopFlag(), *observers)
