@@ -27,10 +27,11 @@ RUNNING, PAUSED, HOLD, MAKING_SAFE = "running", "paused", "hold", "making safe"
 class RunObserver:
     """Base of an observer of a run. Every method here does nothing; override those that you need.
 
-    The methods are called one at a time, most of them from the run's own thread between two waits,
-    while the bench may be armed: return within a few milliseconds, and never wait for a person or a
-    network. An observer that blocks for longer than the guard's patience makes the guard end the
-    run. No observer is waited for between the reason to make the bench safe and its being safe.
+    The methods are called one at a time and in order, from a thread of the observers. The run's own
+    thread waits for them, at most `OBSERVED_S` while the bench may be armed: return within a few
+    milliseconds, and never wait for a person or a network. Behind an observer that blocks, the
+    calls wait for their turn and the run continues. No observer is waited for between the reason to
+    make the bench safe and its being safe.
     """
 
     @property
@@ -71,9 +72,12 @@ class RunObserver:
 
 Call = Callable[[RunObserver], None]
 
+OBSERVED_S = 0.1
+"""Longest wait of the run for its observers while the bench may be armed: a fraction of the time
+without a sign of life after which drives are no longer fed (`rig.core.clock.SIGN_OF_LIFE_S`)."""
 ANNOUNCED_S = 5.0
-"""Longest wait for observers to take note of what is announced while the bench is made safe: one
-that blocks must not keep the data from being saved."""
+"""Longest wait for the observers once the bench is safe, so that their lines come before what
+follows: one that blocks must not keep the data from being saved."""
 
 
 class Observers(RunObserver):
@@ -87,11 +91,12 @@ class Observers(RunObserver):
         self._announced: queue.SimpleQueue[Call | None] = queue.SimpleQueue()
         self._changed = threading.Condition()
         self._pending = 0
-        """Announcements that the observers have not taken note of yet."""
+        """Calls that the observers have not taken note of yet."""
+        self._behind_s = 0.0
+        """Longest wait that has run out since the observers last had nothing to take note of."""
         # Started here, before anything moves: making safe must not depend on a thread that the
         # computer may refuse to start by then.
-        announcer = threading.Thread(target=self._take_announced, name="observers", daemon=True)
-        start_thread(announcer)
+        start_thread(threading.Thread(target=self._take_announced, name="observers", daemon=True))
 
     def planned(self, points: Sequence[Point], recorded: Set[str], overhead_s: float) -> None:
         """See `RunObserver`."""
@@ -115,7 +120,7 @@ class Observers(RunObserver):
 
     def making_safe(self) -> None:
         """Report the state ``making safe`` without waiting for the observers: one that blocks must
-        not delay the shutdown actions. The next call of another method waits for it."""
+        not delay the shutdown actions."""
         self._announce(lambda one: one.state(MAKING_SAFE))
 
     def warn_at_once(self, message: str) -> None:
@@ -123,21 +128,32 @@ class Observers(RunObserver):
         self._announce(lambda one: one.event("warning", message))
 
     def end(self) -> None:
-        """End the thread that announces, after what has been announced."""
+        """End the observers' thread after their last call, and wait for that at most
+        `ANNOUNCED_S`."""
         self._announced.put(None)
+        self._await(ANNOUNCED_S)
 
     def saving(self) -> None:
         """See `RunObserver`."""
-        self._each(lambda one: one.saving())
+        self._each(lambda one: one.saving(), ANNOUNCED_S)
 
     def saved(self, run_file: Path) -> None:
         """See `RunObserver`."""
-        self._each(lambda one: one.saved(run_file))
+        self._each(lambda one: one.saved(run_file), ANNOUNCED_S)
 
-    def _each(self, call: Call) -> None:
+    def _each(self, call: Call, longest_s: float | None = None) -> None:
+        """Have all observers take note, and wait for them at most `longest_s`."""
+        self._announce(call)
+        self._await(OBSERVED_S if longest_s is None else longest_s)
+
+    def _await(self, longest_s: float) -> None:
+        """Wait until the observers have taken note of everything. Behind one that blocks, only the
+        first wait is made: several in a row must not add up."""
         with self._changed:
-            self._changed.wait_for(lambda: self._pending == 0, ANNOUNCED_S)
-        self._call_each(call)
+            if longest_s <= self._behind_s:
+                return
+            if not self._changed.wait_for(lambda: self._pending == 0, longest_s):
+                self._behind_s = longest_s
 
     def _announce(self, call: Call) -> None:
         with self._changed:
@@ -149,6 +165,8 @@ class Observers(RunObserver):
             self._call_each(call)
             with self._changed:
                 self._pending -= 1
+                if self._pending == 0:
+                    self._behind_s = 0.0
                 self._changed.notify_all()
 
     def _call_each(self, call: Call) -> None:

@@ -39,6 +39,7 @@ from rig.files.journal.layout import Column, Layout, Plot
 from rig.files.runfile.reader import RunFile
 from rig.instruments.roles import ForceFrames, Identity
 from rig.run import execute as execution
+from rig.run import observers
 from rig.run.context import Run
 from rig.run.execute import execute
 from rig.run.guard import TakenOver
@@ -315,6 +316,8 @@ class Ending(RuleBasedStateMachine):
         self.patch = pytest.MonkeyPatch()
         self.patch.setattr(execution, "GuardLink", lambda *_: Guard(self.story))
         self.patch.setattr(execution, "PauseSwitch", lambda _: contextlib.nullcontext())
+        # The order of what is written down must not depend on how busy the computer is.
+        self.patch.setattr(observers, "OBSERVED_S", PATIENCE_S)
         self.thread = threading.Thread(target=self._execute, name="run")
         self.clock.run_thread = self.thread
 

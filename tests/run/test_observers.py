@@ -14,7 +14,10 @@ from made_up import Example, run_of
 from rig.core.errors import ExitCode
 from rig.core.settings import Settings
 from rig.files.runfile.reader import RunFile
+from rig.run import observers as observing
+from rig.run.context import Run
 from rig.run.observers import Observers, RunObserver
+from rig.run.points import Point, Reading
 
 METHODS = [
     name
@@ -161,3 +164,65 @@ def test_what_is_said_at_once_waits_for_no_observer() -> None:
     observers.end()
     assert shown.wait(10)
     assert seen == ["warning: not safe yet"]
+
+
+def test_an_observer_that_blocks_holds_up_no_armed_run_and_hears_everything_in_order(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It blocks at the first point, as a terminal does after Ctrl-S, until the bench is safe."""
+    monkeypatch.setattr(observing, "OBSERVED_S", 0.0)
+    bench_is_safe, seen = threading.Event(), list[str]()
+
+    class Blocking(RunObserver):
+        """Takes note of the first point only once the bench is safe."""
+
+        def point_recorded(self, number: int, total: int, point: Point, reading: Reading) -> None:
+            seen.append(point.id if bench_is_safe.wait(10) else "the run waited for this")
+
+        def state(self, name: str) -> None:
+            seen.append(name)
+
+        def saved(self, run_file: Path) -> None:
+            seen.append("saved")
+
+    class Switching(Example):
+        """Says when its lamp is off."""
+
+        def arm(self, run: Run) -> None:
+            run.arm("lamp", lambda: (self.log.append("off"), bench_is_safe.set())[0])
+            self.log.append("on")
+
+    procedure = Switching(Settings())
+    outcome = run_of(procedure, tmp_path, monkeypatch, Blocking())
+    assert outcome.code is ExitCode.DONE, outcome.failures
+    assert procedure.log == LIFE
+    assert seen == ["running", "first", "second", "making safe", "saved"]
+
+
+def test_several_calls_wait_once_for_an_observer_that_blocks() -> None:
+    let_on, seen = threading.Event(), list[str]()
+
+    class Blocking(RunObserver):
+        """Takes note when it is let."""
+
+        def event(self, level: str, message: str) -> None:
+            assert let_on.wait(10)
+            seen.append(message)
+
+    waits: list[float] = []
+    observers = Observers([Blocking()], seen.append)
+    wait_for = observers._changed.wait_for
+
+    def noted(predicate: Any, longest_s: float) -> bool:
+        waits.append(longest_s)
+        return wait_for(predicate, longest_s)
+
+    observers._changed.wait_for = noted  # type: ignore[method-assign,assignment]
+    for message in "abc":
+        observers.event("info", message)
+    assert waits == [observing.OBSERVED_S]
+    assert seen == []
+    let_on.set()
+    observers.end()
+    assert waits == [observing.OBSERVED_S, observing.ANNOUNCED_S]
+    assert seen == ["a", "b", "c"]
