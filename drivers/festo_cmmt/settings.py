@@ -13,7 +13,7 @@ from typing import Literal, Self
 from pydantic import Field, model_validator
 
 from drivers.festo_cmmt.frames import FULL_SCALE
-from rig.core.settings import Address, Settings, Wiring
+from rig.core.settings import Address, CommunicationTimeout, Deceleration, Settings, Wiring
 
 LARGEST_COUNT = 2**31 - 1
 """Positions travel as signed 32-bit integers; speeds are held to the same."""
@@ -92,11 +92,11 @@ class FestoCmmtSettings(Settings):
     """Fastest motion allowed."""
     acceleration_mm_s2: float = Field(default=200, gt=0, le=50_000)
     """Acceleration of every motion."""
-    deceleration_mm_s2: float = Field(default=200, gt=0, le=50_000)
+    deceleration_mm_s2: Deceleration[float] = Field(default=200, gt=0, le=50_000)
     """Deceleration of every motion and of a controlled stop."""
     full_acceleration_mm_s2: float = Field(default=1000, gt=0, le=50_000)
     """Acceleration and deceleration that the drive's parameters define as 100 %."""
-    communication_timeout_ms: Wiring[int] = Field(default=1000, ge=100, le=10_000)
+    communication_timeout_ms: CommunicationTimeout[int] = Field(default=1000, ge=100, le=10_000)
     """Time without a request after which the drive stops by itself."""
     torque_limit_percent: float | None = Field(default=None, gt=0, le=100)
     """Every motion travels to a fixed stop with this clamping torque: the barrier behind the force

@@ -19,7 +19,7 @@ from pydantic import Field, field_validator
 from drivers.shared.visa_link import VisaLink
 from rig.core.clock import Clock, WallClock
 from rig.core.errors import InstrumentError, LimitError
-from rig.core.settings import Address, Wiring
+from rig.core.settings import Address, Channels, Wiring
 from rig.core.settings import Settings as BaseSettings
 from rig.instruments.roles import Acquisition, Identity, InputChannel, Reach, Record, Scaling
 
@@ -79,7 +79,7 @@ class KeysightU2300ASettings(BaseSettings):
     """VISA resource, for example USB0::0x0957::0x1518::TW12345678::INSTR."""
     timeout_s: Wiring[float] = Field(default=2.0, gt=0, le=60)
     """Longest wait for an answer."""
-    channels: Wiring[dict[str, int]] = Field(min_length=1)
+    channels: Channels[dict[str, int]] = Field(min_length=1)
     """Terminal by signal name, for example load_cell = 101."""
 
     @field_validator("channels")

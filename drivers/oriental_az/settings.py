@@ -12,7 +12,7 @@ from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
-from rig.core.settings import Address, Settings, Wiring
+from rig.core.settings import Address, CommunicationTimeout, Deceleration, Settings, Wiring
 
 LARGEST_STEP = 2**31 - 1
 """Positions travel as signed 32-bit integers."""
@@ -104,9 +104,9 @@ class OrientalAzSettings(Settings):
     """Fastest motion allowed."""
     acceleration_mm_s2: float = Field(default=200, gt=0, le=50_000)
     """Acceleration of every motion."""
-    deceleration_mm_s2: float = Field(default=200, gt=0, le=50_000)
+    deceleration_mm_s2: Deceleration[float] = Field(default=200, gt=0, le=50_000)
     """Deceleration of every motion and of a stop."""
-    communication_timeout_ms: Wiring[int] = Field(default=1000, ge=200, le=10_000)
+    communication_timeout_ms: CommunicationTimeout[int] = Field(default=1000, ge=200, le=10_000)
     """Time without a request over its line after which the drive stops by itself."""
     torque_limit_percent: float | None = Field(default=None, gt=0, le=100)
     """Operating current of every motion: the barrier behind the force limit. Left out, the drive

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from rig.bench.connected import Bench
+from rig.bench.driver_settings import deceleration_mm_s2
 from rig.control.speed_bound import SpeedBound
 from rig.instruments.roles import ReadsTorque
 
@@ -21,7 +22,9 @@ def braking_bound(bench: Bench, margin_N: float, reaction_s: float = WATCHED_S) 
     is read as well, that may delay it by half as much.
     """
     part = next(part for part in bench.plan.instruments if part.role == "stage_z")
-    deceleration = float(getattr(part.settings, "deceleration_mm_s2", USUAL_DECELERATION_mm_s2))
+    deceleration = deceleration_mm_s2(part.settings)
+    if deceleration is None:
+        deceleration = USUAL_DECELERATION_mm_s2
     link_s = 1 / bench.stage_z.reach()["update_rate"].high
     if isinstance(bench.stage_z, ReadsTorque):
         link_s *= 1.5

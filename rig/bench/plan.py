@@ -16,6 +16,12 @@ from typing import Any
 from pydantic import ValidationError
 
 from rig.bench.addresses import address_values
+from rig.bench.driver_settings import (
+    channels_name,
+    channels_of,
+    communication_timeout,
+    mark_errors,
+)
 from rig.bench.interlocks import unreadable
 from rig.bench.settings import ROLES, STRIPS, BenchSettings, Fixture
 from rig.core.entry_points import DRIVERS, find, load, package
@@ -126,6 +132,7 @@ def parse_bench(text: str, source: str) -> BenchPlan:
         findings += [ConfigurationError(f"{source}: {one}") for one in found]
     if settings is not None:
         findings += map(ConfigurationError, _heartbeat_findings(settings, plans, source))
+    findings += _mark_findings(plans, source)
     findings += _communication_findings(plans, source)
     findings += _address_findings(plans, source)
     if findings or settings is None:
@@ -269,12 +276,22 @@ def _wiring_errors(
     settings: BenchSettings, plans: list[InstrumentPlan], source: str
 ) -> Iterator[str]:
     """Yield a fault for each part whose signal is not wired to a channel of the DAQ."""
-    wired = next((getattr(p.settings, "channels", {}) for p in plans if p.role == "daq"), {})
+    daq = next((plan.settings for plan in plans if plan.role == "daq"), None)
+    wired = {} if daq is None else channels_of(daq)
+    key = "channels" if daq is None else channels_name(daq)
     carriers = {"film": ("film",), "load_cell": ("load_cell",), "skin": STRIPS}
     for name, channels in carriers.items():
         for channel in channels:
-            if getattr(settings, name) is not None and channel not in wired:
-                yield f"{source}: [{name}] is described, but [daq.channels] wires no {channel}"
+            if getattr(settings, name) is None or channel in wired:
+                continue
+            if key is None:
+                yield (
+                    f"{source}: [{name}] is described, but the driver of [daq] has no setting of "
+                    "its channels; mark it in the driver's Settings, as in "
+                    "channels: Channels[dict[str, int]] (rig.core.settings.Channels)"
+                )
+                break
+            yield f"{source}: [{name}] is described, but [daq.{key}] wires no {channel}"
 
 
 def _heartbeat_findings(
@@ -291,28 +308,41 @@ def _heartbeat_findings(
             )
 
 
+def _mark_findings(plans: list[InstrumentPlan], source: str) -> Iterator[ConfigurationError]:
+    """Yield a fault for each mark of a driver's settings that the bench cannot read. Bench files
+    with this fault are refused for runs only, as those of `_communication_findings`."""
+    for plan in plans:
+        for wrong in mark_errors(type(plan.settings)):
+            yield ConfigurationError(
+                f"{source}: [{plan.role}]: driver {plan.driver_name!r}: {wrong}",
+                "correct the driver's Settings",
+            )
+
+
 def _communication_findings(
     plans: list[InstrumentPlan], source: str
 ) -> Iterator[ConfigurationError]:
     """Yield a fault for each drive that stops by its own communication time-out before a request
     whose answer was lost can be followed by the next one: it would stand, pressed, with a fault.
 
-    The settings of such a drive have ``communication_timeout_ms`` beside ``timeout_s``. Bench files
-    with this fault are refused for runs only: `rig make-safe` works with them.
+    The settings of such a drive state that time-out beside ``timeout_s``. Bench files with this
+    fault are refused for runs only: `rig make-safe` works with them.
     """
     for plan in plans:
-        drive_ms = getattr(plan.settings, "communication_timeout_ms", None)
-        if drive_ms is None:
+        drive = communication_timeout(plan.settings)
+        if drive is None:
             continue
         link_s = float(getattr(plan.settings, "timeout_s", 0.0))
-        if link_s + RETRY_S <= drive_ms * 1e-3:
+        if link_s + RETRY_S <= drive.seconds:
             continue
+        least_ms = math.ceil(2.5e3 * link_s)
+        least = f"{least_ms:g} ms" if drive.unit == "ms" else f"{least_ms * 1e-3:g} s"
         yield ConfigurationError(
             f"{source}: [{plan.role}] timeout_s = {link_s:g} s leaves no time for a second request "
-            f"within communication_timeout_ms = {drive_ms:g} ms: after one lost answer the drive "
+            f"within {drive.name} = {drive.value:g} {drive.unit}: after one lost answer the drive "
             "would stop by itself, with what it presses still pressed",
-            f"set timeout_s to {drive_ms * 0.4e-3:g} s or less for [{plan.role}], or "
-            f"communication_timeout_ms to {math.ceil(2.5e3 * link_s):g} ms or more",
+            f"set timeout_s to {drive.seconds * 0.4:g} s or less for [{plan.role}], or "
+            f"{drive.name} to {least} or more",
         )
 
 

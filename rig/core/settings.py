@@ -72,7 +72,9 @@ _SUFFIXES_LONGEST_FIRST = sorted(UNIT_BY_SUFFIX, key=len, reverse=True)
 
 
 T = TypeVar("T")
-WIRING, ADDRESS = "wiring", "address"
+WIRING, ADDRESS, MEANS = "wiring", "address", "means"
+CHANNELS, COMMUNICATION_TIMEOUT, DECELERATION = "channels", "communication_timeout", "deceleration"
+"""What a driver's setting means to the bench, by its mark."""
 
 Wiring = Annotated[T, Field(json_schema_extra={WIRING: True})]
 """Type of a driver's setting that says where its instrument is, what is wired to it or how it
@@ -82,6 +84,17 @@ Address = Annotated[T, Field(json_schema_extra={WIRING: True, ADDRESS: True})]
 """Type of a driver's setting that says where its instrument is: ``port: Address[str]``. It is
 `Wiring` as well. The settings of this type together distinguish this instrument's link from all
 others, as ``host`` and ``tcp_port`` do (`rig.bench.addresses`)."""
+Channels = Annotated[T, Field(json_schema_extra={WIRING: True, MEANS: CHANNELS})]
+"""Type of a DAQ's setting that has its inputs by signal: ``channels: Channels[dict[str, int]]``. It
+is `Wiring` as well."""
+CommunicationTimeout = Annotated[
+    T, Field(json_schema_extra={WIRING: True, MEANS: COMMUNICATION_TIMEOUT})
+]
+"""Type of a stage's setting after which its drive stops by itself where nothing is sent to it, in s
+or ms as its name ends: ``watchdog_ms: CommunicationTimeout[int]``. It is `Wiring` as well."""
+Deceleration = Annotated[T, Field(json_schema_extra={MEANS: DECELERATION})]
+"""Type of a stage's setting with which its drive brakes: ``deceleration_mm_s2:
+Deceleration[float]``."""
 
 
 class Settings(BaseModel):
@@ -145,9 +158,15 @@ def address_settings_of(model: type[Settings]) -> tuple[str, ...]:
     return tuple(_marked(model, ADDRESS))
 
 
-def _marked(model: type[Settings], mark: str) -> Iterator[str]:
+def settings_that_mean(model: type[Settings], meaning: str) -> tuple[str, ...]:
+    """Return the names of the settings whose type is marked with a meaning, such as `CHANNELS`."""
+    return tuple(_marked(model, MEANS, meaning))
+
+
+def _marked(model: type[Settings], mark: str, value: object = True) -> Iterator[str]:
     for name, field in model.model_fields.items():
-        if isinstance(field.json_schema_extra, dict) and field.json_schema_extra.get(mark):
+        extra = field.json_schema_extra
+        if isinstance(extra, dict) and extra.get(mark) == value:
             yield name
 
 

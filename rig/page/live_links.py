@@ -23,6 +23,7 @@ import numpy as np
 from rig.bench.apply_calibrations import apply_calibrations
 from rig.bench.connect import connect
 from rig.bench.connected import Bench
+from rig.bench.driver_settings import channels_of, communication_timeout
 from rig.bench.plan import BenchPlan, InstrumentPlan
 from rig.core.clock import WallClock
 from rig.core.errors import RigError
@@ -163,7 +164,8 @@ class StageLink(LiveLink):
         super().__init__(part)
         self.status: StageStatus | None = None
         self._silence = silence
-        self._bench_file_s = getattr(part.settings, "communication_timeout_ms", 0) * 1e-3
+        stated = communication_timeout(part.settings)
+        self._bench_file_s = 0.0 if stated is None else stated.seconds
         silence.note_timeout(part.role, self._bench_file_s)
 
     @property
@@ -287,7 +289,7 @@ def reading(links: list[LiveLink]) -> Iterator[None]:
 
 def _acquisition(bench: Bench) -> Acquisition:
     part = next(part for part in bench.plan.instruments if part.role == "daq")
-    names = tuple(getattr(part.settings, "channels", {}))
+    names = tuple(channels_of(part.settings))
     widest_V = bench.daq.ranges_V()[-1]
     channels = tuple(InputChannel(name, widest_V) for name in names)
     return Acquisition(channels, DAQ_S_S, round(DAQ_S_S * DRAWN_EVERY_S / 2))

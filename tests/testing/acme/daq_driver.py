@@ -9,7 +9,7 @@ from pydantic import Field
 from drivers.shared.line_link import LineLink
 from rig.core.clock import WallClock
 from rig.core.errors import LimitError
-from rig.core.settings import Address, Wiring
+from rig.core.settings import Address, Channels, Wiring
 from rig.core.settings import Settings as BaseSettings
 from rig.instruments.roles import Identity, Reach, Record, Scaling
 
@@ -24,7 +24,7 @@ class Settings(BaseSettings):
     driver: Literal["acme-daq"] = "acme-daq"
     port: Address[str]
     timeout_s: Wiring[float] = Field(default=0.5, gt=0, le=10)
-    channels: Wiring[dict[str, Literal["AI0", "AI1"]]]
+    channels: Channels[dict[str, Literal["AI0", "AI1"]]]
 
 
 class AD2:
