@@ -16,6 +16,8 @@ _unreadable: dict[str, str] = {}
 
 def tolerate() -> None:
     """Let every distribution without readable entry points have none, in this process."""
+    # A look-up of our own would not do: pydantic and numba ask importlib.metadata themselves while
+    # they are imported, and it has no other place at which one package's file can be left out.
     original = Distribution.entry_points
     assert isinstance(original, property)
     read = original.fget

@@ -149,7 +149,7 @@ def _keep_alive(stage: Any, service: Any) -> None:
     stage.start_move(scale.at(5.0), scale(10.0))
     before = service.truth("position")
     for _ in range(10):
-        service.clock._pass(FED_s)
+        service.clock.sleep(FED_s)
         stage.keep_alive()
         near("the speed, fed", service.truth("speed"), -scale(10.0), scale(0.1), "mm/s")
     went = abs(service.truth("position") - before)
@@ -352,7 +352,7 @@ def _keep_alive_rotary(stage: Any, service: Any) -> None:
     stage.start_turn(scale.at(5.0), scale(5.0), scale(500.0))
     before = service.truth("angle")
     for _ in range(5):
-        service.clock._pass(FED_s)
+        service.clock.sleep(FED_s)
         stage.keep_alive()
         near("the speed, fed", abs(service.truth("speed")), scale(5.0), scale(0.05), "deg/s")
     went = abs(service.truth("angle") - before)

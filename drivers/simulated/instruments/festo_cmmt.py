@@ -450,7 +450,7 @@ class CmmtDrive(SimulatedDrive[MoveFault]):
     def _inputs(self) -> list[int]:
         now = self._port.now_us
         position, velocity = self.axis.position(now), self.axis.velocity(now)
-        shown = position - self._zero_mm + self._shows_off_mm
+        shown = position - self._zero_mm + self.shows_off_mm
         counts = round(shown / self.settings.position_unit_mm)
         speed = round(velocity / NOMINAL_SPEED_mm_s * 0x40000000)
         words = [

@@ -418,12 +418,12 @@ _SHOWN: dict[int, Callable[[AzDrive, int], int]] = {
     OUTPUT_STATUS: AzDrive._status,
     PRESENT_ALARM: lambda drive, now: drive.alarm,
     COMMAND_POSITION: lambda drive, now: drive._steps(
-        drive.axis.position(now) + drive.axis.following_error(now) + drive._shows_off_mm
+        drive.axis.position(now) + drive.axis.following_error(now) + drive.shows_off_mm
     ),
     0xC8: lambda drive, now: 0,  # command speed; not simulated
     0xCA: lambda drive, now: 0,
     FEEDBACK_POSITION: lambda drive, now: drive._steps(
-        drive.axis.position(now) + drive._shows_off_mm
+        drive.axis.position(now) + drive.shows_off_mm
     ),
     FEEDBACK_RPM: lambda drive, now: round(drive.axis.velocity(now) * 60 / drive.settings.lead_mm),
     FEEDBACK_Hz: lambda drive, now: round(drive.axis.velocity(now) * drive.settings.steps_per_mm),

@@ -54,7 +54,7 @@ class SimulatedDrive(ABC, Generic[F]):
         """True if a motion has begun whose end has not been seen."""
         self._speed_share = 1.0
         """The share of a commanded speed that the axis reaches."""
-        self._shows_off_mm = 0.0
+        self.shows_off_mm = 0.0
         """By how much the position that it shows is off."""
         self._shown_torque: WrongTorque | None = None
         """How the torque that it shows is wrong."""
@@ -148,7 +148,7 @@ class SimulatedDrive(ABC, Generic[F]):
                 slower = replace(command, speed_mm_s=command.speed_mm_s * fault.share)
                 self.axis.move(t_us, slower)
         elif isinstance(fault, WrongPosition):
-            self._shows_off_mm = fault.by_mm
+            self.shows_off_mm = fault.by_mm
         elif isinstance(fault, WrongTorque):
             self._frozen_N = self._shown_force_N(t_us)
             self._shown_torque = fault
