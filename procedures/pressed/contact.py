@@ -9,6 +9,7 @@ and the force brought up is each procedure's own; the way back is the same again
 from __future__ import annotations
 
 import contextlib
+import math
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -29,6 +30,7 @@ from rig.core.errors import (
     InstrumentTimeoutError,
     LimitError,
     UnsafeError,
+    WrongPositionError,
 )
 from rig.files.journal.layout import Column
 from rig.instruments.roles import LastSeen, LinearStage, RemembersPosition
@@ -385,20 +387,20 @@ def unload(run: Run, pressed: str, came_from_mm: float) -> None:
                 run.fail(trip)
             _stop_z(run)
             _go_clear(run, came_from_mm)
-        stands_mm = stage.position_mm()
+        where = _where(run)
         if timed_out:
             run.event(
                 "warning",
                 "drive-timed-out",
                 f"stage_z had stopped by its own communication time-out; the fault was "
-                f"acknowledged and the {pressed} lifted: z stands at {stands_mm:.3f} mm",
+                f"acknowledged and the {pressed} lifted: z stands {where}",
             )
         elif lost:
             run.event(
                 "warning",
                 "answer-lost",
-                f"on the way up: {lost}; it was asked again and the {pressed} lifted: z stands at "
-                f"{stands_mm:.3f} mm",
+                f"on the way up: {lost}; it was asked again and the {pressed} lifted: z stands "
+                f"{where}",
             )
     except InstrumentError as error:
         if timed_out:
@@ -414,7 +416,16 @@ def unload(run: Run, pressed: str, came_from_mm: float) -> None:
             raise UnsafeError(f"stage_z: unload: {what}, over the limit", hint) from error
         run.fail(InstrumentError("stage_z", "unload", what, hint))
         return
-    _judge_what_remains(run, pressed, stands_mm)
+    _judge_what_remains(run, pressed, where)
+
+
+def _where(run: Run) -> str:
+    """Return where z stands, in words; a position that cannot be right fails the run."""
+    try:
+        return f"at {run.bench.stage_z.position_mm():.3f} mm"
+    except WrongPositionError as error:
+        run.fail(error)
+        return f"where its driver does not say ({error.cause})"
 
 
 def _stop_z(run: Run) -> None:
@@ -469,7 +480,8 @@ def _last_known(run: Run) -> str:
 
 def _last_seen(stage: LinearStage) -> LastSeen | None:
     try:
-        return stage.last_seen() if isinstance(stage, RemembersPosition) else None
+        seen = stage.last_seen() if isinstance(stage, RemembersPosition) else None
+        return seen if seen is not None and all(map(math.isfinite, seen)) else None
     except Exception:  # noqa: BLE001 - a driver of another package; the stop that follows matters
         return None
 
@@ -496,10 +508,24 @@ def _read_by_the_sensor(force_N: float | None) -> str:
 
 
 def _go_clear(run: Run, came_from_mm: float) -> None:
-    """Move z to its parking place, or back to where it came from; never deeper than it stands."""
+    """Move z to its parking place, or back to where it came from; never deeper than it stands.
+
+    Where a driver does not return a number, z goes to the higher of these two places: it has been
+    above neither since it set out to park. A number that cannot be right is what the drive goes by
+    as well, so it decides as any other.
+    """
     stage = run.bench.stage_z
-    stands_mm = stage.position_mm()
     target_mm = run.bench.settings.fixture.parked_mm
+    try:
+        stands_mm = stage.position_mm()
+    except WrongPositionError as error:
+        stands_mm = error.position
+        if math.isnan(stands_mm):
+            if not stage.homed():
+                raise
+            target_mm = max(min(came_from_mm, target_mm), stage.reach()["position"].low)
+            stage.move_to(target_mm, TRAVEL_mm_s)
+            return
     if target_mm > stands_mm + BOTTOM_mm:
         lowest_mm = stage.reach()["position"].low
         target_mm = max(min(came_from_mm, stands_mm), lowest_mm)
@@ -507,7 +533,7 @@ def _go_clear(run: Run, came_from_mm: float) -> None:
         stage.move_to(target_mm, TRAVEL_mm_s)
 
 
-def _judge_what_remains(run: Run, pressed: str, stands_mm: float) -> None:
+def _judge_what_remains(run: Run, pressed: str, where: str) -> None:
     """Fail the run where z has gone as far as it can and the force sensor still reads a force.
 
     A sensor that has not been zeroed reads its own zero as well: then the limit alone is judged,
@@ -520,14 +546,14 @@ def _judge_what_remains(run: Run, pressed: str, stands_mm: float) -> None:
         run.event(
             "warning",
             "pressed",
-            f"force_sensor was silent or late after the way up: z stands at {stands_mm:.3f} mm, "
+            f"force_sensor was silent or late after the way up: z stands {where}, "
             f"and it is not known whether the {pressed} is still pressed; look before you go near",
         )
         return
     limit_N = run.force.limit_N
     if force_N <= (min(PRESSED_N, limit_N) if run.force.tared else limit_N):
         return
-    finding = f"the {pressed} is still pressed with {force_N:.3g} N at {stands_mm:.3f} mm"
+    finding = f"the {pressed} is still pressed with {force_N:.3g} N {where}"
     hint = (
         "check what presses; move the stage away by hand. Where nothing presses, the force "
         "sensor's zero has moved"

@@ -14,6 +14,7 @@ from collections.abc import Callable, Sequence
 
 from rig.bench.addresses import addresses_of
 from rig.bench.connected import Bench, close_all
+from rig.bench.foreign import connect_foreign, foreign
 from rig.bench.limits import GuardedGenerator
 from rig.bench.link_worker import LinkWorkers
 from rig.bench.plan import BenchPlan, InstrumentPlan, longest_call_s
@@ -127,7 +128,7 @@ class _Connecting:
     def one(self, part: InstrumentPlan) -> None:
         """Connect one instrument and start its link worker; a RigError is taken note of."""
         try:
-            instrument = part.driver.connect(part.settings, self._clock)
+            instrument = self._connected(part)
         except RigError as error:
             self._failures[part.role] = error
             return
@@ -143,6 +144,12 @@ class _Connecting:
                 close_all({part.role: guarded})
                 raise
             self._instruments[part.role] = guarded
+
+    def _connected(self, part: InstrumentPlan) -> Instrument:
+        entry = foreign(part)
+        if entry is None:
+            return part.driver.connect(part.settings, self._clock)
+        return connect_foreign(part, entry, lambda: part.driver.connect(part.settings, self._clock))
 
     def give_up(self) -> None:
         """Connect nothing more, and close what is connected. A connection that is under way closes

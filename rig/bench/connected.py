@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import logging
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TypeVar
@@ -34,6 +35,7 @@ from rig.instruments.roles import (
     SignalGenerator,
 )
 
+log = logging.getLogger("rig")
 T = TypeVar("T")
 
 
@@ -154,7 +156,10 @@ class Bench:
 
 
 def close_all(instruments: Mapping[str, Instrument]) -> None:
-    """Close every instrument, also if closing one of them raises RigError or OSError."""
-    for instrument in instruments.values():
-        with contextlib.suppress(RigError, OSError):
-            instrument.close()
+    """Close every instrument; a failure of one does not prevent closing the others."""
+    for role, instrument in instruments.items():
+        try:
+            with contextlib.suppress(RigError, OSError):
+                instrument.close()
+        except Exception:  # a defect of its driver
+            log.exception("%s: close", role)

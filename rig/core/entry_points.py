@@ -116,7 +116,7 @@ def load(group: str, name: str, find_fault: Callable[[Any], str | None] | None =
         if is_stop(error):  # a signal that came while the module was imported
             raise
         raise BrokenPackageError(
-            entry, f"cannot be imported: {_cause(error)}", _remedy(entry, error)
+            entry, f"cannot be imported: {cause(error)}", _remedy(entry, error)
         ) from error
     fault = _fault(entry, loaded)
     if fault is None and find_fault is not None:
@@ -141,7 +141,7 @@ def summary(group: str, name: str) -> str:
     try:
         docstring = _docstring(entry.module, entry.attr)
     except (SyntaxError, ModuleNotFoundError) as error:
-        raise BrokenPackageError(entry, f"cannot be imported: {_cause(error)}") from error
+        raise BrokenPackageError(entry, f"cannot be imported: {cause(error)}") from error
     except Exception as error:
         if is_stop(error):
             raise
@@ -199,7 +199,7 @@ def _docstring(module: str, class_name: str) -> str:
     return (ast.get_docstring(classes[class_name]) or "") if class_name in classes else ""
 
 
-def _cause(error: BaseException) -> str:
+def cause(error: BaseException) -> str:
     """Return the exception of an import in one line, with file and line if they are known."""
     if isinstance(error, SyntaxError) and error.filename is not None:
         place, message = f"{error.filename} line {error.lineno}: ", error.msg

@@ -133,6 +133,15 @@ class InstrumentLinkError(InstrumentError):
     anew."""
 
 
+class WrongPositionError(InstrumentError):
+    """Raised for a position of a stage that is not a number, or where its axis cannot be."""
+
+    def __init__(self, device: str, command: str, cause: str, hint: str, position: float):
+        super().__init__(device, command, cause, hint)
+        self.position = position
+        """The position, in mm or deg; NaN where it is not a number."""
+
+
 class LimitError(RigError):
     """Raised for a value outside a limit of the bench, whether refused or tripped."""
 

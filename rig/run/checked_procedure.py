@@ -15,6 +15,7 @@ from numbers import Real
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from rig.bench.foreign import foreign
 from rig.core.entry_points import OWN_PACKAGE, PROCEDURES, find, package
 from rig.core.errors import (
     LONGEST_REASON,
@@ -28,6 +29,7 @@ from rig.run.points import Point, Reading
 
 if TYPE_CHECKING:
     from rig.bench.connected import Bench
+    from rig.bench.plan import BenchPlan
     from rig.bench.settings import FixtureSettings
     from rig.files.journal.layout import Column, Layout
     from rig.run.context import Run
@@ -235,11 +237,33 @@ def _blame(procedure: type[Procedure], error: BaseException) -> RigError:
     if name == OWN_PACKAGE:
         return internal(error)
     top = procedure.__module__.split(".")[0]
-    own = [
+    return _package_fault(name, _places(top, error), top, error)
+
+
+def driver_fault(plan: BenchPlan, error: BaseException) -> RigError | None:
+    """Return the error that reports an exception from a driver of another package; None for an
+    exception in which none took part."""
+    for part in plan.instruments:
+        entry = foreign(part)
+        if entry is not None and (own := _places(top := entry.module.split(".")[0], error)):
+            fault = _package_fault(package(entry), own, top, error)
+            fault.__cause__ = error
+            return fault
+    return None
+
+
+def _places(top: str, error: BaseException) -> list[tuple[str, int]]:
+    """Return file and line of each call in a package that took part in an exception."""
+    return [
         (frame.f_code.co_filename, line)
         for frame, line in traceback.walk_tb(error.__traceback__)
         if str(frame.f_globals.get("__name__")).split(".")[0] == top
     ]
+
+
+def _package_fault(
+    name: str, own: Sequence[tuple[str, int]], top: str, error: BaseException
+) -> ProcedureFaultError:
     place = f"{_shown(own[-1][0], top)} line {own[-1][1]}: " if own else ""
     message = " ".join(str(error).split())
     text = shortened(f"{place}{type(error).__name__}: {message}", LONGEST_REASON)

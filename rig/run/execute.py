@@ -32,7 +32,7 @@ from rig.files.journal.recorder import Recorder
 from rig.files.runfile.compile import compile_run
 from rig.run.arming import BEAT_EVERY_S, ShutdownFailure
 from rig.run.bench_mark import BenchMarks
-from rig.run.checked_procedure import CheckedProcedure, internal
+from rig.run.checked_procedure import CheckedProcedure, driver_fault, internal
 from rig.run.context import Run
 from rig.run.guard import GuardLink
 from rig.run.holds import PauseSwitch
@@ -92,6 +92,10 @@ def execute(
             execution = _Execution(job, procedure, bench, journal, stop, observers, outcome)
         except RigError as error:
             return _failed(outcome, error)
+        except Exception as error:
+            if (fault := driver_fault(plan, error)) is None:
+                raise
+            return _failed(outcome, fault)
         for warning in warnings:
             execution.run.event("warning", "calibration", warning)
         for line in plan.stand_ins:

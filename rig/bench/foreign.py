@@ -1,0 +1,234 @@
+"""What a driver of another package returns is checked before anything is concluded from it.
+
+When it is connected: that there is an instrument, with the methods and limits of its role
+(`checked`). Later: every position of a stage (`CheckedStage`). A driver of this package judges its
+own positions (`drivers.shared.stage.TravelBound`) and is left as it is.
+
+Only what is returned is judged, never what is sent: stops, motions and keep-alives reach the driver
+whatever its positions look like, and what the driver asks itself is not seen here.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from collections.abc import Callable, Mapping
+from importlib.metadata import EntryPoint
+from numbers import Real
+from typing import Any
+
+from rig.bench.plan import InstrumentPlan
+from rig.core.entry_points import DRIVERS, OWN_PACKAGE, BrokenPackageError, cause, find, package
+from rig.core.errors import ConfigurationError, RigError, WrongPositionError, shortened
+from rig.instruments.roles import (
+    DataAcquisition,
+    ForceSensor,
+    Identity,
+    Instrument,
+    LinearStage,
+    Reach,
+    RotaryStage,
+    SignalGenerator,
+)
+
+ROLES: Mapping[str, tuple[type, tuple[str, ...]]] = {
+    "generator": (SignalGenerator, ("frequency", "amplitude")),
+    "daq": (DataAcquisition, ()),
+    "stage_z": (LinearStage, ("position", "speed", "update_rate")),
+    "stage_x": (LinearStage, ("position", "speed", "update_rate")),
+    "rotary": (RotaryStage, ("angle", "speed", "acceleration")),
+    "force_sensor": (ForceSensor, ("rate", "force")),
+}
+"""Interface of each role, and the quantities whose limits its `reach` has to hold."""
+BEYOND = 1.0
+"""How far outside its limits a stage may be seen, in mm or deg: more than an axis overshoots, and
+far less than a position of another unit or of another drive is off."""
+
+
+def foreign(part: InstrumentPlan) -> EntryPoint | None:
+    """Return the entry point of a driver of another package; None for one of this package."""
+    with contextlib.suppress(ConfigurationError):
+        entry = find(DRIVERS, part.driver_name)
+        if entry is not None and package(entry) != OWN_PACKAGE:
+            return entry
+    return None
+
+
+def connect_foreign(
+    part: InstrumentPlan, entry: EntryPoint, connect: Callable[[], Any]
+) -> Instrument:
+    """Connect by a driver of another package, and return its instrument: a stage as a
+    `CheckedStage`.
+
+    Raises BrokenPackageError, which names the package, where `connect` raises something else than a
+    RigError, or returns what does not fulfil its role; that is closed.
+    """
+    try:
+        instrument = connect()
+    except (RigError, OSError):
+        raise
+    except Exception as error:
+        raise BrokenPackageError(entry, f"cannot connect: {cause(error)}") from error
+    try:
+        fault = _fault(part.role, instrument)
+    except RigError:
+        _close(instrument)
+        raise
+    except Exception as error:
+        _close(instrument)
+        raise BrokenPackageError(entry, f"cannot be used: {cause(error)}") from error
+    if fault is not None:
+        _close(instrument)
+        raise BrokenPackageError(entry, fault)
+    if part.role in ("stage_z", "stage_x", "rotary"):
+        instrument = checked_stage(
+            part.role, instrument, f"{entry.name!r} of the package {package(entry)}"
+        )
+    found: Instrument = instrument
+    return found
+
+
+def _close(instrument: Any) -> None:
+    with contextlib.suppress(Exception):
+        instrument.close()
+
+
+def _fault(role: str, instrument: Any) -> str | None:
+    """Return what an instrument lacks for its role, as the end of a sentence that begins with its
+    driver; None if it lacks nothing."""
+    if instrument is None:
+        return "cannot be used: connect() returned None"
+    interface, quantities = ROLES[role]
+    names = {**vars(Instrument), **vars(interface)}
+    methods = [name for name, it in names.items() if callable(it) and not name.startswith("_")]
+    missing = [name for name in methods if not callable(getattr(instrument, name, None))]
+    if missing:
+        returned = f"connect() returned {_shown(instrument)} without {', '.join(missing)}"
+        return f"cannot be used: {returned}, which a {role} needs"
+    identity = getattr(instrument, "identity", None)
+    if not isinstance(identity, Identity):
+        return f"cannot be used: identity is {_shown(identity)}, not an Identity"
+    limits = instrument.reach()
+    if not isinstance(limits, Mapping):
+        return f"cannot be used: reach() returned {_shown(limits)}, not a mapping"
+    for quantity, limit in limits.items():
+        if not isinstance(limit, Reach):
+            return f"cannot be used: reach() has {quantity} = {_shown(limit)}, not a Reach"
+    lacking = [quantity for quantity in quantities if quantity not in limits]
+    if lacking:
+        return f"cannot be used: reach() lacks {', '.join(lacking)}"
+    return None
+
+
+def _shown(value: Any) -> str:
+    """Return a wrong value in words: a short one as it is, else its type."""
+    if value is None or isinstance(value, (str, float, int)):
+        return shortened(repr(value))
+    return f"a {type(value).__name__}"
+
+
+class CheckedStage:
+    """A stage of another package, whose positions are checked; all else is the driver's own.
+
+    A position is a finite number, and within the limits of `reach` or `BEYOND` outside. An axis may
+    stand farther outside when it is connected, as after a change of limits, and come back: so
+    limits are judged once it has been seen inside, or has ended a motion.
+    """
+
+    def __init__(self, role: str, stage: Any, driver: str):
+        self._role, self._stage, self._driver = role, stage, driver
+        limits = stage.reach()["angle" if role == "rotary" else "position"]
+        self._low, self._high, self._unit = limits.low - BEYOND, limits.high + BEYOND, limits.unit
+        self._judged = False
+        """True once the axis has to be within its limits."""
+        self._under_way = False
+        """True from a motion's start until it has ended or was stopped."""
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stage, name)
+
+    def position_mm(self) -> float:
+        """See `LinearStage`. Raises WrongPositionError."""
+        judged = self._judged  # before it is asked: another thread may end a motion meanwhile
+        return self._checked("position_mm", self._stage.position_mm(), judged)
+
+    def angle_deg(self) -> float:
+        """See `RotaryStage`. Raises WrongPositionError."""
+        judged = self._judged
+        return self._checked("angle_deg", self._stage.angle_deg(), judged)
+
+    def home(self) -> None:
+        """See `LinearStage`: positions have another reference afterwards."""
+        self._judged = self._under_way = False
+        self._stage.home()
+
+    def start_move(self, position_mm: float, speed_mm_s: float) -> None:
+        """See `LinearStage`."""
+        self._under_way = True
+        self._stage.start_move(position_mm, speed_mm_s)
+
+    def start_turn(self, angle_deg: float, speed_deg_s: float, acceleration_deg_s2: float) -> None:
+        """See `RotaryStage`."""
+        self._under_way = True
+        self._stage.start_turn(angle_deg, speed_deg_s, acceleration_deg_s2)
+
+    def moving(self) -> bool:
+        """See `LinearStage`."""
+        is_moving: bool = self._stage.moving()
+        if not is_moving and self._under_way:
+            self._judged, self._under_way = True, False
+        return is_moving
+
+    def move_to(self, position_mm: float, speed_mm_s: float) -> None:
+        """See `LinearStage`."""
+        self._stage.move_to(position_mm, speed_mm_s)
+        self._judged = True
+
+    def turn_to(self, angle_deg: float, speed_deg_s: float, acceleration_deg_s2: float) -> None:
+        """See `RotaryStage`."""
+        self._stage.turn_to(angle_deg, speed_deg_s, acceleration_deg_s2)
+        self._judged = True
+
+    def stop(self) -> None:
+        """See `LinearStage`."""
+        self._under_way = False
+        self._stage.stop()
+
+    def make_safe(self) -> None:
+        """See `Instrument`."""
+        self._under_way = False
+        self._stage.make_safe()
+
+    def _checked(self, command: str, value: Any, judged: bool) -> float:
+        if type(value) is not float:
+            if not isinstance(value, Real) or isinstance(value, bool):
+                what = f"returned {_shown(value)}, not a number"
+                raise self._wrong(command, what, math.nan)
+            value = float(value)
+        if self._low <= value <= self._high:
+            self._judged = True
+            return float(value)
+        if not math.isfinite(value):
+            raise self._wrong(command, f"returned {value}", math.nan)
+        if judged:
+            low, high = self._low + BEYOND, self._high - BEYOND
+            limits = f"its limits of {low:g} to {high:g} {self._unit}"
+            raise self._wrong(command, f"returned {value:g} {self._unit}, outside {limits}", value)
+        return float(value)
+
+    def _wrong(self, command: str, what: str, position: float) -> WrongPositionError:
+        hint = f"check where the axis stands, and the driver {self._driver}"
+        return WrongPositionError(self._role, command, what, hint, position)
+
+
+def checked_stage(role: str, stage: Any, driver: str) -> Any:
+    """Return a stage with its positions checked. It has the members that the stage has, so that the
+    optional interfaces (`ReportsFault` and others) are found at it, however they are looked for."""
+    own = vars(CheckedStage)
+    passed_on = [name for name in dir(stage) if not name.startswith("_") and name not in own]
+    members = {name: property(_passed_on(name)) for name in passed_on}
+    return type("CheckedStage", (CheckedStage,), members)(role, stage, driver)
+
+
+def _passed_on(name: str) -> Callable[[CheckedStage], Any]:
+    return lambda checked: getattr(checked._stage, name)

@@ -1,0 +1,159 @@
+"""What a driver of another package returns when it is connected, and where its stage is seen."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from importlib.metadata import EntryPoint
+from typing import Any
+
+import pytest
+
+from rig.bench import connect as connecting
+from rig.bench.connect import connect
+from rig.bench.connected import close_all
+from rig.bench.foreign import checked_stage, connect_foreign
+from rig.bench.plan import BenchPlan, InstrumentPlan
+from rig.core.clock import WallClock
+from rig.core.entry_points import BrokenPackageError
+from rig.core.errors import InstrumentError, WrongPositionError
+from rig.core.settings import Settings
+from rig.instruments.roles import Identity, Reach, ReportsFault
+
+ENTRY = EntryPoint("zstage", "zstage.driver", "rig.drivers")
+PART: Any = InstrumentPlan("stage_x", "zstage", None, Settings())  # type: ignore[arg-type]
+
+
+class Stage:
+    """A stage that stands where it is put."""
+
+    def __init__(self) -> None:
+        self.identity: Any = Identity("Lab", "Z", "1", "2")
+        self.limits: Any = {
+            "position": Reach(0.0, 40.0, "mm", "stage_x"),
+            "speed": Reach(0.1, 20.0, "mm/s", "stage_x"),
+            "update_rate": Reach(0.0, 100.0, "Hz", "stage_x"),
+        }
+        self.at: Any = 10.0
+        self.sent: list[str] = []
+        self.closed = False
+
+    def __getattr__(self, name: str) -> Callable[..., Any]:
+        if name in ("homed", "home", "start_move", "move_to", "stop", "make_safe", "keep_alive"):
+            return lambda *given: self.sent.append(name)
+        if name in ("moving", "acknowledge_timeout"):
+            return lambda: False
+        raise AttributeError(name)
+
+    def reach(self) -> Any:
+        return self.limits
+
+    def position_mm(self) -> Any:
+        return self.at
+
+    def fault(self) -> str | None:
+        return None
+
+    def close(self) -> None:
+        self.closed = True
+
+
+def wrong(**values: Any) -> Stage:
+    stage = Stage()
+    for name, value in values.items():
+        setattr(stage, name, value)
+    return stage
+
+
+CONNECTED = {
+    "None": (lambda: None, "connect() returned None"),
+    "a list of limits": (lambda: wrong(limits=[1]), "reach() returned a list, not a mapping"),
+    "a limit without one": (
+        lambda: wrong(limits={"position": (0, 40)}),
+        "reach() has position = a tuple, not a Reach",
+    ),
+    "a missing limit": (lambda: wrong(limits={}), "reach() lacks position, speed, update_rate"),
+    "no identity": (lambda: wrong(identity=None), "identity is None, not an Identity"),
+    "no stop": (lambda: wrong(stop=None), "returned a Stage without stop, which a stage_x needs"),
+    "an exception": (lambda: [][0], "cannot connect: "),
+}
+
+
+@pytest.mark.parametrize("kind", CONNECTED)
+def test_what_connects_wrongly_is_closed_and_its_package_named(kind: str) -> None:
+    make, words = CONNECTED[kind]
+    made: list[Any] = []
+
+    def connected() -> Any:
+        made.append(make())
+        return made[0]
+
+    with pytest.raises(BrokenPackageError) as raised:
+        connect_foreign(PART, ENTRY, connected)
+    assert "driver 'zstage' of the package" in raised.value.message
+    assert words in raised.value.message
+    assert all(one.closed for one in made if one is not None)
+
+
+def test_it_is_refused_where_the_bench_is_connected(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(connecting, "foreign", lambda part: ENTRY)
+
+    class Driver:
+        @staticmethod
+        def connect(settings: Any, clock: Any) -> None:
+            return None
+
+    part = InstrumentPlan("stage_x", "zstage", Driver, Settings())  # type: ignore[arg-type]
+    plan = BenchPlan(None, (part,), "", "")  # type: ignore[arg-type]
+    with pytest.raises(BrokenPackageError, match=r"connect\(\) returned None"):
+        connect(plan, WallClock())
+
+
+def test_one_that_cannot_be_closed_keeps_no_other_from_it() -> None:
+    last = Stage()
+    close_all({"stage_x": None, "stage_z": last})  # type: ignore[dict-item]
+    assert last.closed
+
+
+@pytest.mark.parametrize("at", [float("nan"), float("inf"), "10.0", None, True])
+def test_a_position_that_is_not_a_finite_number_raises_and_all_else_is_sent(at: Any) -> None:
+    inner = wrong(at=at)
+    stage = checked_stage("stage_x", inner, "'zstage' of the package lab")
+    with pytest.raises(WrongPositionError, match=r"^stage_x: position_mm: returned ") as raised:
+        stage.position_mm()
+    assert isinstance(raised.value, InstrumentError)
+    assert "the driver 'zstage' of the package lab" in str(raised.value.hint)
+    stage.start_move(5.0, 1.0)
+    stage.stop()
+    stage.make_safe()
+    stage.keep_alive()
+    stage.move_to(5.0, 1.0)
+    assert inner.sent == ["start_move", "stop", "make_safe", "keep_alive", "move_to"]
+    assert isinstance(stage, ReportsFault)
+    assert stage.identity is inner.identity
+
+
+def test_an_axis_beyond_its_limits_may_come_back_and_is_not_seen_there_again() -> None:
+    inner = wrong(at=45.0)
+    stage = checked_stage("stage_x", inner, "'zstage' of the package lab")
+    assert stage.position_mm() == 45.0
+    stage.start_move(20.0, 1.0)
+    assert stage.position_mm() == 45.0
+    stage.stop()
+    assert not stage.moving()
+    assert stage.position_mm() == 45.0, "stopped on its way"
+    inner.at = 40.5
+    assert stage.position_mm() == 40.5, "within the tolerance"
+    inner.at = 45.0
+    with pytest.raises(WrongPositionError, match="45 mm, outside its limits of 0 to 40 mm"):
+        stage.position_mm()
+    stage.home()
+    assert stage.position_mm() == 45.0, "another reference"
+    stage.start_move(20.0, 1.0)
+    assert not stage.moving()
+    with pytest.raises(WrongPositionError):
+        stage.position_mm()
+
+
+def test_a_whole_number_is_a_position() -> None:
+    position = checked_stage("stage_x", wrong(at=7), "").position_mm()
+    assert (position, type(position)) == (7.0, float)
