@@ -83,7 +83,9 @@ def of_processed(description: Mapping[str, Any], usual: Mapping[str, Any]) -> li
     others = [f"{trial}: {event}" for trial, event in events if "judge" in event]
     in_order = sorted(EVENT_KINDS, key="incipient slip".__ne__)
     counts = [counted_events(k, kinds[SHOWN_AS[k]]) for k in in_order if SHOWN_AS[k] in kinds]
-    found = f"{counted(len(description['trials']), 'trial')}: {', '.join(counts) or 'nothing found'}"
+    found = (
+        f"{counted(len(description['trials']), 'trial')}: {', '.join(counts) or 'nothing found'}"
+    )
     sections = [
         Section("parameters", [_pairs(changed) or AT_DEFAULTS], rank=1),
         Section("found", [found, *slips, *others], rank=0),

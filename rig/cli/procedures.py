@@ -146,7 +146,7 @@ def perform(
         if bench.started is not None:
             bench.started.wait()
         if request.dry_run:
-            finish_dry_run(type(procedure), outcome, request.as_json)
+            finish_dry_run(type(procedure), outcome, request.as_json, request.debug)
         else:
             finish(type(procedure), outcome, request.as_json, drawing, request.debug)
     raise typer.Exit(int(outcome.code))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+import traceback
 from collections.abc import Mapping, Sequence, Set
 from typing import TYPE_CHECKING, Any, Self
 
@@ -12,8 +13,10 @@ from rich.progress import BarColumn, Progress, ProgressColumn, Task, TaskID, Tex
 from rich.text import Text
 
 from rig.cli.outcome import say, say_failure, turning
+from rig.core.entry_points import BrokenPackageError
 from rig.core.units import counted, duration
 from rig.figures.drawing import DrawingProcess, Drawn
+from rig.run.checked_procedure import ProcedureFaultError
 from rig.run.observers import HOLD, PAUSED, RUNNING, RunObserver
 
 if TYPE_CHECKING:
@@ -133,8 +136,7 @@ def finish(
     for failure in outcome.failures:
         if outcome.status != "stopped":
             say_failure(failure, debug)
-    for off in outcome.off_failures:
-        say(f"error: NOT SAFE: {off.name} could not be switched off: {off.reason}")
+    _say_what_stayed_on(outcome)
     if outcome.taken_over is not None:
         say(outcome.taken_over.summary)
     drawn = Drawn()
@@ -152,6 +154,11 @@ def finish(
         say(line)
 
 
+def _say_what_stayed_on(outcome: RunOutcome) -> None:
+    for off in outcome.off_failures:
+        say(f"error: NOT SAFE: {off.name} could not be switched off: {off.reason}")
+
+
 def _report_summary(outcome: RunOutcome) -> None:
     """Report the results in brief; the file's path goes to stdout for a program that reads it. A
     person at a terminal sees it in the closing lines."""
@@ -164,10 +171,21 @@ def _report_summary(outcome: RunOutcome) -> None:
         print(outcome.file, flush=True)  # noqa: T201 - stdout carries data
 
 
-def finish_dry_run(procedure: type[Procedure], outcome: RunOutcome, as_json: bool) -> None:
-    """Report the result of a dry run: whether the procedure works, and how long it takes."""
+def finish_dry_run(
+    procedure: type[Procedure], outcome: RunOutcome, as_json: bool, debug: bool
+) -> None:
+    """Report the result of a dry run: whether the procedure works, and how long it takes.
+
+    The traceback of a fault in another package is shown, since a dry run leaves no log.
+    """
     for failure in outcome.failures:
-        say_failure(failure)
+        fault = isinstance(failure, (ProcedureFaultError, BrokenPackageError)) and failure.__cause__
+        if fault and isinstance(failure, ProcedureFaultError):
+            failure.hint = "the traceback is on stderr; report it to whoever maintains the package"
+        say_failure(failure, debug)
+        if fault and not debug:
+            traceback.print_exception(fault)
+    _say_what_stayed_on(outcome)
     for warning in outcome.warnings:
         say(f"warning: {warning}")
     say(

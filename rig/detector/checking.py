@@ -128,7 +128,7 @@ class CheckedDetector(Detector):
 
 @contextlib.contextmanager
 def quiet_stdout() -> Iterator[None]:
-    """Sends to stderr what code of another package prints or writes to descriptor 1: stdout carries
+    """Send to stderr what code of another package prints or writes to descriptor 1: stdout carries
     the command's data."""
     with contextlib.redirect_stdout(sys.stderr):
         try:

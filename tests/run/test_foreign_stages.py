@@ -123,3 +123,39 @@ def test_a_position_of_z_that_becomes_wrong_while_it_presses_does_not_keep_it_pr
     assert done.code == 3, done.stderr
     assert "error: stage_z: position_mm: returned " in done.stderr
     assert z_is_lifted(acme) is (value != "-4200.0")  # what the drive goes by leads down
+
+
+def test_a_dry_run_shows_what_was_not_switched_off(acme: Any) -> None:
+    stop = "with self._interlock.stopping(rearm=True):"
+    change(acme, "z", stop, f'raise TypeError("oops")\n        {stop}')
+    done = dry_run(acme)
+    assert done.code == 7, done.stderr
+    assert "could not be switched off: TypeError: oops" in done.stderr
+
+
+def test_a_dry_run_shows_the_traceback_of_a_driver_that_cannot_connect(acme: Any) -> None:
+    change(acme, "x", 'self._link.ask(f"TORQUE {limit}", "OK")', "1 / 0")
+    done = dry_run(acme, "--json")
+    assert done.code == 2, done.stderr
+    assert "driver 'acme-x' of the package acme" in done.stderr
+    assert "x_driver.py line" in done.stderr
+    assert "ZeroDivisionError: division by zero" in done.stderr
+    assert "Traceback (most recent call last)" in done.stderr
+    assert done.object["exit"] == 2
+
+
+def test_a_fault_of_a_driver_in_the_checks_names_its_package(acme: Any) -> None:
+    # `reach` is right when it is connected, and raises when the points are checked.
+    change(
+        acme,
+        "x",
+        "        own, owner = self._settings",
+        "        self.asked = getattr(self, 'asked', 0) + 1\n"
+        "        1 / (3 - min(self.asked, 3))\n"
+        "        own, owner = self._settings",
+    )
+    done = dry_run(acme)
+    assert done.code == 1, done.stderr
+    assert "error: a fault in the package acme: acme/x_driver.py line " in done.stderr
+    assert "Traceback (most recent call last)" in done.stderr
+    assert "rig.log" not in done.stderr
