@@ -72,7 +72,7 @@ def test_a_whole_file_is_read_and_expanded(tmp_path: Path) -> None:
         ("repeat = 2", "repeat = 0", 11, "experiment 1: repeat = 0: has to be at least 1"),
         ("repeat = 2", "repeats = 2", 11, "experiment 1: repeats: unknown key"),
         ("    0.5,\n]", "    -0.5,\n]", 13, "experiment 1: matrix.speed_mm_s = -0.5 mm/s: has to"),
-        ("    0.5,\n]", "    [1],\n]", 13, "experiment 1: matrix.speed_mm_s: has to be true or"),
+        ("    0.5,\n]", "    [1],\n]", 13, "experiment 1: matrix.speed_mm_s: an entry has to be"),
         ('"1 min"', '"1 m"', 17, "experiment 1: matrix.rest_s = '1 m': 'm' does not convert to s"),
         ("rest_s = 60", "pause_s = 60", 20, "experiment 1: exclude.pause_s: the procedure has no"),
         ('"4 N"', '"4 kg"', 7, "defaults.slip-trial.normal_force_N = '4 kg': "),
