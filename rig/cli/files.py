@@ -122,7 +122,7 @@ def show(
             return
         draws = figures or pdf or figures_to is not None
         from rig.files.checksum import checksum_findings
-        from rig.files.describe import ending_of
+        from rig.files.describe import describe_contents, ending_of
         from rig.files.file_kind import kind_of
         from rig.files.journal.reader import read_journal
         from rig.files.model_file import ModelFile, is_model
@@ -137,7 +137,9 @@ def show(
                 contents = read_journal(path)
                 readings = [kept.reading for kept in contents.kept()]
                 outcome, nothing = ending_of(contents), Analyses()
-                _show_run(path, contents.header, outcome, readings, contents.results, nothing, how)
+                stored = contents.results
+                holds = describe_contents(contents.header, contents.sampling())
+                _show_run(path, contents.header, outcome, readings, stored, nothing, holds, how)
                 continue
             doubts = [f"warning: {path.name}: {found}" for found in checksum_findings(path)]
             if is_model(path):
@@ -156,7 +158,10 @@ def show(
                     _say_all(doubts)
                     found = analyse_run(run)
                     readings = run.readings()
-                    _show_run(path, run.header, run.outcome, readings, run.results, found, how)
+                    holds = describe_contents(run.header, run.sampling())
+                    _show_run(
+                        path, run.header, run.outcome, readings, run.results, found, holds, how
+                    )
             if draws:
                 _draw(path, figures_to, pdf, say if as_json else _print)
         if draws and len(files) == 2:
@@ -170,6 +175,7 @@ def _show_run(
     readings: Sequence[Reading],
     stored: Results | None,
     analyses: Analyses,
+    holds: Mapping[str, Mapping[str, Mapping[str, Any]]],
     how: _How,
 ) -> None:
     """Show a run, and what this program finds otherwise than is stored."""
@@ -188,7 +194,33 @@ def _show_run(
     elif now is not None:
         said |= computed_now(now, how == "json")
     said |= _analysed(analyses)
+    said |= holds if how == "json" else _holds_in_words(holds)
     (_shown_as_json if how == "json" else _print_values)(said)
+
+
+def _holds_in_words(
+    holds: Mapping[str, Mapping[str, Mapping[str, Any]]],
+) -> dict[str, dict[str, str]]:
+    """Return a line for each column and stream, such as ``Travel of z during the hold (um)`` and
+    ``F_n, F_t, F_y in N, 1000 Hz (…)``."""
+
+    def column(one: Mapping[str, Any]) -> str:
+        return f"{one['meaning']} ({one['unit']})" if one["unit"] else one["meaning"]
+
+    def stream(one: Mapping[str, Any]) -> str:
+        said = ", ".join(one["channels"]) + (f" in {one['unit']}" if one["unit"] else "")
+        if not one["recorded"]:
+            said += ", not recorded"
+        elif one["rate_Hz"] is not None:
+            said += f", {in_words(one['rate_Hz'])} Hz"
+        elif one["times"]:
+            said += f", at the times of {one['times']}"
+        return f"{said} ({one['meaning']})" if one["meaning"] else said
+
+    return {
+        "columns": {name: column(one) for name, one in holds["columns"].items()},
+        "streams": {name: stream(one) for name, one in holds["streams"].items()},
+    }
 
 
 def _show_processed(file: ProcessedFile, how: _How) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import math
 import tomllib
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -56,6 +57,32 @@ def describe(file: Path, header: RunHeader, outcome: RecordedOutcome) -> dict[st
         "warnings": list(outcome.warnings),
     }
     return {name: value for name, value in values.items() if value not in ("", [], {}, None)}
+
+
+def describe_contents(
+    header: RunHeader, sampling: Mapping[str, tuple[float | None, str]]
+) -> dict[str, dict[str, dict[str, Any]]]:
+    """Return the columns of the readings and the streams of samples as JSON-able values, by name.
+
+    `sampling` has rate and unit of each stream that was recorded. `times` is the stream whose rows
+    are the times of rows that are not evenly spaced.
+    """
+    columns = {
+        column.name: {"unit": column.units, "meaning": column.meaning or column.long_name}
+        for column in header.layout.columns
+    }
+    streams = {}
+    for stream in header.streams:
+        rate_Hz, unit = sampling.get(stream.name, (None, stream.units))
+        streams[stream.name] = {
+            "channels": list(stream.channels),
+            "unit": unit,
+            "rate_Hz": rate_Hz,
+            "times": stream.times or None,
+            "recorded": stream.name in sampling,
+            "meaning": stream.long_name,
+        }
+    return {"columns": columns, "streams": streams}
 
 
 def ending_of(contents: JournalContents) -> RecordedOutcome:

@@ -3,6 +3,7 @@ file, and names what matters there."""
 
 from __future__ import annotations
 
+import json
 import sys
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,7 @@ import recorded_run
 
 from rig.cli.screen import Section, on_a_screen
 from rig.files.journal.writer import JournalWriter
+from rig.files.runfile.reader import RunFile
 
 LINES, COLUMNS = 23, 80
 
@@ -84,6 +86,36 @@ def test_nothing_that_is_shown_leaves_the_whole_description(rig: Any, folder: Pa
         assert f"\n{name}:" in f"\n{everything}", name
     for name in ("mean_touch_gain_1_dB", "force_zero_N", "put_in", "standard_errors", "tick_Hz"):
         assert f"\n  {name}:" in everything, name
+
+
+def test_everything_has_a_line_for_each_column_and_stream(rig: Any, folder: Path) -> None:
+    file = str(folder / recorded.TWO_SLIDES)
+    everything = rig.run("show", "--all", file).stdout
+    columns, streams = everything.split("\ncolumns:\n")[1].split("streams:\n")
+    assert "  speed: Speed of the slide (mm/s)\n" in columns
+    assert "  force: F_n, F_t, F_y in N, 1000 Hz (Normal force, " in streams
+    assert "  strips: strip_1, strip_2 in V, 10000 Hz (" in streams
+    assert "  position: z, x, z_commanded, x_commanded in mm (" in streams
+    as_json = json.loads(rig.run("show", "--json", file).stdout)
+    with RunFile.open(folder / recorded.TWO_SLIDES) as run:
+        assert list(as_json["columns"]) == run.columns()
+        assert {sample.stream for sample in run.waveforms()} == {
+            name for name, stream in as_json["streams"].items() if stream["recorded"]
+        }
+    assert as_json["streams"]["force"]["rate_Hz"] == 1000
+    assert as_json["streams"]["force"]["unit"] == "N"
+
+
+def test_a_journal_has_the_same_columns_and_streams_as_its_run_file(rig: Any) -> None:
+    with JournalWriter.create(rig.folder / "run.rigj", recorded_run.header()) as writer:
+        recorded_run.take_point(writer, 0)
+        writer.end(recorded_run.end("stopped", 1))
+    assert rig.run("recover", "run.rigj").code == 0
+    journal, file = (
+        json.loads(rig.run("show", "--json", name).stdout) for name in ("run.rigj", "run.h5")
+    )
+    for name in ("columns", "streams"):
+        assert journal[name] == file[name] != {}
 
 
 def test_sections_share_what_is_left_by_their_rank() -> None:

@@ -114,6 +114,16 @@ class JournalContents:
         reading: dict[str, Any] = from_json(self.attempts[attempt].result)["reading"]
         return reading
 
+    def sampling(self) -> dict[str, tuple[float | None, str]]:
+        """Return for each recorded stream its rate in Hz, None where rows are not evenly spaced,
+        and the unit of its values."""
+        found: dict[str, tuple[float | None, str]] = {}
+        for segment in self.segments:
+            stream, state = self.header.streams[segment.stream], segment.state
+            known = (None, stream.units) if state is None else (state.rate_Hz, state.units)
+            found.setdefault(stream.name, known)
+        return found
+
     def records(self) -> Iterator[JournalRecord]:
         """Read every record behind the header, in order, one at a time. JournalError if the file
         changed since it was first read.

@@ -200,6 +200,20 @@ class RunFile(OpenFile):
                 ):
                     yield _waveform(data)
 
+    def sampling(self) -> dict[str, tuple[float | None, str]]:
+        """Return for each recorded stream its rate in Hz and the unit of its values, without
+        reading a sample. The rate is None where rows are not evenly spaced."""
+        found: dict[str, tuple[float | None, str]] = {}
+        with self._naming():
+            for place in ("waveforms", "discarded", "between_points"):
+                for data in self.entry[place].values() if place in self.entry else ():
+                    if (stream := data.attrs.get("stream")) is not None and stream not in found:
+                        channel = data[str(data.attrs["signal"])].attrs
+                        rate = float(channel["rate_Hz"]) if "rate_Hz" in channel else None
+                        unit = channel.get("scaled_units", channel.get("units", ""))
+                        found[str(stream)] = rate, str(unit)
+        return found
+
 
 def _header_of(entry: h5py.Group) -> RunHeader:
     """Return the run's header from the file. Raises ValueError if it is not a header."""
