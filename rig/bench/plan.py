@@ -24,7 +24,7 @@ from rig.bench.driver_settings import (
 )
 from rig.bench.interlocks import unreadable
 from rig.bench.settings import ROLES, STRIPS, BenchSettings, Fixture
-from rig.core.entry_points import DRIVERS, find, load, package
+from rig.core.entry_points import DRIVERS, BrokenPackageError, find, load, package
 from rig.core.errors import (
     ConfigurationError,
     RigError,
@@ -133,6 +133,11 @@ def parse_bench(text: str, source: str) -> BenchPlan:
     if settings is not None:
         findings += map(ConfigurationError, _heartbeat_findings(settings, plans, source))
     findings += _mark_findings(plans, source)
+    for part in plans:
+        if lack := _lack_of_timeout(part.driver_name, part.driver):
+            findings.append(
+                ConfigurationError(f"{source}: [{part.role}]: {lack.message}", lack.hint)
+            )
     findings += _communication_findings(plans, source)
     findings += _address_findings(plans, source)
     if findings or settings is None:
@@ -266,10 +271,21 @@ def _plan_instrument(role: str, table: Any, source: str) -> InstrumentPlan:
     try:
         settings = module.Settings.model_validate(table)
     except ValidationError as error:
+        if "timeout_s" in table and (lack := _lack_of_timeout(name, module)):
+            raise ConfigurationError(f"{where}: {lack.message}", lack.hint) from error
         raise ConfigurationError.from_validation(error, where) from error
     if (own := getattr(settings, "role", role)) != role:
         raise ConfigurationError(f"{where}: its settings are those of the {own}")
     return InstrumentPlan(role, name, module, settings)
+
+
+def _lack_of_timeout(name: str, module: DriverModule) -> BrokenPackageError | None:
+    """Return the fault of a driver whose Settings have no ``timeout_s``, which every driver needs.
+    It is a fault for runs only: `rig make-safe` works with such a driver."""
+    entry = find(DRIVERS, name)
+    if entry is None or "timeout_s" in module.Settings.model_fields:
+        return None
+    return BrokenPackageError(entry, "has Settings that lack timeout_s")
 
 
 def _wiring_errors(

@@ -115,9 +115,10 @@ def connect(settings, clock): ...
 def make_safe(settings): ...
 """
 MODULES = {
-    "lab_unmarked": "host: str; port: int = 502",
-    "lab_nowhere": "tcp_port: int = 4001",
-    "lab_left_out": "host: Address[str | None] = None",
+    "lab_unmarked": "timeout_s: float = 0.5; host: str; port: int = 502",
+    "lab_nowhere": "timeout_s: float = 0.5; tcp_port: int = 4001",
+    "lab_left_out": "timeout_s: float = 0.5; host: Address[str | None] = None",
+    "lab_hasty": "host: Address[str]",
 }
 """Settings of drivers of another package, by their module's name."""
 
@@ -138,6 +139,18 @@ def lab(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
 def lab_bench(driver: str, settings: str = "") -> str:
     return BENCH.format(role="force_sensor", driver=driver, settings=settings)
+
+
+@pytest.mark.usefixtures("lab")
+@pytest.mark.parametrize("given", ["", "timeout_s = 0.5\n"])
+def test_a_driver_without_a_timeout_is_refused_for_runs_by_its_package(given: str) -> None:
+    text = lab_bench("lab_hasty", f'host = "127.0.0.1"\n{given}')
+    with pytest.raises(ConfigurationError, match="has Settings that lack timeout_s") as refused:
+        parse_bench(text, "bench.toml")
+    assert "driver 'lab_hasty' of the package lab-sensors" in refused.value.message
+    assert refused.value.hint == "fix the package lab-sensors or uninstall it"
+    if not given:
+        assert not parse_to_make_safe(text, "bench.toml").failures
 
 
 @pytest.mark.usefixtures("lab")

@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
-from rig.core.entry_points import SIMULATORS, BrokenPackageError, find, load
-from rig.core.errors import ConfigurationError
+from rig.core.entry_points import SIMULATORS, BrokenPackageError, find, load, names
+from rig.core.errors import ConfigurationError, shortened
 
 if TYPE_CHECKING:
     from drivers.simulated.faults.plan import FaultPlan
@@ -70,6 +70,13 @@ def check_replaced(replace: Mapping[str, str]) -> None:
                 f"the simulated bench has no {role}",
                 f"what can be replaced: {', '.join(REPLACEABLE)}",
             )
+        if find(SIMULATORS, driver) is None:
+            known = ", ".join(names(SIMULATORS))
+            raise ConfigurationError(
+                f"simulator {shortened(driver)!r} is unknown",
+                f"--replace knows {known}; the project's other stages are chosen with --stages "
+                "(see --help)",
+            )
         simulator_of(role, driver)
 
 
@@ -85,11 +92,15 @@ def simulator_of(role: str, driver: str) -> type[InstrumentCore]:
             return f"lacks {', '.join(missing)}"
         if found.link not in ("serial", "tcp"):
             return f"has the link {found.link!r}, which has to be 'serial' or 'tcp'"
-        if role not in found.roles:
-            return f"is for the role {' or '.join(found.roles)}, not for {role}"
         return None
 
     found: type[InstrumentCore] = load(SIMULATORS, driver, find_fault)
+    if role not in found.roles:
+        raise ConfigurationError(
+            f"the simulator of the driver {driver!r} is for the role {' or '.join(found.roles)}, "
+            f"not for {role}",
+            "use " + " or ".join(f"--replace {own}={driver}" for own in found.roles),
+        )
     return found
 
 
