@@ -156,6 +156,15 @@ def package(entry: EntryPoint) -> str:
     return entry.dist.metadata["Name"] or f"without a name in {entry.dist.locate_file('')}"
 
 
+def foreign_package(group: str, name: str) -> tuple[str, str] | None:
+    """Return name and version of the package that registers `name`; None if it is this one, or if
+    none does."""
+    entry = find(group, name)
+    if entry is None or package(entry) == OWN_PACKAGE:
+        return None
+    return package(entry), "" if entry.dist is None else entry.dist.version
+
+
 @cache
 def _registered(group: str) -> tuple[EntryPoint, ...]:
     """Return the entry points of a group. Finding them takes milliseconds, so it is done once."""

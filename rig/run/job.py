@@ -15,6 +15,7 @@ from typing import Any
 
 import rig
 from rig.bench.connected import Bench
+from rig.core.entry_points import DRIVERS, PROCEDURES, foreign_package
 from rig.core.errors import ConfigurationError
 from rig.core.settings import Settings, fingerprint, leaves, name_without_unit, unit_of
 from rig.files.journal.reader import JournalContents
@@ -196,6 +197,7 @@ class RunJob:
         bench_toml = self.recorded_toml or bench.plan.text
         simulated = bench.simulated
         marker = "SIMULATED – " if simulated else ""
+        drivers = {part.role: part.driver_name for part in bench.plan.instruments}
         return {
             "procedure": self.procedure.name,
             "layout": self.procedure.layout.to_json(),
@@ -205,6 +207,7 @@ class RunJob:
             "run_number": self.run_number,
             "start_time": time_of_day.now_iso(),
             "program": present_program(),
+            **_package("procedure", PROCEDURES, self.procedure.name),
             "settings": self.settings.model_dump(mode="json"),
             "setting_units": {name: unit for name, _, unit in leaves(self.settings) if unit},
             "fingerprint": self.fingerprint(bench_toml),
@@ -226,7 +229,8 @@ class RunJob:
                     "model": instrument.identity.model,
                     "serial_number": instrument.identity.serial_number,
                     "firmware": instrument.identity.firmware,
-                    "driver": next(p.driver_name for p in bench.plan.instruments if p.role == role),
+                    "driver": drivers[role],
+                    **_package("driver", DRIVERS, drivers[role]),
                     "simulated": instrument.identity.simulated,
                 }
                 for role, instrument in bench.instruments.items()
@@ -245,6 +249,13 @@ class RunJob:
                 for stream in self.procedure.streams
             ],
         }
+
+
+def _package(what: str, group: str, name: str) -> dict[str, str]:
+    """Return package and version of a procedure or driver as the journal has them; nothing for one
+    of this program."""
+    found = foreign_package(group, name)
+    return {} if found is None else {f"{what}_package": found[0], f"{what}_version": found[1]}
 
 
 def present_program() -> dict[str, str]:

@@ -13,6 +13,8 @@ from typing import Any
 import packages
 import pytest
 
+from rig.files.runfile.reader import RunFile
+
 PAGE = Path(__file__).parents[2] / "docs" / "add-a-driver.md"
 SHORT = ("--frequencies", "200,1000", "--no-figures", "--json")
 BENCH = packages.film_bench("""driver = "acme-f10"
@@ -152,14 +154,24 @@ def test_a_bench_in_real_time_has_the_simulator_of_the_page_on_tcp(rig: Any, sit
     done = rig.run("sweep", *SHORT, "--bench", "sim.toml")
     assert done.code == 0, done.stderr
     assert done.object["points_done"] > 0
+    (file,) = rig.results.rglob("*.h5")
+    with RunFile.open(file) as run:
+        details = run.entry["instrument/force_sensor/details"]
+        assert details["driver_package"].asstr()[()] == "acme-f10"
+        assert details["driver_version"].asstr()[()] == "1.0"
+        assert "driver_package" not in run.entry["instrument/daq/details"]
 
 
 def test_what_cannot_be_replaced_is_refused(rig: Any) -> None:
     for given, named in (
         ("laser=me-gsv8", "the simulated bench has no laser"),
-        ("generator=me-gsv8", "is for the role force_sensor, not for generator"),
+        (
+            "generator=me-gsv8",
+            "is for the role force_sensor, not for generator; use --replace force_sensor=me-gsv8",
+        ),
         ("force_sensor", "'force_sensor'"),
         ("force_sensor=acme-f11", "'acme-f11' is unknown"),
+        ("stage_x=acme-f11", "the project's other stages are chosen with --stages"),
     ):
         refused = rig.run("simulate", "--replace", given)
         assert refused.code == 2

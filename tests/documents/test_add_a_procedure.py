@@ -35,6 +35,10 @@ def test_the_package_runs_as_the_page_says(rig: Any) -> None:
     assert len(list(rig.results.rglob("*.h5"))) == 2, "a dry run leaves no file"
     with RunFile.open(first) as run_file, RunFile.open(second) as changed:
         assert run_file.settings["hold_s"] == 1.5
+        assert run_file.header.procedure_package == "lab-creep"
+        program = run_file.entry["program_name"]
+        assert program.attrs["procedure_package"] == "lab-creep"
+        assert program.attrs["procedure_version"] == "1.0"
         assert all(abs(run_file.column("creep")) < 1)
         moved_mm = changed.column("contact")[0] - run_file.column("contact")[0]
         assert moved_mm == pytest.approx(0.2, abs=0.02), "the World's file says where contact is"

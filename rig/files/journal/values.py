@@ -108,6 +108,11 @@ class PersonOrSample(Settings):
         return dict(self.model_extra or {})
 
 
+def _without_empty(plain: dict[str, Any], *names: str) -> dict[str, Any]:
+    """Return what is stored without those of the named keys that are empty."""
+    return {name: value for name, value in plain.items() if value or name not in names}
+
+
 class InstrumentRecord(Settings):
     """One instrument of the bench, as it identified itself."""
 
@@ -118,7 +123,16 @@ class InstrumentRecord(Settings):
     serial_number: Short = ""
     firmware: Short = ""
     driver: Short = ""
+    driver_package: Short = ""
+    """Package of a driver that is not this program's own; the record of any other instrument has
+    neither this key nor the next."""
+    driver_version: Short = ""
+    """Version of that package."""
     simulated: bool = False
+
+    @model_serializer(mode="wrap")
+    def _without_no_package(self, serialize: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        return _without_empty(serialize(self), "driver_package", "driver_version")
 
 
 _DTYPE = re.compile(r"(\|[iu]1|[<>][iu][248]|[<>]f[48])\Z")
@@ -251,6 +265,11 @@ class RunHeader(Settings):
     start_time: IsoTime | None
     """None for an imported run whose start is not known."""
     program: Program
+    procedure_package: Short = ""
+    """Package of a procedure that is not this program's own; the header of any other run has
+    neither this key nor the next."""
+    procedure_version: Short = ""
+    """Version of that package."""
     settings: Tree
     setting_units: dict[str, Short] = Field(default_factory=dict)
     """Dotted name of a setting to its unit."""
@@ -280,7 +299,7 @@ class RunHeader(Settings):
             del plain["origin"]
         if not self.accepted:
             del plain["accepted"]
-        return plain
+        return _without_empty(plain, "procedure_package", "procedure_version")
 
     @model_validator(mode="after")
     def _imported_or_run_here(self) -> RunHeader:

@@ -84,6 +84,9 @@ def write_entry(entry: h5py.Group, contents: JournalContents, table: PointTable)
     program = text_field(entry, "program_name", header.program.name)
     program.attrs["version"] = plain_text(header.program.version)
     program.attrs["configuration"] = plain_text(header.program.configuration)
+    for name in ("procedure_package", "procedure_version"):
+        if text := getattr(header, name):
+            program.attrs[name] = plain_text(text)
     _write_named(group(entry, "user", "NXuser"), header.user)
     _write_named(group(entry, "sample", "NXsample"), header.sample)
     _write_parameters(group(entry, "parameters", "NXparameters"), header)
@@ -171,6 +174,9 @@ def _write_instrument(made: h5py.Group, header: RunHeader) -> None:
         details = group(part, "details", "NXcollection")
         for name in ("role", "firmware", "driver"):
             text_field(details, name, getattr(instrument, name))
+        for name in ("driver_package", "driver_version"):
+            if text := getattr(instrument, name):
+                text_field(details, name, text)
         number_field(details, "simulated", instrument.simulated)
     calibrations = group(made, "calibrations", "NXcollection")
     names = UniqueNames()
