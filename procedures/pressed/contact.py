@@ -515,7 +515,6 @@ def _go_clear(run: Run, came_from_mm: float) -> None:
     as well, so it decides as any other.
     """
     stage = run.bench.stage_z
-    target_mm = run.bench.settings.fixture.parked_mm
     try:
         stands_mm = stage.position_mm()
     except WrongPositionError as error:
@@ -523,9 +522,11 @@ def _go_clear(run: Run, came_from_mm: float) -> None:
         if math.isnan(stands_mm):
             if not stage.homed():
                 raise
-            target_mm = max(min(came_from_mm, target_mm), stage.reach()["position"].low)
+            parked_mm = run.bench.settings.fixture.parked_mm
+            target_mm = max(min(came_from_mm, parked_mm), stage.reach()["position"].low)
             stage.move_to(target_mm, TRAVEL_mm_s)
             return
+    target_mm = run.bench.settings.fixture.parked_mm
     if target_mm > stands_mm + BOTTOM_mm:
         lowest_mm = stage.reach()["position"].low
         target_mm = max(min(came_from_mm, stands_mm), lowest_mm)

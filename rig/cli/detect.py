@@ -32,11 +32,11 @@ def detect(
     detector: Annotated[
         str,
         typer.Option(
-            help="One of rig detectors. paper-hp misses half of the simulated slips; rig misses one "
-            "in eight: in holds and re-grips, by a falling force, in strong noise and where friction "
-            "hardly falls. Both alarm falsely when the object is let go (rig in one of five), impulse "
-            "most often. For a grip none is shown to be good enough, and the default stays until one "
-            "is.",
+            help="One of rig detectors. paper-hp misses half of the simulated slips; rig misses "
+            "one in eight: in holds and re-grips, by a falling force, in strong noise and where "
+            "friction hardly falls. Both alarm falsely when the object is let go (rig in one of "
+            "five), impulse most often. For a grip none is shown to be good enough, and the "
+            "default stays until one is.",
             metavar="NAME",
         ),
     ] = DEFAULT_DETECTOR,

@@ -49,14 +49,14 @@ def test_trials_show_validity_friction_and_what_is_assumed(rig: Any, folder: Pat
     assert "status: complete, 2 of 2 trials" in said
     assert "speed_mm_s 0.7, distance_mm 0.25" in said
     assert "  valid: 2 of 2 trials" in said
-    assert "  mean_static_friction: 0.6" in said
+    assert "  static friction: 0.6" in said
     assert " ± " in said
     assert "ASSUM" in said
 
 
 def test_a_roll_and_a_sweep_show_theirs(rig: Any, folder: Path) -> None:
     said = shown(rig, folder / recorded.ROLL)
-    assert "  mean_peak_1_mV: " in said
+    assert "  mean peak 1: " in said
     said = shown(rig, folder / recorded.SWEEP)
     assert "film-clamp, simulated film 0" in said
     assert "loads_N 0.5; 2" in said

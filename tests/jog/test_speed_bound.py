@@ -8,10 +8,17 @@ from typing import Any
 import pytest
 
 from rig.core.errors import LimitError
+from rig.core.settings import Settings
 from rig.instruments.roles import Reach
 from rig.jog.axes import JogSettings, axes_of
 
 LIMIT_N = 40.0
+
+
+class Stage(Settings):
+    """Settings of a stage that brakes by this."""
+
+    deceleration_mm_s2: float = 200.0
 
 
 def bench(stiffest_N_mm: float, update_Hz: float = 1000.0) -> Any:
@@ -24,12 +31,11 @@ def bench(stiffest_N_mm: float, update_Hz: float = 1000.0) -> Any:
         }
     )
     sensor = SimpleNamespace(reach=lambda: {"force": Reach(0.0, LIMIT_N, "N", "force_sensor")})
-    settings = SimpleNamespace(deceleration_mm_s2=200.0)
     return SimpleNamespace(
         instruments={"stage_z": stage, "force_sensor": sensor},
         stage_z=stage,
         force_sensor=sensor,
-        plan=SimpleNamespace(instruments=(SimpleNamespace(role="stage_z", settings=settings),)),
+        plan=SimpleNamespace(instruments=(SimpleNamespace(role="stage_z", settings=Stage()),)),
         settings=SimpleNamespace(fixture=SimpleNamespace(stiffest_N_mm=stiffest_N_mm)),
     )
 
