@@ -38,6 +38,10 @@ def regrip_study(
             metavar="LIST",
         ),
     ] = f"none,always,{DEFAULT_DETECTOR}",
+    speed: Annotated[
+        str,
+        typer.Option(help="Largest speed of a weight that slips, 0.1 to 20 mm/s.", metavar="mm/s"),
+    ] = "2mm/s",
     tuning: Annotated[
         bool, typer.Option("--tuning", help="Use seeds reserved for tuning; the table is marked.")
     ] = False,
@@ -56,7 +60,7 @@ def regrip_study(
         from rig.evaluation.wire.regrip_study import RegripStudy, as_object, table
 
         drawn, wanted = seed_range(seeds), _shares(shares)
-        chosen = _strategies(strategies)
+        chosen, speed_mm_s = _strategies(strategies), _speed(speed)
         check_use(drawn, tuning=tuning)
         if not tuning:
             _check_unseen(chosen, drawn)
@@ -64,7 +68,7 @@ def regrip_study(
         weights = []
         try:
             study = RegripStudy(user_cache(), progress)
-            for weight in study.weights(drawn.seeds(), wanted, chosen):
+            for weight in study.weights(drawn.seeds(), wanted, chosen, speed_mm_s):
                 weights.append(weight)
                 if weight.failed:
                     say(f"seed {weight.seed}, {weight.share:g}, {weight.strategy}: {weight.failed}")
@@ -72,7 +76,8 @@ def regrip_study(
             say(f"interrupted after {progress.number} trials; the same command continues")
             raise
         if as_json:
-            said = {"seeds": str(drawn), "tuning": tuning, **as_object(weights)}
+            drawn_as = {"seeds": str(drawn), "tuning": tuning, "speed_mm_s": speed_mm_s}
+            said = drawn_as | as_object(weights)
             print(json.dumps(said))  # noqa: T201 - data
         else:
             for line in lines_of(table(weights), "TUNING seeds. " if tuning else ""):
@@ -127,6 +132,18 @@ def _shares(text: str) -> list[float]:
             f"--shares {text}: not a list of shares from 0.1 to 2", "for example 0.8,1.05,1.1,1.3"
         )
     return shares
+
+
+def _speed(text: str) -> float:
+    from rig.core.units import quantity
+
+    try:
+        speed_mm_s = quantity(text, "mm/s")
+    except ValueError as error:
+        raise ConfigurationError(f"--speed {text}: {error}", "for example 0.5mm/s") from error
+    if not 0.1 <= speed_mm_s <= 20:
+        raise ConfigurationError(f"--speed {text} is outside 0.1 to 20 mm/s")
+    return speed_mm_s
 
 
 def _strategies(text: str) -> list[str]:

@@ -160,6 +160,24 @@ def test_seeds_that_a_detector_was_tuned_on_are_refused(
     assert not made
 
 
+def test_weights_slip_at_the_speed_that_is_asked_for(
+    made: list[WireTrial], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("RIG_CACHE", str(tmp_path))
+    done = study("--seeds", "1900000:1900001", "--shares", "1.1", "--speed", "0.0005m/s", "--json")
+    assert done.exit_code == 0, done.output
+    assert {trial.settings["speed_mm_s"] for trial in made} == {0.5}
+    assert json.loads(done.stdout)["speed_mm_s"] == 0.5
+
+
+@pytest.mark.parametrize("speed", ["0mm/s", "nan", "2 N", "fast", "21"])
+def test_a_speed_that_cannot_be_is_refused(made: list[WireTrial], speed: str) -> None:
+    done = study("--seeds", "1900000:1900001", "--speed", speed)
+    assert done.exit_code == 2, done.output
+    assert f"--speed {speed}" in done.stderr
+    assert not made
+
+
 def test_the_table_of_tuning_seeds_is_marked(
     made: list[WireTrial], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -41,7 +41,9 @@ stays below the force limit."""
 STEPS, ALWAYS_STEPS = 5, 2
 """Largest number of squeezes on alarms; and of those that `always` makes at once: the fewest that
 hold 1.3 times the holding force."""
-SPEED_mm_s, WAY_mm, LOST_mm = 2.0, 3.0, 0.5
+SPEED_mm_s = 2.0
+"""Speed at which a weight falls that has slipped, unless the study is asked for another one."""
+WAY_mm, LOST_mm = 3.0, 0.5
 HOLD_S = 2.0
 
 
@@ -66,7 +68,7 @@ class Weight:
     """Why it could not be made."""
 
 
-def _bench_of(seed: int) -> tuple[WireTrial, float, float]:
+def _bench_of(seed: int, speed_mm_s: float) -> tuple[WireTrial, float, float]:
     """Return a ramp on the bench of a seed, its normal force and its rate of loading."""
     base = drawn("ramp", seed, None)
     own = np.random.default_rng([seed, 200])
@@ -78,7 +80,7 @@ def _bench_of(seed: int) -> tuple[WireTrial, float, float]:
         "loading": "ramp",
         "ramp_N_s": rate_N_s,
         "ramp_to_N": LARGEST_FORCE_N - 0.5,
-        "speed_mm_s": SPEED_mm_s,
+        "speed_mm_s": speed_mm_s,
         "distance_mm": WAY_mm,
         "rest_s": 0.4,
         "rehearsal": "never",
@@ -153,13 +155,18 @@ class RegripStudy:
         self._number = self._made = 0
 
     def weights(
-        self, seeds: Sequence[int], shares: Sequence[float], strategies: Sequence[str]
+        self,
+        seeds: Sequence[int],
+        shares: Sequence[float],
+        strategies: Sequence[str],
+        speed_mm_s: float = SPEED_mm_s,
     ) -> Iterator[Weight]:
-        """Yield the weights of these seeds; a seed without a holding force yields failed ones."""
+        """Yield the weights of these seeds, which fall at `speed_mm_s` once they slip; a seed
+        without a holding force yields failed ones."""
         total = len(seeds) * (1 + len(shares) * len(strategies))
         try:
             for seed in seeds:
-                ramp, force_N, rate_N_s = _bench_of(seed)
+                ramp, force_N, rate_N_s = _bench_of(seed, speed_mm_s)
                 holding_N, why = self._made_or_stored(ramp, "holding", read_holding, total)
                 for share in shares:
                     for strategy in strategies:
