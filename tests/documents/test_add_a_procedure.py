@@ -25,7 +25,7 @@ def test_the_package_runs_as_the_page_says(rig: Any) -> None:
         assert done.code == 0, (command, done.stderr)
     helped, rehearsed, run, shown, verified, other, planned = ended.values()
     assert "Hold a force and watch the skin creep." in helped.stdout
-    assert "How long the force is held. [10 s]" in " ".join(helped.stdout.split())
+    assert "How long the force is held. [default: 10 s]" in " ".join(helped.stdout.split())
     assert "2 of 2 trials" in run.stderr
     assert "creep: " in shown.stdout
     assert "sound (complete, 2 of 2 points)" in verified.stdout
