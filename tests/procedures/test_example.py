@@ -70,7 +70,7 @@ def test_a_run_presses_holds_reads_and_lifts_also_where_it_is_interrupted(creep:
         assert run.settings["hold_s"] == 4.0
         (samples,) = run.waveforms("trial-002", stream="force")
         assert len(samples.values("F_n")) > 4000
-    assert "mean creep: " in creep.run("show", str(file)).stdout
+    assert "\n  creep: " in creep.run("show", str(file)).stdout
 
 
 @pytest.mark.thorough
