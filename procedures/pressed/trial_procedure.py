@@ -64,6 +64,10 @@ class TrialProcedure(Procedure):
     )
     """Values of the summary that are no results of the run, or that another line contains."""
 
+    put_in_label = "each point of the simulated contact"
+    """The friction that is put in is that of each point; the whole contact begins to slide at a
+    lower F_t/F_n, because its points slip one after another."""
+
     settings: PressedSettings
     _series: PressedSeries | None
 

@@ -12,11 +12,14 @@ MEAN, DEVIATION = "mean_", "standard_deviation_"
 
 
 def single_values(
-    summary: Mapping[str, Any], put_in: Mapping[str, Any], labels: Mapping[str, str] | None = None
+    summary: Mapping[str, Any],
+    put_in: Mapping[str, Any],
+    labels: Mapping[str, str] | None = None,
+    put_in_label: str = "true value",
 ) -> list[str]:
     """Return a line for each number and text of a summary, without its tables: label, value and
-    unit; a mean with its standard deviation, and the true value of a simulation. `labels` are those
-    of `Procedure.summary_labels`.
+    unit; a mean with its standard deviation, and the value of a simulation as `put_in_label`.
+    `labels` are those of `Procedure.summary_labels`.
 
     >>> summary = {"mean_creep_um": 3.14159, "standard_deviation_creep_um": 0.012, "table": {}}
     >>> single_values(summary, {"mean_creep_um": 3.0})
@@ -37,7 +40,7 @@ def single_values(
         label, unit = _label_and_unit(name, mean_of, labels or {})
         lines.append(
             f"{label}: {shown}{unit}"
-            + ("" if true is None else f" (true value: {_in_words(true)})")
+            + ("" if true is None else f" ({put_in_label}: {_in_words(true)})")
         )
     return lines
 

@@ -102,6 +102,8 @@ class Procedure(ABC):
     summary_labels: ClassVar[Mapping[str, str]] = MappingProxyType({})
     """Label and, after a semicolon, unit of values of the summary, by name, for the terminal. The
     other values are shown by their names."""
+    put_in_label: ClassVar[str] = "true value"
+    """What the values of `put_in` are, where `in_brief` shows them beside the measured ones."""
     method: ClassVar[str] = ""
     """How the summary is computed, in a sentence for the run file."""
     summary_origins: ClassVar[Mapping[str, str]] = MappingProxyType({})
@@ -227,4 +229,4 @@ class Procedure(ABC):
         those of the file. An exception costs nothing but the choice: the single values of the
         summary are shown then, as they are by default.
         """
-        return single_values(summary, put_in, self.summary_labels)
+        return single_values(summary, put_in, self.summary_labels, self.put_in_label)
