@@ -3,9 +3,24 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+import sys
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
+
+import pytest
+
+from rig.core import entry_points
+
+FORCE_SENSOR = """
+[force_sensor]
+driver = "me-gsv8"
+port = "/dev/ttyUSB0"
+nominal_force_N = 50.0
+max_force_N = 40.0
+matrix_N_mV_V = [[83.2, 0.4, -0.6], [0.4, 79.9, 0.8], [1.5, 0.5, 83.7]]
+"""
+"""The project's own force sensor, as a table of a bench file."""
 
 
 def install(
@@ -22,6 +37,20 @@ def install(
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(source)
     return site
+
+
+def drivers_installed(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, name: str, sources: Mapping[str, str]
+) -> Iterator[None]:
+    """Install a package with a driver in each of these modules, for as long as a fixture yields."""
+    registered = "[rig.drivers]\n" + "".join(f"{module} = {module}\n" for module in sources)
+    files = {f"{module}.py": source for module, source in sources.items()}
+    monkeypatch.syspath_prepend(install(folder / "site", name, registered, files))
+    entry_points._registered.cache_clear()
+    yield
+    entry_points._registered.cache_clear()
+    for module in sources:
+        sys.modules.pop(module, None)
 
 
 def on_path(rig: Any, site: Path) -> None:

@@ -25,6 +25,7 @@ from procedures.pressed.trial_procedure import TrialProcedure
 from procedures.slip_trial import layout as slip_layout
 from procedures.slip_trial.settings import SlipTrialSettings
 from rig.bench.settings import FixtureSettings
+from rig.core.units import counted
 from rig.run.points import Move, Point, Reading
 
 if TYPE_CHECKING:
@@ -125,7 +126,7 @@ class SlipTrial(TrialProcedure):
         reasons = [str(why) for r in readings if (why := r.get("no_friction"))]
         if reasons:
             found["no_friction"] = [
-                f"{len(reasons)} of {len(readings)} trials give no friction coefficients: "
-                f"{reasons[0]}"
+                f"no friction coefficients in {len(reasons)} of "
+                f"{counted(len(readings), 'trial')}: {reasons[0]}"
             ]
         return found

@@ -130,14 +130,14 @@ def new_folder(results: Path, name: str, today: datetime) -> BatchFolder:
 def find_folder(given: Path | None, results: Path) -> BatchFolder:
     """Return the batch that a command means: the folder it names, or the latest in the results.
 
-    Raises ConfigurationError if there is no batch in the results.
+    Raises ConfigurationError if the results contain no batch.
     """
     if given is not None:
         return BatchFolder(given.parent if given.name == QUEUE else given)
     found = sorted(results.glob(f"*/{QUEUE}"), key=lambda queue: queue.stat().st_ctime)
     if not found:
         raise ConfigurationError(
-            f"there is no batch in {results}", "name its folder, or begin one: rig batch run FILE"
+            f"{results} contains no batch", "name its folder, or begin one: rig batch run FILE"
         )
     return BatchFolder(found[-1].parent)
 

@@ -187,7 +187,7 @@ def import_(
 
 def _files_of(path: Path, labels: Path | None) -> list[Path]:
     """Return the file, or all files of a folder that are not hidden, by their names; the list of
-    labels may be in the folder and is no recording."""
+    labels may be in the folder and is not a recording."""
     if not path.is_dir():
         return [path]
     found = sorted(one for one in path.iterdir() if one.is_file() and one.name[0] != ".")

@@ -143,7 +143,7 @@ def _declared(path: Path, name: str | None = None) -> tuple[BenchPlan, Interlock
 
     if not path.exists():
         raise ConfigurationError(
-            f"there is no bench file {path}",
+            f"bench file {path} not found",
             "interlocks belong to a bench with a bench file: name it with --bench",
         )
     plan = read_bench(path)

@@ -40,7 +40,7 @@ def make_safe(
 
         if not bench.exists():
             raise ConfigurationError(
-                f"no {bench} here" if bench == BENCH_FILE else f"there is no bench file {bench}",
+                f"no {bench} here" if bench == BENCH_FILE else f"bench file {bench} not found",
                 "name the bench file with --bench (a simulated bench that a command starts for "
                 "itself makes itself safe)",
             )

@@ -127,9 +127,10 @@ def _draw_column(panels: Sequence[Axes], run: RunFile, number: int, point: str) 
     ):  # fmt: skip
         at = [one.sample for one in detections if one.kind == kind and one.sample < len(v_d)]
         before, at = [n for n in at if n < begin], [n for n in at if n >= begin]
-        # One that the detector has found in the press already is in force as the motion begins.
-        if kind == "predictive" and before and begin < len(v_d):
-            at = [begin, *at]
+        # One that the detector has found in the press is in force as the motion begins, unless
+        # it finds a further one.
+        if kind == "predictive" and before and not at and begin < len(v_d):
+            at = [begin]
         if at:
             difference.plot(t[at], v_d[at], marker, color=VERMILLION, markersize=4, label=label)
     force = series["force"]

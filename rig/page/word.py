@@ -1,7 +1,7 @@
 """The state of a bench in one word, from what is known of it. Safe is shown only on evidence.
 
 UNSAFE    a mark or a report says so, or a run died and its guard has not reported on the bench
-unknown   the state cannot be known: a run gives no sign of life, or there is no run to judge by
+unknown   the state cannot be known: a run gives no sign of life, or no run is known to judge by
 holding   the run has made the bench safe and waits, or has ended and its program still holds it
 pressed   the object is under force
 running   a run is at work

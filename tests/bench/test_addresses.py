@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -11,7 +10,6 @@ import pytest
 
 from rig.bench.addresses import addresses_of
 from rig.bench.plan import parse_bench, parse_to_make_safe
-from rig.core import entry_points
 from rig.core.errors import ConfigurationError
 from rig.core.settings import Address, Settings, wiring_of
 from rig.run.lock import address_names
@@ -126,15 +124,8 @@ MODULES = {
 @pytest.fixture
 def lab(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """The package lab-sensors with these drivers is installed."""
-    registered = "[rig.drivers]\n" + "".join(f"{name} = {name}\n" for name in MODULES)
-    sources = {f"{name}.py": DRIVER.format(settings=own) for name, own in MODULES.items()}
-    site = packages.install(tmp_path / "site", "lab-sensors", registered, sources)
-    monkeypatch.syspath_prepend(site)
-    entry_points._registered.cache_clear()
-    yield
-    entry_points._registered.cache_clear()
-    for name in MODULES:
-        sys.modules.pop(name, None)
+    sources = {name: DRIVER.format(settings=own) for name, own in MODULES.items()}
+    yield from packages.drivers_installed(tmp_path, monkeypatch, "lab-sensors", sources)
 
 
 def lab_bench(driver: str, settings: str = "") -> str:

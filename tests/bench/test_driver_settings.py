@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
@@ -14,7 +13,6 @@ import pytest
 from rig.bench.braking import USUAL_DECELERATION_mm_s2, braking_bound
 from rig.bench.driver_settings import channels_of, communication_timeout, deceleration_mm_s2
 from rig.bench.plan import BenchPlan, parse_bench, parse_to_make_safe
-from rig.core import entry_points
 from rig.core.errors import ConfigurationError
 from rig.core.settings import wiring_of
 
@@ -47,15 +45,8 @@ HEAD = 'name = "lab"\n[fixture]\nmounted = "film-clamp"\n'
 @pytest.fixture(autouse=True)
 def lab(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """The package lab-instruments with these drivers is installed."""
-    registered = "[rig.drivers]\n" + "".join(f"{name} = {name}\n" for name in MODULES)
-    sources = {f"{name}.py": DRIVER.format(settings=own) for name, own in MODULES.items()}
-    site = packages.install(tmp_path / "site", "lab-instruments", registered, sources)
-    monkeypatch.syspath_prepend(site)
-    entry_points._registered.cache_clear()
-    yield
-    entry_points._registered.cache_clear()
-    for name in MODULES:
-        sys.modules.pop(name, None)
+    sources = {name: DRIVER.format(settings=own) for name, own in MODULES.items()}
+    yield from packages.drivers_installed(tmp_path, monkeypatch, "lab-instruments", sources)
 
 
 def stage(driver: str, settings: str = "") -> str:

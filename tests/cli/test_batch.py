@@ -280,7 +280,7 @@ def test_what_changed_since_the_beginning_is_reported_and_refused(rig) -> None:
 def test_where_no_batch_is_says_so(rig) -> None:
     ended = rig.run("batch", "status")
     assert ended.code == 2
-    assert "there is no batch in results; name its folder" in ended.stderr
+    assert "results contains no batch; name its folder" in ended.stderr
 
 
 @pytest.mark.thorough

@@ -41,9 +41,7 @@ def test_a_single_trial_has_no_standard_deviation() -> None:
 def test_why_a_trial_has_no_friction_coefficients_is_said() -> None:
     trials = [reading(0.6), reading(None, no_friction="the slide is too short; slide further")]
     (reported,) = SlipTrial(SlipTrial.Settings()).summarise(trials)["no_friction"]
-    assert reported.startswith(
-        "1 of 2 trials give no friction coefficients: the slide is too short"
-    )
+    assert reported.startswith("no friction coefficients in 1 of 2 trials: the slide is too short")
 
 
 def test_strips_gains_and_the_last_zero_of_the_force_are_reported() -> None:

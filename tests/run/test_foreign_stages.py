@@ -39,13 +39,7 @@ resource = "TCPIP::127.0.0.1::hislip0,1::INSTR"
 channels = {{ strip_1 = 101, strip_2 = 102 }}
 {STAGE.format(axis="z", line=1, high_mm=20.0)}
 {STAGE.format(axis="x", line=2, high_mm=40.0)}
-[force_sensor]
-driver = "me-gsv8"
-port = "/dev/ttyUSB0"
-nominal_force_N = 50.0
-max_force_N = 40.0
-matrix_N_mV_V = [[83.2, 0.4, -0.6], [0.4, 79.9, 0.8], [1.5, 0.5, 83.7]]
-"""
+{packages.FORCE_SENSOR}"""
 POSITION = "return self._state()[2]"
 PRESSED_mm = 11.0
 """Positions of z above which it presses nothing."""

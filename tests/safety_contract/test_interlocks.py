@@ -289,7 +289,7 @@ def test_a_proof_test_is_recorded_with_its_date(rig):
 def test_without_a_bench_file_there_is_no_interlock(rig, arguments):
     ended = rig.run("interlocks", *arguments)
     assert ended.code == 2
-    reported = "there is no bench file" if arguments != ("reset",) else "typed at a terminal"
+    reported = "not found" if arguments != ("reset",) else "typed at a terminal"
     assert reported in ended.stderr
 
 

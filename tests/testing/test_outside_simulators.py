@@ -10,14 +10,6 @@ import packages
 import pytest
 from test_driver_contract import installed
 
-SENSOR = """
-[force_sensor]
-driver = "me-gsv8"
-port = "/dev/ttyUSB0"
-nominal_force_N = 50.0
-max_force_N = 40.0
-matrix_N_mV_V = [[83.2, 0.4, -0.6], [0.4, 79.9, 0.8], [1.5, 0.5, 83.7]]
-"""
 CLAMP = packages.clamp_bench("""[generator]
 driver = "acme-generator"
 resource = "TCPIP::10.0.0.2::1::SOCKET"
@@ -46,7 +38,7 @@ def site(rig: Any, tmp_path: Path) -> Path:
 @pytest.mark.thorough
 @pytest.mark.usefixtures("site")
 def test_a_dry_run_has_all_of_them_in_its_world_and_in_virtual_time(rig: Any) -> None:
-    (rig.folder / "bench.toml").write_text(CLAMP + SENSOR)
+    (rig.folder / "bench.toml").write_text(CLAMP + packages.FORCE_SENSOR)
     done = rig.run("sweep", "--frequencies", "200,1000", "--no-figures", "--json", "--dry-run")
     assert done.code == 0, done.stderr
     assert "in its place" not in done.stderr
@@ -57,7 +49,7 @@ def test_a_dry_run_has_all_of_them_in_its_world_and_in_virtual_time(rig: Any) ->
 def test_a_dry_run_names_each_model_that_stands_in(rig: Any, site: Path) -> None:
     info = next(site.glob("*.dist-info")) / "entry_points.txt"
     info.write_text(info.read_text().split("[rig.simulators]")[0])
-    (rig.folder / "bench.toml").write_text(CLAMP + SENSOR)
+    (rig.folder / "bench.toml").write_text(CLAMP + packages.FORCE_SENSOR)
     done = rig.run("sweep", "--frequencies", "200", "--no-figures", "--dry-run")
     assert done.code == 0, done.stderr
     for role, driver, model in (

@@ -61,7 +61,7 @@ class MatlabTable:
         """Return the index of a column: a vector by its variable's name, or ``NAME:COLUMN``; a bare
         number (from 1) is a column of the only numeric variable.
 
-        Raises ForeignFileError if there is no such variable or column, or it does not contain
+        Raises ForeignFileError if the file lacks this variable or column, or it does not contain
         numbers.
         """
         numeric = [name for name, (kind, _) in self._variables.items() if kind in NUMERIC]

@@ -109,7 +109,7 @@ class TextTable:
     def column(self, wanted: str) -> int:
         """Return the column of a number (from 1) or of a name in the header.
 
-        Raises ForeignFileError if there is no such column, or several have the name.
+        Raises ForeignFileError if the file lacks this column, or several have the name.
         """
         if re.fullmatch(r"[0-9]{1,9}", wanted):
             if not 1 <= int(wanted) <= self._width:

@@ -155,7 +155,7 @@ class RunFile(OpenFile):
         """Return a column of the readings, float64 (or text) of shape (points,), in plot order.
 
         The present name also finds the column in files that were written before it was renamed.
-        RunFileError if there is no such column.
+        RunFileError if the file lacks this column.
         """
         if name not in self.columns():
             name = column_in(self.header.layout, name)
