@@ -1,7 +1,7 @@
 """What a driver of another package returns is checked before anything is concluded from it.
 
 When it is connected: that there is an instrument, with the methods and limits of its role
-(`checked`). Later: every position of a stage (`CheckedStage`). A driver of this package judges its
+(`connect_foreign`). Later: every position of a stage (`CheckedStage`). A driver of this package judges its
 own positions (`drivers.shared.stage.TravelBound`) and is left as it is.
 
 Only what is returned is judged, never what is sent: stops, motions and keep-alives reach the driver
@@ -20,26 +20,9 @@ from typing import Any
 from rig.bench.plan import InstrumentPlan
 from rig.core.entry_points import DRIVERS, OWN_PACKAGE, BrokenPackageError, cause, find, package
 from rig.core.errors import ConfigurationError, RigError, WrongPositionError, shortened
-from rig.instruments.roles import (
-    DataAcquisition,
-    ForceSensor,
-    Identity,
-    Instrument,
-    LinearStage,
-    Reach,
-    RotaryStage,
-    SignalGenerator,
-)
+from rig.instruments.interfaces import INTERFACES, members
+from rig.instruments.roles import Identity, Instrument, Reach
 
-ROLES: Mapping[str, tuple[type, tuple[str, ...]]] = {
-    "generator": (SignalGenerator, ("frequency", "amplitude")),
-    "daq": (DataAcquisition, ()),
-    "stage_z": (LinearStage, ("position", "speed", "update_rate")),
-    "stage_x": (LinearStage, ("position", "speed", "update_rate")),
-    "rotary": (RotaryStage, ("angle", "speed", "acceleration")),
-    "force_sensor": (ForceSensor, ("rate", "force")),
-}
-"""Interface of each role, and the quantities whose limits its `reach` has to hold."""
 BEYOND = 1.0
 """How far outside its limits a stage may be seen, in mm or deg: more than an axis overshoots, and
 far less than a position of another unit or of another drive is off."""
@@ -98,9 +81,8 @@ def _fault(role: str, instrument: Any) -> str | None:
     driver; None if it lacks nothing."""
     if instrument is None:
         return "cannot be used: connect() returned None"
-    interface, quantities = ROLES[role]
-    names = {**vars(Instrument), **vars(interface)}
-    methods = [name for name, it in names.items() if callable(it) and not name.startswith("_")]
+    interface = INTERFACES[role]
+    methods = [name for name, it in members(interface.protocol).items() if callable(it)]
     missing = [name for name in methods if not callable(getattr(instrument, name, None))]
     if missing:
         returned = f"connect() returned {_shown(instrument)} without {', '.join(missing)}"
@@ -114,7 +96,7 @@ def _fault(role: str, instrument: Any) -> str | None:
     for quantity, limit in limits.items():
         if not isinstance(limit, Reach):
             return f"cannot be used: reach() has {quantity} = {_shown(limit)}, not a Reach"
-    lacking = [quantity for quantity in quantities if quantity not in limits]
+    lacking = [quantity for quantity in sorted(interface.quantities) if quantity not in limits]
     if lacking:
         return f"cannot be used: reach() lacks {', '.join(lacking)}"
     return None

@@ -13,6 +13,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from rig.core.errors import InstrumentError, InstrumentTimeoutError
+from rig.instruments.interfaces import members
 from rig.instruments.roles import OffersReader
 from rig.testing.case import STRANGER, TIMEOUT_S, Case, Service
 from rig.testing.raising import raising
@@ -77,16 +78,6 @@ def close(service: Service, instrument: Any) -> None:
     if (leave := service.attending.pop(id(instrument), None)) is not None:
         leave()
     instrument.close()
-
-
-def members(protocol: type) -> dict[str, Any]:
-    """Return the public members of a protocol, inherited ones included."""
-    return {
-        name: member
-        for base in reversed(protocol.__mro__[:-1])
-        for name, member in vars(base).items()
-        if not name.startswith("_") and (callable(member) or isinstance(member, property))
-    }
 
 
 @contextmanager

@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 
 from rig.core.errors import LimitError
-from rig.instruments.roles import Acquisition, DataAcquisition, InputChannel, Record
+from rig.instruments.interfaces import INTERFACES
+from rig.instruments.roles import Acquisition, InputChannel, Record
 from rig.testing.raising import raising
 from rig.testing.script import Role, Step, at_rest, near, rest, same
 from rig.testing.signals import WAVE_LARGEST_V, WAVE_SLOPE_V_s, carried
@@ -101,8 +102,7 @@ def _excite(daq: Any, service: Any) -> None:
 
 
 DAQ = Role(
-    DataAcquisition,
-    frozenset({"rate"}),
+    *INTERFACES["daq"],
     (
         Step("ranges_V()", _ranges),
         Step("check()", _check),

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from rig.core.errors import InstrumentTimeoutError
-from rig.instruments.roles import ForceFrames, ForceSensor, axes_of
+from rig.instruments.interfaces import INTERFACES
+from rig.instruments.roles import ForceFrames, axes_of
 from rig.testing.script import Role, Step, same, soon
 from rig.testing.signals import USUAL_RATE_S_s
 
@@ -192,8 +193,7 @@ def _excite_sensor(sensor: Any, service: Any) -> None:
 
 
 FORCE_SENSOR = Role(
-    ForceSensor,
-    frozenset({"rate", "force"}),
+    *INTERFACES["force_sensor"],
     (
         Step("axes", _stated_axes),
         Step("start(), read(), stop()", _force_stream),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from rig.instruments.roles import SignalGenerator
+from rig.instruments.interfaces import INTERFACES
 from rig.testing.script import Role, Step, near, rest, same
 
 
@@ -30,8 +30,7 @@ def _ask_output(generator: Any, service: Any) -> None:
 
 
 GENERATOR = Role(
-    SignalGenerator,
-    frozenset({"frequency", "amplitude"}),
+    *INTERFACES["generator"],
     (
         _sine(20, 0.5),
         _output(True),

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from rig.core.errors import LimitError
-from rig.instruments.roles import LinearStage, RotaryStage
+from rig.instruments.interfaces import INTERFACES
 from rig.testing.raising import raising
 from rig.testing.script import Role, Step, at_rest, near, refused, same
 
@@ -232,8 +232,7 @@ def _fed(stage: Any, service: Any) -> Callable[[], None]:
 
 
 STAGE = Role(
-    LinearStage,
-    frozenset({"position", "speed", "update_rate"}),
+    *INTERFACES["stage_z"],
     (
         Step("homed() at first", _homed),
         Step("home()", _home),
@@ -420,8 +419,7 @@ def _excite_rotary(stage: Any, service: Any) -> None:
 
 
 ROTARY = Role(
-    RotaryStage,
-    frozenset({"angle", "speed", "acceleration"}),
+    *INTERFACES["rotary"],
     (
         Step("homed() at first", _homed),
         Step("home()", _home_rotary),
