@@ -1,8 +1,8 @@
 """What a driver of another package returns is checked before anything is concluded from it.
 
 When it is connected: that there is an instrument, with the methods and limits of its role
-(`connect_foreign`). Later: every position of a stage (`CheckedStage`). A driver of this package judges its
-own positions (`drivers.shared.stage.TravelBound`) and is left as it is.
+(`connect_foreign`). Later: every position of a stage (`CheckedStage`). A driver of this package
+judges its own positions (`drivers.shared.stage.TravelBound`) and is left as it is.
 
 Only what is returned is judged, never what is sent: stops, motions and keep-alives reach the driver
 whatever its positions look like, and what the driver asks itself is not seen here.
