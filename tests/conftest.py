@@ -31,9 +31,9 @@ from rig.core.cache import DiskCache
 from rig.physics.skin.condensed import CondensedSkin, build_skin
 from rig.physics.skin.settings import SkinSettings
 from rig.physics.trials import SkinTrial, SlideSettings, slide
-from rig.run.bench_mark import BenchMarks
-from rig.run.lock import address_names
-from rig.run.shared_folder import VARIABLE as SHARED_FOLDER
+from rig.run.locks.bench_mark import BenchMarks
+from rig.run.locks.lock import address_names
+from rig.run.locks.shared_folder import VARIABLE as SHARED_FOLDER
 
 settings.register_profile("any computer", deadline=None, derandomize=True, max_examples=25)
 settings.load_profile("any computer")

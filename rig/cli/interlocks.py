@@ -165,7 +165,7 @@ def _looking(
 ) -> Iterator[InterlockWatch]:
     """Watch the contacts without acting on them, under the bench's lock."""
     from rig.run.interlocks import watched
-    from rig.run.lock import BenchLock
+    from rig.run.locks.lock import BenchLock
 
     with BenchLock(plan), watched(plan, records, in_each_wait, looks_only=True) as watch:
         yield watch

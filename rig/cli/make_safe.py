@@ -87,7 +87,7 @@ def _only_warning() -> Iterator[None]:
 
 def _end_readers(described: Restable) -> None:
     """End a `rig monitor` of this bench: it may have a serial port for itself."""
-    from rig.run.bench_readers import end_readers
+    from rig.run.locks.bench_readers import end_readers
 
     if (pid := end_readers(described)) is not None:
         say(f"ended rig monitor (process {pid}), which was reading this bench")
@@ -95,8 +95,8 @@ def _end_readers(described: Restable) -> None:
 
 def _report_what_is_known(described: Restable) -> None:
     """Print the reports of earlier runs, and the program that uses the bench now."""
-    from rig.run.bench_mark import read_marks
-    from rig.run.lock import address_names, in_use
+    from rig.run.locks.bench_mark import read_marks
+    from rig.run.locks.lock import address_names, in_use
 
     for mark in read_marks(address_names(described)):
         if not mark.lives:
@@ -108,8 +108,8 @@ def _report_what_is_known(described: Restable) -> None:
 def _clear_marks(described: Restable) -> None:
     """Remove the marks of earlier runs, also where the bench had other addresses then; that of one
     that is still at work is its own to remove."""
-    from rig.run.bench_mark import clear_marks, read_marks
-    from rig.run.lock import address_names
+    from rig.run.locks.bench_mark import clear_marks, read_marks
+    from rig.run.locks.lock import address_names
 
     names = address_names(described)
     then = {name for mark in read_marks(names) for name in mark.names}

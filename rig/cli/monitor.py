@@ -62,8 +62,8 @@ def monitor(
             return
         from rig.bench.plan import read_bench
         from rig.page.live_bench import show_bench
-        from rig.run.bench_mark import read_marks
-        from rig.run.lock import BenchLock
+        from rig.run.locks.bench_mark import read_marks
+        from rig.run.locks.lock import BenchLock
 
         plan = read_bench(chosen)
         with ExitStack() as at_the_end:

@@ -33,12 +33,12 @@ from rig.jog.keys import (
     WatchForce,
 )
 from rig.run.arming import BEAT_EVERY_S, SHUTDOWN_DEADLINE_S, Arming, ShutdownFailure
-from rig.run.bench_mark import BenchMarks
 from rig.run.force_monitor import ForceMonitor
 from rig.run.guard import GuardLink
 from rig.run.holds import HoldError, Holds, PauseSwitch
 from rig.run.interlock_store import InterlockStore
 from rig.run.interlocks import InterlockWatch
+from rig.run.locks.bench_mark import BenchMarks
 from rig.run.stopping import StopFlag
 from rig.run.trip import TripError
 

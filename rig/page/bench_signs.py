@@ -12,9 +12,9 @@ from typing import Any
 from rig.core.errors import RigError
 from rig.files.journal.values import RunHeader
 from rig.files.naming import JOURNAL_SUFFIX
-from rig.run.bench_mark import BenchMark, read_marks
 from rig.run.guard import GUARD_SUFFIX, report_path
-from rig.run.lock_holder import LockHolder, holder_of, lock_file
+from rig.run.locks.bench_mark import BenchMark, read_marks
+from rig.run.locks.lock_holder import LockHolder, holder_of, lock_file
 
 
 class BenchSigns:
@@ -54,7 +54,7 @@ class BenchSigns:
         if wanted is None or self._names_of == wanted:
             return
         from rig.bench.plan import parse_bench, read_bench
-        from rig.run.lock import address_names
+        from rig.run.locks.lock import address_names
 
         own: tuple[str, ...] = ()
         watched: tuple[str, ...] = ()

@@ -14,7 +14,7 @@ from typing import Any
 
 from rig.page.watch import BenchWatch
 from rig.page.word import SILENT_S
-from rig.run.lock_holder import LockHolder
+from rig.run.locks.lock_holder import LockHolder
 
 SPECTRUM_EVERY_S = 1.0
 LATE_SHARE = 0.005

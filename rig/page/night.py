@@ -10,7 +10,7 @@ from rig.batch.queue import Queue, RunRow
 from rig.batch.report.heartbeat import read_heartbeat
 from rig.batch.report.status import status_of
 from rig.core.errors import ConfigurationError, RigError
-from rig.run.lock_holder import holder_of
+from rig.run.locks.lock_holder import holder_of
 
 MOST_RUNS = 200
 """Runs of the queue that are listed of each state."""

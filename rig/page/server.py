@@ -48,7 +48,7 @@ from rig.page.history import RunIndex
 from rig.page.night import ask_batch, batch_of, is_running, night, running_batch
 from rig.page.slips import SlipFollower
 from rig.page.watch import BenchWatch, Stop
-from rig.run.lock_holder import LockHolder, NotStoppedError, holder_of
+from rig.run.locks.lock_holder import LockHolder, NotStoppedError, holder_of
 
 log = logging.getLogger("rig")
 

@@ -23,7 +23,7 @@ from rig.page.latest_file import LatestFile
 from rig.page.stop_course import StopCourse, StopSigns, stop_course
 from rig.page.view import RunView
 from rig.page.word import BenchWord, Facts, bench_word
-from rig.run.lock_holder import (
+from rig.run.locks.lock_holder import (
     LockHolder,
     NotStoppedError,
     ask_to_stop,

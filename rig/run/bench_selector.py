@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from rig.bench.settings import Fixture
     from rig.bench.simulated import BenchFactory, RunningBench
     from rig.core.clock import Clock
-    from rig.run.lock import BenchLock
+    from rig.run.locks.lock import BenchLock
 
 BENCH_FILE = Path("bench.toml")
 NOT_MEASURED = "These are not measurements."
@@ -145,8 +145,8 @@ class BenchSelector:
     def _of_file(self, request: BenchRequest, at_the_end: ExitStack, path: Path) -> ChosenBench:
         from rig.bench.plan import read_bench
         from rig.core.clock import WallClock
-        from rig.run.bench_mark import clear_marks, read_marks, refuse_unsafe
-        from rig.run.lock import BenchLock, GuardWait
+        from rig.run.locks.bench_mark import clear_marks, read_marks, refuse_unsafe
+        from rig.run.locks.lock import BenchLock, GuardWait
 
         plan = read_bench(path)
         _refuse_simulation_options(request, path)

@@ -31,7 +31,6 @@ from rig.files.journal.reader import read_journal
 from rig.files.journal.recorder import Recorder
 from rig.files.runfile.compile import compile_run
 from rig.run.arming import BEAT_EVERY_S, ShutdownFailure
-from rig.run.bench_mark import BenchMarks
 from rig.run.checked_procedure import CheckedProcedure, driver_fault, internal
 from rig.run.context import Run
 from rig.run.guard import GuardLink
@@ -41,6 +40,7 @@ from rig.run.interlock_proof import prove
 from rig.run.interlock_store import InterlockStore
 from rig.run.interlocks import InterlockError
 from rig.run.job import Journal, RunJob
+from rig.run.locks.bench_mark import BenchMarks
 from rig.run.observers import Observers, RunObserver
 from rig.run.outcome import RunOutcome
 from rig.run.phases import Phases, RunPhase

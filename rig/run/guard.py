@@ -6,8 +6,8 @@ run has died: the guard acts. If a heartbeat is late, the run hangs (or was susp
 kills it, then acts. To act, it connects to every instrument of the bench and calls its driver's
 `make_safe`, each isolated from the others' failures, measures what is still pressed, lifts z off it
 where nothing speaks against that (`rig.run.lift`), compiles the journal, and writes a report of
-what was done. On a bench that others use it leaves a mark (`rig.run.bench_mark`), which the next
-command reports; that of an unsafe bench refuses it.
+what was done. On a bench that others use it leaves a mark (`rig.run.locks.bench_mark`), which the
+next command reports; that of an unsafe bench refuses it.
 
 This module is the program as well (``python -m rig.run.guard``); it imports the rest of the project
 only when it has to act, so a guard costs a few milliseconds.
@@ -383,7 +383,7 @@ def _add_what_is_pressed(order: dict[str, Any], report: dict[str, Any]) -> None:
 def _publish(order: dict[str, Any], report: dict[str, Any]) -> None:
     """Mark the bench and write the report. What cannot be written must not prevent the rest: the
     mark that the run has written then stays, and refuses the bench."""
-    from rig.run.bench_mark import BenchMarks
+    from rig.run.locks.bench_mark import BenchMarks
 
     with contextlib.suppress(RigError):
         marks = BenchMarks(order["marks"], order["bench"], order["journal"])

@@ -3,7 +3,7 @@
 Each contact has a small file for each address of the instrument that reads it, named after address
 and input, so that neither another folder of results nor another name in the bench file loses a
 latch.
-The files are in the folder that all users of the computer share (`rig.run.shared_folder`).
+The files are in the folder that all users of the computer share (`rig.run.locks.shared_folder`).
 
 A file that cannot be read counts as a latch: whether a person has been at the bench is not known.
 """
@@ -21,7 +21,7 @@ from rig.bench.addresses import addresses_of
 from rig.bench.interlocks import InterlockSettings
 from rig.bench.plan import BenchPlan
 from rig.core.errors import RigError, UnsafeError
-from rig.run.shared_folder import SharedFolder
+from rig.run.locks.shared_folder import SharedFolder
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from rig.bench.addresses import addresses_of
 from rig.core.atomic import write_text
 from rig.core.errors import ConfigurationError, RigError
-from rig.run.shared_folder import SharedFolder
+from rig.run.locks.shared_folder import SharedFolder
 
 if TYPE_CHECKING:
     from rig.bench.plan import BenchPlan

@@ -11,8 +11,8 @@ from rig.batch.plan.conditions import BatchPlan
 from rig.batch.queue import Queue
 from rig.batch.report.status import status_of
 from rig.bench.plan import read_bench
-from rig.run.bench_mark import BenchMarks
-from rig.run.lock import address_names
+from rig.run.locks.bench_mark import BenchMarks
+from rig.run.locks.lock import address_names
 
 BENCH = """
 name = "bench-3"

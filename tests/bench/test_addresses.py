@@ -12,7 +12,7 @@ from rig.bench.addresses import addresses_of
 from rig.bench.plan import parse_bench, parse_to_make_safe
 from rig.core.errors import ConfigurationError
 from rig.core.settings import Address, Settings, wiring_of
-from rig.run.lock import address_names
+from rig.run.locks.lock import address_names
 
 STAGE = "low_limit_mm = 0\nhigh_limit_mm = 20\nmax_speed_mm_s = 20\n"
 BUILT_IN = {

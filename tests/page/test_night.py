@@ -23,7 +23,7 @@ from rig.page import server
 from rig.page.night import ask_batch, batch_of, latest_batch, running_batch
 from rig.page.server import PageState
 from rig.page.watch import BenchWatch
-from rig.run.lock_holder import LockHolder
+from rig.run.locks.lock_holder import LockHolder
 
 HOLD = """
 import fcntl, os, sys

@@ -17,10 +17,10 @@ from rig.files.journal.writer import JournalWriter
 from rig.files.runfile.compile import compile_run
 from rig.page.folder import ResultsFolder
 from rig.page.watch import BenchWatch, Stop
-from rig.run.bench_mark import BenchMark, write_marks
-from rig.run.lock import address_names
-from rig.run.lock_holder import LockHolder, NotStoppedError, holder_of, lock_file
-from rig.run.shared_folder import VARIABLE
+from rig.run.locks.bench_mark import BenchMark, write_marks
+from rig.run.locks.lock import address_names
+from rig.run.locks.lock_holder import LockHolder, NotStoppedError, holder_of, lock_file
+from rig.run.locks.shared_folder import VARIABLE
 
 BENCH = """
 name = "bench-1"

@@ -12,7 +12,13 @@ from pathlib import Path
 import pytest
 
 from rig.core.errors import RigError, UnsafeError
-from rig.run.bench_mark import BenchMarks, ProcessStamp, clear_marks, read_marks, refuse_unsafe
+from rig.run.locks.bench_mark import (
+    BenchMarks,
+    ProcessStamp,
+    clear_marks,
+    read_marks,
+    refuse_unsafe,
+)
 
 NAMES = ("generator", "stage")
 """They stand for the names of two addresses."""
@@ -137,7 +143,7 @@ def test_a_mark_that_cannot_be_written_is_a_failure_and_the_earlier_one_stays(
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     with monkeypatch.context() as patch:
-        patch.setattr("rig.run.shared_folder.os.fsync", full)
+        patch.setattr("rig.run.locks.shared_folder.os.fsync", full)
         with pytest.raises(RigError, match=r"cannot be written .*: No space left") as refused:
             marks.running(os.getpid())
     assert refused.value.code == 3

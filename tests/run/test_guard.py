@@ -20,8 +20,8 @@ from drivers.simulated.bench.start import start
 from rig.bench.plan import BenchPlan, parse_bench
 from rig.core.clock import ControlLink, WallClock
 from rig.core.errors import InstrumentError
-from rig.run.bench_mark import read_marks
 from rig.run.guard import GuardLink, act, make_bench_safe
+from rig.run.locks.bench_mark import read_marks
 
 PATIENCE_S = 60.0
 

@@ -15,10 +15,10 @@ from rig.bench.addresses import addresses_of
 from rig.bench.plan import BenchPlan, parse_bench
 from rig.core.errors import ConfigurationError, ExitCode
 from rig.core.settings import Address, Settings
-from rig.run import lock
-from rig.run.bench_mark import BenchMarks, clear_marks, read_marks
-from rig.run.lock import BenchLock, GuardWait, address_names, in_use
-from rig.run.shared_folder import user_name
+from rig.run.locks import lock
+from rig.run.locks.bench_mark import BenchMarks, clear_marks, read_marks
+from rig.run.locks.lock import BenchLock, GuardWait, address_names, in_use
+from rig.run.locks.shared_folder import user_name
 from rig.run.stopping import StopRequestedError
 
 BENCH = """
@@ -38,7 +38,7 @@ HOLDER = """
 import sys
 from pathlib import Path
 from rig.bench.plan import read_bench
-from rig.run.lock import BenchLock
+from rig.run.locks.lock import BenchLock
 lock = BenchLock(read_bench(Path(sys.argv[1])))
 lock.note_run(Path("/data/run.rigj"))
 print("held", flush=True)
@@ -214,10 +214,10 @@ def test_the_guard_of_a_dead_run_holds_its_bench_until_it_is_safe(
     run.stdout.readline()
     run.wait()
     assert f"pid {run.pid} (" in str(in_use(plan()))
-    monkeypatch.setattr("rig.run.lock.GUARD_S", 0.2)
+    monkeypatch.setattr("rig.run.locks.lock.GUARD_S", 0.2)
     with pytest.raises(ConfigurationError, match="its guard is making it safe and has been waited"):
         BenchLock(plan())
-    monkeypatch.setattr("rig.run.lock.SAY_AFTER_S", 0.0)
+    monkeypatch.setattr("rig.run.locks.lock.SAY_AFTER_S", 0.0)
     with pytest.raises(StopRequestedError):
         BenchLock(plan(), wait=GuardWait(print, stop))
     said: list[str] = []
@@ -314,7 +314,7 @@ def test_no_other_user_can_block_or_aim_the_locks(
     with pytest.raises(ConfigurationError, match="can be written by everybody"):
         BenchLock(plan())
     shared.chmod(0o700)
-    monkeypatch.setattr("rig.run.shared_folder.os.geteuid", lambda: shared.stat().st_uid + 1)
+    monkeypatch.setattr("rig.run.locks.shared_folder.os.geteuid", lambda: shared.stat().st_uid + 1)
     if shared.stat().st_uid != 0:
         with pytest.raises(ConfigurationError, match="belongs to"):
             BenchLock(plan())

@@ -12,8 +12,8 @@ import time
 
 import pytest
 
-from rig.run import lock_holder
-from rig.run.lock_holder import NotStoppedError, ask_to_stop, holder_of
+from rig.run.locks import lock_holder
+from rig.run.locks.lock_holder import NotStoppedError, ask_to_stop, holder_of
 
 HOLD = """
 import fcntl, os, signal, sys

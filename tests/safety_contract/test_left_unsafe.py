@@ -11,13 +11,13 @@ from processes import children_named
 from tiers import mostly_nightly
 
 from rig.bench.plan import read_bench
-from rig.run.bench_mark import ProcessStamp
-from rig.run.lock import address_names
+from rig.run.locks.bench_mark import ProcessStamp
+from rig.run.locks.lock import address_names
 
 PATIENCE_S = 30.0
 MANY = ",".join(str(f) for f in range(300, 6300, 100))
 FULL_DISK = """
-import errno, os, rig.run.shared_folder as shared
+import errno, os, rig.run.locks.shared_folder as shared
 def full(*_): raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 shared.SharedFolder.write = full
 """

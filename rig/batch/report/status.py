@@ -13,8 +13,8 @@ from rig.batch.report.heartbeat import read_heartbeat
 from rig.bench.plan import read_bench
 from rig.core.errors import RigError
 from rig.core.units import counted, time_span
-from rig.run.bench_mark import read_marks
-from rig.run.lock import address_names
+from rig.run.locks.bench_mark import read_marks
+from rig.run.locks.lock import address_names
 
 LATEST = 5
 """Number of the latest failures and events that are shown."""

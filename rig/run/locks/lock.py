@@ -2,15 +2,15 @@
 
 Two runs on one bench would stop each other's stages merely by connecting. Therefore every
 instrument's address has a lock file in the folder that all users of the computer share
-(`rig.run.shared_folder`), and a program locks those of its bench from before it connects until it
-is done. The locks belong to the kernel (``flock``): they end with the processes that hold them,
-however those end; the files stay. A run's guard holds the locks as well, and acts under them when
-the run has died.
+(`rig.run.locks.shared_folder`), and a program locks those of its bench from before it connects
+until it is done. The locks belong to the kernel (``flock``): they end with the processes that hold
+them, however those end; the files stay. A run's guard holds the locks as well, and acts under them
+when the run has died.
 
 A lock on a file that was removed is worth nothing, since the next program locks another file of the
 same name. So the file is compared with its name after it was locked, and again before a run
-connects (`BenchLock.check`); and a mark whose run lives (`rig.run.bench_mark`) refuses the bench as
-a lock does.
+connects (`BenchLock.check`); and a mark whose run lives (`rig.run.locks.bench_mark`) refuses the
+bench as a lock does.
 
 An instrument has a lock under each of its addresses (`rig.bench.addresses`), so that it is
 found locked under every name for it.
@@ -32,8 +32,8 @@ from typing import TYPE_CHECKING, Any, Self
 
 from rig.bench.addresses import addresses_of
 from rig.core.errors import ConfigurationError
-from rig.run.bench_mark import BenchMark, read_marks
-from rig.run.shared_folder import SharedFolder, user_name
+from rig.run.locks.bench_mark import BenchMark, read_marks
+from rig.run.locks.shared_folder import SharedFolder, user_name
 
 if TYPE_CHECKING:
     from rig.bench.plan import BenchPlan, Restable

@@ -24,7 +24,7 @@ from typing import Literal
 from pydantic import BaseModel, ConfigDict, Field
 
 from rig.core.errors import ExitCode, RigError, UnsafeError
-from rig.run.shared_folder import SharedFolder, user_name
+from rig.run.locks.shared_folder import SharedFolder, user_name
 
 SUFFIX = ".mark"
 MarkState = Literal["running", "unsafe", "stopped"]

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from rig.core.errors import ExitCode, RigError
-from rig.run.shared_folder import user_name
+from rig.run.locks.shared_folder import user_name
 
 LOCKS = Path("/proc/locks")
 PROC = Path("/proc")
@@ -162,10 +162,10 @@ def guard_of(pid: int) -> int | None:
 
 
 def lock_file(name: str) -> Path:
-    """Return the lock file of an instrument's address (`rig.run.lock.address_names`). Raises
+    """Return the lock file of an instrument's address (`rig.run.locks.lock.address_names`). Raises
     ConfigurationError if there is no folder for locks that can be trusted."""
-    from rig.run.lock import SUFFIX
-    from rig.run.shared_folder import SharedFolder
+    from rig.run.locks.lock import SUFFIX
+    from rig.run.locks.shared_folder import SharedFolder
 
     with SharedFolder() as folder:
         return folder.path / (name + SUFFIX)

@@ -10,8 +10,8 @@ import signal
 import time
 from typing import TYPE_CHECKING
 
-from rig.run.lock import address_names, is_only_read
-from rig.run.lock_holder import ask_to_stop, lock_file
+from rig.run.locks.lock import address_names, is_only_read
+from rig.run.locks.lock_holder import ask_to_stop, lock_file
 
 if TYPE_CHECKING:
     from rig.bench.plan import Restable
