@@ -20,8 +20,8 @@ from rig.core.errors import ConfigurationError
 
 if TYPE_CHECKING:
     from rig.bench.plan import BenchPlan
-    from rig.run.interlock_store import InterlockStore
-    from rig.run.interlocks import InterlockWatch
+    from rig.run.interlocks.store import InterlockStore
+    from rig.run.interlocks.watch import InterlockWatch
 
 BENCH_FILE = Path("bench.toml")
 BenchToml = Annotated[Path, typer.Option(help="Bench file.", metavar="FILE")]
@@ -93,7 +93,7 @@ def reset(
                 else f"{name} is not latched"
             )
             return
-        from rig.run.interlock_proof import reset as reset_latch
+        from rig.run.interlocks.proof import reset as reset_latch
 
         with _looking(plan, records) as watch:
             for one in latched:
@@ -112,7 +112,7 @@ def proof(
 
     The date is recorded when the program has seen both.
     """
-    from rig.run.interlock_proof import prove
+    from rig.run.interlocks.proof import prove
     from rig.run.stopping import StopFlag
 
     with reported(debug), StopFlag() as stop:
@@ -139,7 +139,7 @@ def _declared(path: Path, name: str | None = None) -> tuple[BenchPlan, Interlock
     """Return the bench and the records of its contacts. Raises ConfigurationError if it has none,
     or none of that name."""
     from rig.bench.plan import read_bench
-    from rig.run.interlock_store import InterlockStore
+    from rig.run.interlocks.store import InterlockStore
 
     if not path.exists():
         raise ConfigurationError(
@@ -164,7 +164,7 @@ def _looking(
     plan: BenchPlan, records: InterlockStore, in_each_wait: Callable[[], None] = lambda: None
 ) -> Iterator[InterlockWatch]:
     """Watch the contacts without acting on them, under the bench's lock."""
-    from rig.run.interlocks import watched
+    from rig.run.interlocks.watch import watched
     from rig.run.locks.lock import BenchLock
 
     with BenchLock(plan), watched(plan, records, in_each_wait, looks_only=True) as watch:

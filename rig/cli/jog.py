@@ -190,7 +190,7 @@ def _at_the_bench(
     from rig.jog.axes import AXES
     from rig.jog.session import JogSession
     from rig.run.guard import GuardLink, report_path
-    from rig.run.interlock_store import InterlockStore
+    from rig.run.interlocks.store import InterlockStore
     from rig.run.locks.bench_mark import BenchMarks
 
     plan, clock = chosen.plan, chosen.clock

@@ -36,8 +36,8 @@ from rig.run.arming import BEAT_EVERY_S, SHUTDOWN_DEADLINE_S, Arming, ShutdownFa
 from rig.run.force_monitor import ForceMonitor
 from rig.run.guard import GuardLink
 from rig.run.holds import HoldError, Holds, PauseSwitch
-from rig.run.interlock_store import InterlockStore
-from rig.run.interlocks import InterlockWatch
+from rig.run.interlocks.store import InterlockStore
+from rig.run.interlocks.watch import InterlockWatch
 from rig.run.locks.bench_mark import BenchMarks
 from rig.run.stopping import StopFlag
 from rig.run.trip import TripError

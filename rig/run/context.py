@@ -17,8 +17,8 @@ from rig.instruments.roles import Record, Scaling
 from rig.run.arming import SHUTDOWN_DEADLINE_S, Arming
 from rig.run.force_monitor import ForceMonitor
 from rig.run.holds import Disturbances, Holds
-from rig.run.interlock_store import InterlockStore
-from rig.run.interlocks import InterlockWatch
+from rig.run.interlocks.store import InterlockStore
+from rig.run.interlocks.watch import InterlockWatch
 from rig.run.points import Reading
 from rig.run.press_references import PressReferences
 

@@ -36,9 +36,9 @@ from rig.run.context import Run
 from rig.run.guard import GuardLink
 from rig.run.holds import PauseSwitch
 from rig.run.in_brief import single_values
-from rig.run.interlock_proof import prove
-from rig.run.interlock_store import InterlockStore
-from rig.run.interlocks import InterlockError
+from rig.run.interlocks.proof import prove
+from rig.run.interlocks.store import InterlockStore
+from rig.run.interlocks.watch import InterlockError
 from rig.run.job import Journal, RunJob
 from rig.run.locks.bench_mark import BenchMarks
 from rig.run.observers import Observers, RunObserver

@@ -22,7 +22,7 @@ from rig.bench.connected import Bench
 from rig.bench.settings import FixtureSettings
 from rig.core.errors import RigError
 from rig.instruments.roles import Instrument, ReadsInputs, ReportsFault
-from rig.run.interlock_store import InterlockStore
+from rig.run.interlocks.store import InterlockStore
 
 LIFT_mm_s = 1.0
 """Speed: that of hand control, slow enough for a person to react."""

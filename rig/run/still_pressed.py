@@ -22,7 +22,7 @@ from rig.bench.plan import BenchPlan, parse_bench
 from rig.core.clock import WallClock
 from rig.core.errors import InstrumentError, RigError
 from rig.instruments.roles import Instrument
-from rig.run.interlock_store import InterlockStore
+from rig.run.interlocks.store import InterlockStore
 from rig.run.lift import Lift
 
 RATE_S_S = 500.0

@@ -23,7 +23,7 @@ from rig.core.errors import (
     RigError,
 )
 from rig.files.errors import RecordingError
-from rig.run.interlocks import InterlockError
+from rig.run.interlocks.watch import InterlockError
 
 
 def batch(**given: Any) -> BatchSettings:

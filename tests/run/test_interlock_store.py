@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from rig.bench.plan import BenchPlan, parse_bench
-from rig.run.interlock_store import InterlockStore
+from rig.run.interlocks.store import InterlockStore
 
 BENCH = """
 name = "b"

@@ -42,8 +42,8 @@ from rig.batch.queue import AttemptResult, Claim, Queue, give_up
 from rig.batch.queue_file import QueueWriteError
 from rig.core.errors import ExitCode, RigError
 from rig.core.units import counted
-from rig.run.interlock_store import InterlockStore
-from rig.run.interlocks import InterlockError, InterlockWatch, watched
+from rig.run.interlocks.store import InterlockStore
+from rig.run.interlocks.watch import InterlockError, InterlockWatch, watched
 from rig.run.stopping import MAKING_SAFE_S, StopFlag, StopRequestedError, TimeLimit
 
 if TYPE_CHECKING:

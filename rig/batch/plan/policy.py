@@ -17,7 +17,7 @@ from rig.batch.plan.settings import BatchSettings
 from rig.core.errors import ExitCode, InstrumentTimeoutError, RigError
 from rig.files.errors import RecordingError
 from rig.run.holds import HoldLimitError
-from rig.run.interlocks import InterlockError
+from rig.run.interlocks.watch import InterlockError
 
 FailureKind = Literal[
     "timeout",

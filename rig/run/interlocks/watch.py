@@ -1,8 +1,8 @@
 """Watches the interlock contacts of a bench while a command uses it.
 
-Contacts are read by `rig.run.contact_readings`. In real time a thread judges: what is open, and
-what has not been read for too long. When a person's contact opens, that thread runs the emergency
-actions of everything that is armed, records the latch, and keeps the reason, which the
+Contacts are read by `rig.run.interlocks.contact_readings`. In real time a thread judges: what is
+open, and what has not been read for too long. When a person's contact opens, that thread runs the
+emergency actions of everything that is armed, records the latch, and keeps the reason, which the
 procedure's next wait raises. In virtual time all of it is done in each slice of a wait.
 
 The states are those of `rig.control.interlock`.
@@ -23,9 +23,9 @@ from rig.control.interlock import STEADY_S, Contact, ContactEvent, InterlockStat
 from rig.core.clock import WallClock
 from rig.core.errors import ExitCode, RigError
 from rig.core.threads import start_thread
-from rig.run.contact_readings import FRESH_S, ContactReadings
 from rig.run.holds import Holds
-from rig.run.interlock_store import InterlockStore
+from rig.run.interlocks.contact_readings import FRESH_S, ContactReadings
+from rig.run.interlocks.store import InterlockStore
 
 JUDGE_EVERY_S = 0.02
 LOOK_EVERY_S = 0.05

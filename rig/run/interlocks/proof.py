@@ -7,7 +7,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from rig.control.interlock import STEADY_S, Contact, InterlockState
-from rig.run.interlocks import AT_REST, InterlockError, InterlockWatch
+from rig.run.interlocks.watch import AT_REST, InterlockError, InterlockWatch
 
 PROOF_S = 120.0
 """Time that a person has to open a contact for a proof test, and again to close it."""
