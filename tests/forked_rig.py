@@ -44,9 +44,9 @@ MODULES = (
     *("drivers.me_gsv8.driver", "drivers.oriental_az.driver", "drivers.zaber_rst.driver"),
     *("drivers.simulated.bench.start", "drivers.simulated.faults.disk"),
     *("drivers.simulated.bench.process", "drivers.simulated.world.plate_world"),
-    "rig.run.guard",
+    "rig.run.making_safe.guard",
 )
-FORKED_MODULES = ("drivers.simulated.bench.process", "rig.run.guard")
+FORKED_MODULES = ("drivers.simulated.bench.process", "rig.run.making_safe.guard")
 """Not the worker of a batch: SQLite does not survive a fork."""
 SERVER = (
     f"import sys; sys.path.append({str(Path(__file__).parent)!r})\n"

@@ -17,7 +17,7 @@ from procedures.pressed.reading import DECIMATED_Hz, TrialRecord
 from rig.analysis.trial.decimation import Decimator
 from rig.bench.settings import STRIPS
 from rig.instruments.roles import Record
-from rig.run.sample_stream import SampleStream
+from rig.run.streams.sample_stream import SampleStream
 
 if TYPE_CHECKING:
     import numpy.typing as npt

@@ -119,7 +119,7 @@ def force(
         from rig.analysis.weighing import fit_force, refuse_outlier, sequence
         from rig.cli.weigh import weigh
         from rig.instruments.calibration import ForceCalibration, make_record
-        from rig.run.scales import ForceScale
+        from rig.run.streams.scales import ForceScale
 
         weights_N = weights_of(weights)
         forces = sequence(directions(axes), weights_N)
@@ -169,7 +169,7 @@ def load_cell(
         from rig.cli.weigh import weigh
         from rig.instruments.calibration import LoadCellCalibration, make_record
         from rig.instruments.roles import Reach
-        from rig.run.scales import CellScale
+        from rig.run.streams.scales import CellScale
 
         weights_N = weights_of(weights)
         forces = sequence([DIRECTIONS["+z"]], weights_N)

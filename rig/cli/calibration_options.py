@@ -18,7 +18,7 @@ from rig.core.errors import ConfigurationError
 
 if TYPE_CHECKING:
     from rig.instruments.calibration import Kind
-    from rig.run.scales import Timing
+    from rig.run.streams.scales import Timing
 
     Vector = tuple[float, float, float]
 
@@ -176,7 +176,7 @@ def reading_times(options: WeighingOptions) -> Timing:
 
     Raises ConfigurationError for a time out of range.
     """
-    from rig.run.scales import Timing
+    from rig.run.streams.scales import Timing
 
     timing = Timing(
         settling_s=number(options.settling, "s", "--settling"),

@@ -189,9 +189,9 @@ def _at_the_bench(
     from rig.cli.terminal import HELP
     from rig.jog.axes import AXES
     from rig.jog.session import JogSession
-    from rig.run.guard import GuardLink, report_path
     from rig.run.interlocks.store import InterlockStore
     from rig.run.locks.bench_mark import BenchMarks
+    from rig.run.making_safe.guard import GuardLink, report_path
 
     plan, clock = chosen.plan, chosen.clock
     contacts = {contact.role for contact in plan.settings.interlock}

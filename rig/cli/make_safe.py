@@ -36,7 +36,7 @@ def make_safe(
     with reported(debug), StopFlag():
         from rig.bench.plan import parse_to_make_safe
         from rig.core.toml_files import MAX_TOML_BYTES, read_text
-        from rig.run.guard import make_bench_safe
+        from rig.run.making_safe.guard import make_bench_safe
 
         if not bench.exists():
             raise ConfigurationError(

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 from rig.cli.outcome import say
 from rig.core.errors import ConfigurationError, ExitCode, RigError
-from rig.run.scales import RejectedError, Scale
+from rig.run.streams.scales import RejectedError, Scale
 
 if TYPE_CHECKING:
     from rig.analysis.weighing import Mean

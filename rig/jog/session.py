@@ -33,13 +33,13 @@ from rig.jog.keys import (
     WatchForce,
 )
 from rig.run.arming import BEAT_EVERY_S, SHUTDOWN_DEADLINE_S, Arming, ShutdownFailure
-from rig.run.force_monitor import ForceMonitor
-from rig.run.guard import GuardLink
 from rig.run.holds import HoldError, Holds, PauseSwitch
 from rig.run.interlocks.store import InterlockStore
 from rig.run.interlocks.watch import InterlockWatch
 from rig.run.locks.bench_mark import BenchMarks
+from rig.run.making_safe.guard import GuardLink
 from rig.run.stopping import StopFlag
+from rig.run.streams.force_monitor import ForceMonitor
 from rig.run.trip import TripError
 
 FORCE_RATE_S_S = 500.0

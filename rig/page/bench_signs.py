@@ -12,9 +12,9 @@ from typing import Any
 from rig.core.errors import RigError
 from rig.files.journal.values import RunHeader
 from rig.files.naming import JOURNAL_SUFFIX
-from rig.run.guard import GUARD_SUFFIX, report_path
 from rig.run.locks.bench_mark import BenchMark, read_marks
 from rig.run.locks.lock_holder import LockHolder, holder_of, lock_file
+from rig.run.making_safe.guard import GUARD_SUFFIX, report_path
 
 
 class BenchSigns:

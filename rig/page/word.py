@@ -19,7 +19,8 @@ SILENT_S = 3.0
 """Age of the newest sign of a living run from which its state is unknown, in s. A run synchronises
 its journal every 0.25 s while it records."""
 PRESSED_N = 0.4
-"""Force above which something is pressed, as for the guard's report (`rig.run.still_pressed`)."""
+"""Force above which something is pressed, as in the guard's report
+(`rig.run.making_safe.still_pressed`)."""
 EXIT_UNSAFE = 7
 
 

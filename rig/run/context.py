@@ -15,12 +15,12 @@ from rig.files.errors import JournalMovedError
 from rig.files.journal.recorder import Recorder
 from rig.instruments.roles import Record, Scaling
 from rig.run.arming import SHUTDOWN_DEADLINE_S, Arming
-from rig.run.force_monitor import ForceMonitor
 from rig.run.holds import Disturbances, Holds
 from rig.run.interlocks.store import InterlockStore
 from rig.run.interlocks.watch import InterlockWatch
 from rig.run.points import Reading
 from rig.run.press_references import PressReferences
+from rig.run.streams.force_monitor import ForceMonitor
 
 if TYPE_CHECKING:
     import numpy.typing as npt

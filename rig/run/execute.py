@@ -33,7 +33,6 @@ from rig.files.runfile.compile import compile_run
 from rig.run.arming import BEAT_EVERY_S, ShutdownFailure
 from rig.run.checked_procedure import CheckedProcedure, driver_fault, internal
 from rig.run.context import Run
-from rig.run.guard import GuardLink
 from rig.run.holds import PauseSwitch
 from rig.run.in_brief import single_values
 from rig.run.interlocks.proof import prove
@@ -41,6 +40,7 @@ from rig.run.interlocks.store import InterlockStore
 from rig.run.interlocks.watch import InterlockError
 from rig.run.job import Journal, RunJob
 from rig.run.locks.bench_mark import BenchMarks
+from rig.run.making_safe.guard import GuardLink
 from rig.run.observers import Observers, RunObserver
 from rig.run.outcome import RunOutcome
 from rig.run.phases import Phases, RunPhase

@@ -20,8 +20,8 @@ from rig.core.errors import ConfigurationError
 from rig.core.settings import Settings, fingerprint, leaves, name_without_unit, unit_of
 from rig.files.journal.reader import JournalContents
 from rig.files.journal.writer import JournalWriter, begin_journal, begin_journal_at
-from rig.run.guard import GUARD_SUFFIX, report_path
 from rig.run.locks.lock import BenchLock
+from rig.run.making_safe.guard import GUARD_SUFFIX, report_path
 from rig.run.outcome import RunOutcome
 from rig.run.points import Point, Reading
 from rig.run.procedure import Procedure

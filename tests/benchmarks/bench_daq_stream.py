@@ -101,7 +101,7 @@ def test_a_minute_of_a_million_samples_a_second_loses_none(tmp_path: Path) -> No
     from rig.files.journal.writer import JournalWriter
     from rig.instruments.roles import Acquisition, InputChannel
     from rig.run.context import Run
-    from rig.run.sample_stream import SampleStream
+    from rig.run.streams.sample_stream import SampleStream
 
     heading(
         f"{len(CHANNELS)} channels at {RATE_S_S:g} S/s for {SECONDS:g} s, blocks of {BLOCK_ROWS}"

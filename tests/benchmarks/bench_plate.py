@@ -16,8 +16,8 @@ from rig.bench.connect import connect
 from rig.bench.plan import parse_bench
 from rig.core.clock import ControlLink, SlavedClock
 from rig.instruments.roles import Acquisition, InputChannel
-from rig.run.force_monitor import ForceMonitor
 from rig.run.holds import Holds
+from rig.run.streams.force_monitor import ForceMonitor
 
 pytestmark = [pytest.mark.benchmark, pytest.mark.short, pytest.mark.timeout(1200)]
 

@@ -34,13 +34,13 @@ from rig.core.settings import Settings
 from rig.files.journal.layout import Column, Layout, Plot
 from rig.instruments.roles import ForceFrames, Reach
 from rig.run.execute import execute
-from rig.run.force_monitor import ForceMonitor
-from rig.run.guard import GuardLink
 from rig.run.holds import Holds
 from rig.run.job import RunJob
+from rig.run.making_safe.guard import GuardLink
 from rig.run.points import Point
 from rig.run.procedure import Procedure
 from rig.run.stopping import StopFlag
+from rig.run.streams.force_monitor import ForceMonitor
 
 pytestmark = [pytest.mark.benchmark, pytest.mark.short, pytest.mark.timeout(900)]
 

@@ -21,7 +21,7 @@ from drivers.simulated.bench.control import ControlServer
 from drivers.simulated.world.world import World, WorldSettings
 from rig.core.clock import Clock, ControlLink, SlavedClock, WallClock
 from rig.core.errors import InstrumentError
-from rig.run.stream_reader import StreamReader
+from rig.run.streams.stream_reader import StreamReader
 
 
 class CountingClock(Clock):

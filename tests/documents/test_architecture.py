@@ -16,7 +16,7 @@ OWN = {"Child", "run_module", "StreamReader"}
 NO_PROCESS = {"rig/evaluation/scoring/ideal.py"}
 """Modules in which `Process` is a stochastic one."""
 SHOWN_BY_CALLERS = {
-    "rig/run/force_monitor.py", "rig/run/scales.py", "rig/files/verify.py",
+    "rig/run/streams/force_monitor.py", "rig/run/streams/scales.py", "rig/files/verify.py",
     "rig/files/imported/matlab_variables.py",
 }  # fmt: skip
 """Modules whose threads and processes are on the page under the module that makes them."""

@@ -19,8 +19,8 @@ from rig.instruments.roles import Identity
 from rig.run import execute as execution
 from rig.run.context import Run
 from rig.run.execute import execute
-from rig.run.guard import TakenOver
 from rig.run.job import RunJob
+from rig.run.making_safe.guard import TakenOver
 from rig.run.observers import RunObserver
 from rig.run.outcome import RunOutcome
 from rig.run.points import Point, Reading

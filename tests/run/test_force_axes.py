@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from rig.run.force_axes import STUCK_FRAMES, AxisWatch
+from rig.run.streams.force_axes import STUCK_FRAMES, AxisWatch
 
 BATCH = 20
 RNG = np.random.default_rng(3)

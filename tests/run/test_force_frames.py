@@ -11,9 +11,9 @@ import pytest
 from rig.core.clock import WallClock
 from rig.core.errors import InstrumentError
 from rig.instruments.roles import ForceFrames
-from rig.run.force_monitor import ForceMonitor
-from rig.run.frame_buffer import FrameBuffer
 from rig.run.holds import Holds
+from rig.run.streams.force_monitor import ForceMonitor
+from rig.run.streams.frame_buffer import FrameBuffer
 
 
 class Sensor:

@@ -20,8 +20,8 @@ from drivers.simulated.bench.start import start
 from rig.bench.plan import BenchPlan, parse_bench
 from rig.core.clock import ControlLink, WallClock
 from rig.core.errors import InstrumentError
-from rig.run.guard import GuardLink, act, make_bench_safe
 from rig.run.locks.bench_mark import read_marks
+from rig.run.making_safe.guard import GuardLink, act, make_bench_safe
 
 PATIENCE_S = 60.0
 
@@ -71,7 +71,7 @@ class Guard:
 
     def __init__(self) -> None:
         self.process = subprocess.Popen(
-            [sys.executable, "-m", "rig.run.guard"], stdin=subprocess.PIPE
+            [sys.executable, "-m", "rig.run.making_safe.guard"], stdin=subprocess.PIPE
         )
 
     def tell(self, word: str) -> None:
@@ -134,8 +134,8 @@ def test_a_guard_that_is_stopped_never_blocks_its_run_is_reported_and_ends_with_
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """More heartbeats than a pipe holds: the next one would wait for ever."""
-    monkeypatch.setattr("rig.run.guard.SILENT_S", 0.1)
-    monkeypatch.setattr("rig.run.guard.ENDING_S", 0.1)
+    monkeypatch.setattr("rig.run.making_safe.guard.SILENT_S", 0.1)
+    monkeypatch.setattr("rig.run.making_safe.guard.ENDING_S", 0.1)
     link = GuardLink(bench.plan, bench.journal, bench.report)
     os.kill(link._process.pid, signal.SIGSTOP)
     for _ in range(14_000):
@@ -264,7 +264,7 @@ def test_an_instrument_that_hangs_keeps_no_other_from_being_made_safe(
     )
     described = SimpleNamespace(instruments=parts, failures={})
     monkeypatch.setattr("rig.bench.plan.parse_to_make_safe", lambda *_: described)
-    monkeypatch.setattr("rig.run.guard.REST_S", 0.03)
+    monkeypatch.setattr("rig.run.making_safe.guard.REST_S", 0.03)
     failures = make_bench_safe("", "bench.toml").failures
     release.set()
     assert failures == {
@@ -284,7 +284,9 @@ def test_an_instrument_that_only_measures_leaves_no_bench_unsafe(
 
     daq = next(part for part in bench.plan.instruments if part.role == "daq")
     monkeypatch.setattr(daq.driver, "make_safe", refuse)
-    monkeypatch.setattr("rig.run.guard._add_what_is_pressed", lambda order, report: None)
+    monkeypatch.setattr(
+        "rig.run.making_safe.guard._add_what_is_pressed", lambda order, report: None
+    )
     report = act(bench.order(marks=["an-address"]), "a test")
     assert report["safe"] is True
     assert report["failures"] == {"daq": "STOP: no answer; switch it on"}
@@ -335,7 +337,7 @@ def test_what_does_not_answer_is_tried_again_for_a_while_and_what_did_is_left_al
     parts = part("generator", 1), part("stage_z", 3)
     described = SimpleNamespace(instruments=parts, failures={})
     monkeypatch.setattr("rig.bench.plan.parse_to_make_safe", lambda *_: described)
-    monkeypatch.setattr("rig.run.guard.AGAIN_EVERY_S", 0.01)
+    monkeypatch.setattr("rig.run.making_safe.guard.AGAIN_EVERY_S", 0.01)
     made = make_bench_safe("", "bench.toml", again_s=PATIENCE_S)
     assert made.safe
     assert made.failures == {}

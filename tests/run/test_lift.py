@@ -11,7 +11,7 @@ import pytest
 from rig.bench.interlocks import InterlockSettings
 from rig.core.errors import InstrumentError
 from rig.instruments.roles import Reach
-from rig.run.lift import Lift, LIFT_mm_s, NotLiftedError
+from rig.run.making_safe.lift import Lift, LIFT_mm_s, NotLiftedError
 
 PARKED_mm, FIRST_mm, STANDS_mm = 5.0, 12.0, 12.44
 CLEAR_mm = FIRST_mm - 0.3

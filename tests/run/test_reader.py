@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Sequence
 import pytest
 
 from rig.core.errors import InstrumentError
-from rig.run.stream_reader import StreamReader, Watcher
+from rig.run.streams.stream_reader import StreamReader, Watcher
 
 PATIENCE_S = 30.0
 

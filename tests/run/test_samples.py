@@ -9,7 +9,7 @@ import pytest
 
 from rig.core.errors import InstrumentError
 from rig.instruments.roles import Acquisition, InputChannel
-from rig.run.sample_stream import SampleStream
+from rig.run.streams.sample_stream import SampleStream
 
 BLOCK = Acquisition((InputChannel("film", 1.25),), 1000.0, 100)
 

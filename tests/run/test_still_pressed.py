@@ -15,7 +15,7 @@ from rig.bench.settings import BenchSettings
 from rig.core.errors import ConfigurationError
 from rig.core.settings import Settings
 from rig.instruments.roles import Reach
-from rig.run.still_pressed import Orders, PressedState, pressed_state
+from rig.run.making_safe.still_pressed import Orders, PressedState, pressed_state
 
 FIRST_mm, CLEAR_mm, STANDS_mm, TOUCHES_mm = 12.0, 11.7, 12.44, 12.4
 N_mm = 100.0
@@ -124,7 +124,7 @@ def rig(monkeypatch: pytest.MonkeyPatch) -> Rig:
         links: Any = SimpleNamespace(close=lambda: None)
         return Bench(plan, found, {part.role: instrument}, links)
 
-    module = "rig.run.still_pressed."
+    module = "rig.run.making_safe.still_pressed."
     monkeypatch.setattr(f"{module}connect", connect)
     monkeypatch.setattr(f"{module}parse_bench", lambda *_: BenchPlan(own, parts, "", "b.toml"))
     monkeypatch.setattr(f"{module}WallClock", lambda: found)

@@ -197,7 +197,7 @@ def await_report(path):
 def test_a_run_whose_guard_was_killed_says_so_and_continues(rig):
     running = rig.start_sweep(*FORTY_POINTS)
     running.wait_for(r"^5/40 ")
-    (guard,) = children_named("rig.run.guard", running.process.pid)
+    (guard,) = children_named("rig.run.making_safe.guard", running.process.pid)
     os.kill(guard, signal.SIGKILL)
     ended = running.finish()
     assert ended.code == 0, ended.stderr
@@ -211,10 +211,10 @@ def test_a_run_whose_guard_was_killed_says_so_and_continues(rig):
 def test_a_run_whose_guard_is_stopped_says_so_once_and_continues(rig):
     running = rig.start(
         *rig.sweep_arguments(*FORTY_POINTS),
-        before="import rig.run.guard as g; g.SILENT_S = g.ENDING_S = 0.5",
+        before="import rig.run.making_safe.guard as g; g.SILENT_S = g.ENDING_S = 0.5",
     )
     running.wait_for(r"^5/40 ")
-    (guard,) = children_named("rig.run.guard", running.process.pid)
+    (guard,) = children_named("rig.run.making_safe.guard", running.process.pid)
     os.kill(guard, signal.SIGSTOP)
     ended = running.finish()
     assert ended.code == 0, ended.stderr

@@ -99,7 +99,7 @@ def test_whenever_both_are_killed_the_next_start_is_refused_until_it_was_made_sa
 
 def kill_together(running):
     """Kill a run and its guard."""
-    (guard,) = children_named("rig.run.guard", running.process.pid)
+    (guard,) = children_named("rig.run.making_safe.guard", running.process.pid)
     running.send(signal.SIGKILL)
     os.kill(guard, signal.SIGKILL)
     running.process.wait()

@@ -73,7 +73,7 @@ def test_what_a_key_of_the_terminal_sends_ends_neither_the_bench_nor_the_guard(r
         int(pid): Path(f"/proc/{pid}/cmdline") for t in tasks for pid in t.read_text().split()
     }
     programs = {pid: cmdline.read_bytes().split(b"\0") for pid, cmdline in started.items()}
-    for program in (b"drivers.simulated.bench.process", b"rig.run.guard"):
+    for program in (b"drivers.simulated.bench.process", b"rig.run.making_safe.guard"):
         (pid,) = [pid for pid, words in programs.items() if program in words]
         for number in (signal.SIGINT, signal.SIGQUIT):
             os.kill(pid, number)

@@ -156,7 +156,9 @@ def guard_of(pid: int) -> int | None:
             children += map(int, (Path(task.path) / "children").read_text().split())
     for child in children:
         with contextlib.suppress(OSError):
-            if b"rig.run.guard" in (PROC / str(child) / "cmdline").read_bytes() and lives(child):
+            if b"rig.run.making_safe.guard" in (
+                PROC / str(child) / "cmdline"
+            ).read_bytes() and lives(child):
                 return child
     return None
 

@@ -24,7 +24,7 @@ from rig.instruments.roles import (
     ForceSensor,
     InputChannel,
 )
-from rig.run.stream_reader import StreamReader
+from rig.run.streams.stream_reader import StreamReader
 
 FORCE_STREAM = "force_sensor"
 LATE_FRAMES_S = 1.0

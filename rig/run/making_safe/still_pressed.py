@@ -23,7 +23,7 @@ from rig.core.clock import WallClock
 from rig.core.errors import InstrumentError, RigError
 from rig.instruments.roles import Instrument
 from rig.run.interlocks.store import InterlockStore
-from rig.run.lift import Lift
+from rig.run.making_safe.lift import Lift
 
 RATE_S_S = 500.0
 SECONDS = 0.3
@@ -73,7 +73,7 @@ class Orders:
 
 def pressed_state(bench_toml: str, source: str, orders: Orders) -> PressedState:
     """Connect to z and force sensor of a bench that was stopped, read both, lift z off what it may
-    press (`rig.run.lift`), read both again, and leave z stopped.
+    press (`rig.run.making_safe.lift`), read both again, and leave z stopped.
 
     z is lifted without a force sensor, too, where that does not answer. Where z itself does not it
     is tried again, for `AGAIN_S`. A bench that cannot be read is not an error: the text says so.

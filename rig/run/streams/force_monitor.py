@@ -16,11 +16,11 @@ import numpy.typing as npt
 from rig.core.clock import Clock
 from rig.core.errors import InstrumentError, RigError
 from rig.instruments.roles import ForceFrames, ForceSensor, axes_of
-from rig.run.frame_buffer import FrameBuffer
-from rig.run.frame_delay import FrameDelay
-from rig.run.frame_faults import FrameFault, FrameFaults
 from rig.run.holds import Holds
-from rig.run.stream_reader import StreamReader
+from rig.run.streams.frame_buffer import FrameBuffer
+from rig.run.streams.frame_delay import FrameDelay
+from rig.run.streams.frame_faults import FrameFault, FrameFaults
+from rig.run.streams.stream_reader import StreamReader
 from rig.run.trip import TripError
 
 STALE_S = 0.25

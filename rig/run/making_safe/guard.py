@@ -5,12 +5,12 @@ and a message when the bench is safe and when the run is done. If the pipe close
 run has died: the guard acts. If a heartbeat is late, the run hangs (or was suspended): the guard
 kills it, then acts. To act, it connects to every instrument of the bench and calls its driver's
 `make_safe`, each isolated from the others' failures, measures what is still pressed, lifts z off it
-where nothing speaks against that (`rig.run.lift`), compiles the journal, and writes a report of
-what was done. On a bench that others use it leaves a mark (`rig.run.locks.bench_mark`), which the
-next command reports; that of an unsafe bench refuses it.
+where nothing speaks against that (`rig.run.making_safe.lift`), compiles the journal, and writes a
+report of what was done. On a bench that others use it leaves a mark (`rig.run.locks.bench_mark`),
+which the next command reports; that of an unsafe bench refuses it.
 
-This module is the program as well (``python -m rig.run.guard``); it imports the rest of the project
-only when it has to act, so a guard costs a few milliseconds.
+This module is the program as well (``python -m rig.run.making_safe.guard``); it imports the rest of
+the project only when it has to act, so a guard costs a few milliseconds.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ from rig.core.errors import RigError
 if TYPE_CHECKING:
     from rig.bench.plan import BenchPlan
     from rig.run.arming import Arming
-    from rig.run.still_pressed import PressedState
+    from rig.run.making_safe.still_pressed import PressedState
 
 
 GUARD_SUFFIX = ".guard.json"
@@ -172,7 +172,7 @@ class GuardLink:
         self._take_over_s = longest_take_over_s(plan)
         try:
             self._process = subprocess.Popen(
-                [sys.executable, "-P", "-m", "rig.run.guard"],
+                [sys.executable, "-P", "-m", "rig.run.making_safe.guard"],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.DEVNULL,
                 stderr=subprocess.DEVNULL,
@@ -351,7 +351,7 @@ def _add_what_is_pressed(order: dict[str, Any], report: dict[str, Any]) -> None:
     found: list[PressedState] = []
 
     def measure() -> None:
-        from rig.run.still_pressed import Orders, pressed_state
+        from rig.run.making_safe.still_pressed import Orders, pressed_state
 
         zero = order.get("zero")
         orders = Orders(

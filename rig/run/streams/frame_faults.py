@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from rig.instruments.roles import ForceFrames
-from rig.run.force_axes import AXES, AxisWatch
+from rig.run.streams.force_axes import AXES, AxisWatch
 
 STILL_FRAMES = 20
 """Number of successive frames, equal to the last bit on all axes, that show a stopped converter:

@@ -1,0 +1,1 @@
+"""Streams of samples: their reader threads, and the force monitor, which acts by itself."""
