@@ -62,6 +62,7 @@ def relaxation(rig: Any, tmp_path: Path) -> Any:
     return rig
 
 
+@pytest.mark.thorough
 def test_trials_press_with_forces_of_their_own_and_hold_their_place(relaxation: Any) -> None:
     done = relaxation.run("relaxation", "--forces", "2,3.5", "--json", "--no-figures")
     assert done.code == 0, done.stderr

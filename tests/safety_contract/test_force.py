@@ -85,6 +85,7 @@ def test_a_force_over_its_limit_trips_and_the_point_is_retaken_once(rig):
         assert b"trip" in run.entry["events/code"][()].tolist()
 
 
+@pytest.mark.thorough
 @pytest.mark.usefixtures("quick_ways")
 def test_a_second_trip_ends_the_run(rig):
     again = range(LISTENING + 2, LISTENING + 13)
@@ -315,6 +316,7 @@ def test_a_force_sensor_that_stays_silent_ends_the_run(rig):
         assert held(run) == 1
 
 
+@pytest.mark.thorough
 def test_a_hold_that_came_and_went_within_one_blocking_call_is_acted_on(rig):
     """In real time: the bench stands still for a while and answers late; its frames come late too,
     none is lost."""

@@ -182,6 +182,7 @@ def test_a_force_stream_that_cannot_be_ended_is_reported_but_leaves_nothing_unsa
     assert verify(rig.only("*.h5")) == []
 
 
+@pytest.mark.thorough
 def test_an_off_that_fails_too_is_reported_after_the_first_cause(rig):
     plan = (
         f'[[fault]]\ndevice = "daq"\nkind = "silence"\ncommand = "DIG"\n'

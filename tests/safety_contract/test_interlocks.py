@@ -101,6 +101,7 @@ def test_a_contact_is_read_by_whichever_instrument_has_inputs(rig, which):
     assert rig.outputs() == [True, False]
 
 
+@pytest.mark.thorough
 def test_a_contact_of_the_process_holds_the_run_and_lets_it_go_on_by_itself(rig):
     plan = contact("opened", MEASURING, "air pressure") + contact(
         "closed", MEASURING, "air pressure", "after_s = 2.0\n"
@@ -251,6 +252,7 @@ def test_a_record_that_cannot_be_read_counts_as_a_latch(rig):
 PROVED = contact("opened", more="after_s = 3.0\n") + contact("closed", more="after_s = 4.0\n")
 
 
+@pytest.mark.thorough
 def test_a_contact_that_is_to_be_proved_is_seen_open_and_closed_before_anything_is_armed(rig):
     world = rig.world(DOOR + "proof = true\n")
     ended = rig.sweep(*SHORT, "--world", world, "--fault", rig.fault(PROVED))

@@ -40,6 +40,7 @@ def test_one_lost_answer_of_a_stage_that_presses_does_not_stop_its_drive(rig):
     assert stands_mm(rig) == pytest.approx(PARKED_mm, abs=0.02)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("what", mostly_thorough(["sweep", "slip-trial"], ["sweep"]))
 def test_a_drive_that_its_own_time_out_has_stopped_is_acknowledged_and_lifted(rig, what):
     rig.quick_ways = what == "sweep"  # the other moment is counted from before the contact

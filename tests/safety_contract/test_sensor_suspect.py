@@ -108,6 +108,7 @@ def test_behind_a_dead_sensor_and_a_wrong_torque_the_torque_limit_bounds_the_for
     assert last_N == [0.0]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("after_s", "largest"), [(0.8, 0.0), pytest.param(1.2, 15.0, marks=pytest.mark.thorough)]
 )
@@ -187,6 +188,7 @@ def test_every_procedure_that_records_force_watches_every_axis(rig, procedure, a
     assert largest_N(rig) == 0.0
 
 
+@pytest.mark.thorough
 @pytest.mark.usefixtures("quick_ways")
 def test_a_sensor_that_dies_while_the_force_is_held_ends_the_run_before_the_servo_presses_on(rig):
     ended = run(rig, "slip-trial", f'kind = "dead-noisy"\n{HELD}', "--rest", "3s")
@@ -221,6 +223,7 @@ def test_a_zero_that_has_moved_while_the_force_was_held_makes_the_trial_invalid(
     assert "along x" in ended.stderr
 
 
+@pytest.mark.thorough
 @pytest.mark.usefixtures("quick_ways")
 @pytest.mark.parametrize("procedure", mostly_thorough(["sweep", "slip-trial"], ["sweep"]))
 def test_a_scale_that_has_become_wrong_is_refused_before_the_force_is_held(rig, procedure):

@@ -139,7 +139,7 @@ def assert_stopped_in_order(rig, ended, number):
 
 @pytest.mark.parametrize(
     "number",
-    mostly_nightly(STOPS, [signal.SIGTERM], [signal.SIGINT]),
+    mostly_nightly(STOPS, [signal.SIGINT]),
     ids=lambda number: number.name,
 )
 def test_a_signal_while_paused_ends_the_run_in_order(rig, number):

@@ -56,6 +56,7 @@ def test_a_stage_that_answers_and_does_not_act_ends_the_run_without_more_force(r
         assert "force_sensor reads" in ended.stderr or "NOT SAFE" in ended.stderr
 
 
+@pytest.mark.thorough
 @pytest.mark.stages("festo", because="the moment of contact is that of these stages")
 def test_a_stage_that_shows_an_old_place_at_contact_touches_five_times_and_no_more(rig):
     """The place that it shows freezes just before contact. Commanded from there it touches and lets

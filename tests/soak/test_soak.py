@@ -92,6 +92,7 @@ def misread(tmp_path: Path, fault: Fault) -> Ran:
     return ran
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("acquisition", "frequency"), [(6, 110), pytest.param(10, 410, marks=pytest.mark.thorough)]
 )

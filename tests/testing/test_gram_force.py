@@ -60,6 +60,7 @@ def test_a_dry_run_has_it_in_virtual_time(rig: Any, site: Path) -> None:
     assert done.object["points_done"] == 1
 
 
+@pytest.mark.thorough
 def test_a_trial_that_needs_the_tangential_force_is_refused_before_anything_moves(
     rig: Any, site: Path
 ) -> None:
