@@ -5,7 +5,8 @@ worker; each command is a process forked from it, which changes to the command's
 `rig.cli.main` as ``python -c`` does. What a command starts of the program itself, the simulated
 bench first of all, is forked from the command in the same way (`ForkedPopen`): numba alone needs a
 second of processor time before the first step of the contact. Tests of the start itself use a fresh
-process (`conftest.Rig.start`).
+process (`conftest.Rig.start`). Packages of tests, in folders on PYTHONPATH, are found as they would
+be in a fresh one.
 """
 
 from __future__ import annotations
@@ -30,6 +31,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from functools import cache
 from importlib import import_module
+from importlib.metadata import packages_distributions
 from pathlib import Path
 from typing import Any
 
@@ -120,12 +122,16 @@ class Server:
         atexit.register(self.close)
 
     def imported_otherwise(self, env: Mapping[str, str]) -> bool:
-        """Return whether Python would find other modules in this environment."""
-        return any(
-            env.get(name) != self._environment.get(name)
+        """Return whether Python would find other modules in this environment under the names that
+        have been imported. Folders on PYTHONPATH may hold modules of other names."""
+        changed = {
+            name
             for name in {*env, *self._environment}
-            if name.startswith("PYTHON")
-        )
+            if name.startswith("PYTHON") and env.get(name) != self._environment.get(name)
+        }
+        if changed <= {"PYTHONPATH"} and "PYTHONPATH" not in self._environment:
+            return any(map(_holds_known_names, _folders(env)))
+        return True
 
     def start(
         self, arguments: Sequence[str], folder: Path, env: Mapping[str, str] | None = None
@@ -174,6 +180,24 @@ class Server:
         if "ended" in news:
             self._codes[news["ended"]] = news["code"]
         return news
+
+
+def _folders(env: Mapping[str, str]) -> list[str]:
+    """Return the folders on PYTHONPATH."""
+    return [folder for folder in env.get("PYTHONPATH", "").split(os.pathsep) if folder]
+
+
+def _holds_known_names(folder: str) -> bool:
+    """Return whether a folder has a module of which there is, or may be, another one."""
+    return not _known_names().isdisjoint(path.stem for path in Path(folder).glob("*"))
+
+
+@cache
+def _known_names() -> set[str]:
+    """Return the names of the modules that are installed, and of those that `site` looks for."""
+    ours = {"rig", "procedures", "drivers", "forked_rig", "compiled_kernels"}
+    looked_for = {"sitecustomize", "usercustomize"}
+    return {*ours, *looked_for, *sys.stdlib_module_names, *packages_distributions()}
 
 
 @cache
@@ -276,7 +300,11 @@ def _become_rig(job: Mapping[str, Any], descriptors: Sequence[int]) -> None:
     os.chdir(job["folder"])
     sys.argv = ["-c", *job["arguments"]]
     subprocess.Popen = ForkedPopen  # type: ignore[misc]
+    sys.path[1:1] = _folders(job["env"])
     from rig.cli import main
+    from rig.core import entry_points
+
+    entry_points._registered.cache_clear()
 
     main()
 

@@ -173,6 +173,7 @@ def test_trials_are_scored_the_same_by_one_process_and_by_two(tmp_path, populati
         assert (tmp_path / "one" / f"{stem}.png").read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.thorough
 def test_tuned_thresholds_are_written_with_their_seeds_and_every_table_says_tuning(
     tmp_path, population
 ):
@@ -207,6 +208,7 @@ def values(reported: dict) -> dict[str, float]:
     return {row["quantity"]: row["value"] for row in rows if not row["trait"]}
 
 
+@pytest.mark.thorough
 def test_labelled_files_are_scored_by_their_list_or_by_what_a_simulated_bench_knows(tmp_path):
     slip_file(tmp_path)
     reported = scored(tmp_path, "file\nslip.h5\n", "own")

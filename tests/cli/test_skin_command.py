@@ -65,6 +65,7 @@ def kept_slide(kept: tuple[Path, dict]) -> Path:
     return kept[0]
 
 
+@pytest.mark.thorough
 def test_a_slide_from_edited_settings_is_drawn_and_summed_up(kept: tuple[Path, dict]):
     _, summary = kept
     assert summary["simulated"] is True
@@ -79,6 +80,7 @@ def test_a_slide_from_edited_settings_is_drawn_and_summed_up(kept: tuple[Path, d
     assert len(summary["ridge_whole_slip_s"]) == 9
 
 
+@pytest.mark.thorough
 def test_the_data_of_a_slide_are_kept_and_explain_themselves(
     kept: tuple[Path, dict], tmp_path: Path
 ):
@@ -238,6 +240,7 @@ def test_a_sphere_rolls_and_has_no_section_to_draw(tmp_path: Path):
     assert not (tmp_path / "skin-roll-deformed.png").exists()
 
 
+@pytest.mark.thorough
 def test_every_figure_says_that_it_is_simulated(tmp_path: Path, monkeypatch):
     from rig.figures import style
 

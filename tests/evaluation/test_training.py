@@ -157,6 +157,7 @@ def answers(rows: TrainingRows, hidden: np.ndarray, output: np.ndarray) -> np.nd
     return (total / (1 + np.abs(total))) @ output[:, :-1].T + output[:, -1] > 0
 
 
+@pytest.mark.thorough
 def test_it_learns_what_can_be_learned():
     rows = plain_problem()
     losses: list[float] = []

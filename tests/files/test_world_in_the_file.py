@@ -43,6 +43,7 @@ def is_film_of_seed(world: dict[str, Any], seed: int) -> bool:
     )
 
 
+@pytest.mark.thorough
 @pytest.mark.usefixtures("quick_ways")
 def test_a_sweep_has_the_film_that_was_drawn_with_units(rig: Any) -> None:
     ended = rig.run("sweep", *QUICK)

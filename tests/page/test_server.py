@@ -244,6 +244,10 @@ def test_a_run_that_was_killed_is_unsafe_until_its_guard_has_reported(page):
     writer = run.start_writer(path)
     try:
         page.frames(lambda f: f["holder"] and f["holder"]["pid"] == writer.pid)
+        page.frames(lambda f: f["run"].get("procedure") == "sweep")
+        begun = path.stat().st_size
+        while path.stat().st_size < 3 * begun:  # so that half of it has the whole header
+            writer.stdout.readline()
         writer.kill()
         writer.wait()
         dead = page.frames(lambda f: f["word"] == "UNSAFE")

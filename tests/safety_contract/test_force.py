@@ -52,7 +52,6 @@ def test_a_sweep_presses_holds_and_parks(rig):
         assert run.column("load_amplitude") == pytest.approx(1.0, rel=0.01)
 
 
-@pytest.mark.thorough
 @pytest.mark.stages("festo", because="the push has to fall into the approach")
 def test_a_push_in_free_air_is_no_contact_and_the_stage_does_not_hunt_for_the_preload(rig):
     push = '[[fault]]\ndevice = "force_sensor"\nkind = "spike"\n'
@@ -85,7 +84,6 @@ def test_a_force_over_its_limit_trips_and_the_point_is_retaken_once(rig):
         assert b"trip" in run.entry["events/code"][()].tolist()
 
 
-@pytest.mark.thorough
 @pytest.mark.usefixtures("quick_ways")
 def test_a_second_trip_ends_the_run(rig):
     again = range(LISTENING + 2, LISTENING + 13)
@@ -316,7 +314,6 @@ def test_a_force_sensor_that_stays_silent_ends_the_run(rig):
         assert held(run) == 1
 
 
-@pytest.mark.thorough
 def test_a_hold_that_came_and_went_within_one_blocking_call_is_acted_on(rig):
     """In real time: the bench stands still for a while and answers late; its frames come late too,
     none is lost."""

@@ -65,7 +65,7 @@ def test_a_daq_that_fails_once_ends_the_run_safely(rig, fault):
     assert_points_are_kept(rig, ended)
 
 
-@pytest.mark.parametrize("kind", mostly_nightly(KINDS[:4], ["close"], ["garbage"]))
+@pytest.mark.parametrize("kind", mostly_nightly(KINDS[:4], ["close", "garbage"]))
 def test_a_generator_that_fails_once_is_still_switched_off(rig, kind):
     plan = f'[[fault]]\ndevice = "generator"\nkind = "{kind}"\ncommand = "SOUR1:FREQ"\nat = 4\n'
     ended = rig.sweep(*FREQUENCIES, "--fault", rig.fault(plan))
@@ -112,7 +112,7 @@ def assert_ended_safely(rig, ended, device, points=SLOW_POINTS, least=1):
         assert sorted(run.point_ids()) == sorted(reported)
 
 
-@pytest.mark.parametrize("kind", mostly_nightly(KINDS, ["silence", "stale"], ["close"]))
+@pytest.mark.parametrize("kind", mostly_nightly(KINDS, ["silence", "stale", "close"]))
 def test_a_stage_that_fails_once_ends_the_run_safely(rig, kind):
     plan = plan_of("stage_z", kind, **WHILE_TAKING)
     ended = rig.sweep(*SLOW, "--fault", rig.fault(plan))
@@ -201,7 +201,6 @@ def test_an_off_that_fails_too_is_reported_after_the_first_cause(rig):
     assert_points_are_kept(rig, ended)
 
 
-@pytest.mark.thorough
 def test_an_off_that_fails_once_is_done_by_the_guard(rig):
     plan = (
         f'[[fault]]\ndevice = "daq"\nkind = "silence"\ncommand = "DIG"\n'
@@ -219,7 +218,6 @@ def test_an_off_that_fails_once_is_done_by_the_guard(rig):
 DEVICES = ("generator", "daq", "stage_z", "force_sensor")
 
 
-@pytest.mark.thorough
 def test_a_bench_that_does_not_answer_at_all_is_reported_with_every_device(rig):
     plan = "".join(
         f'[[fault]]\ndevice = "{device}"\nkind = "silence"\ncount = 0\n' for device in DEVICES

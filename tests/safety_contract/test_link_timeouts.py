@@ -40,7 +40,6 @@ def test_one_lost_answer_of_a_stage_that_presses_does_not_stop_its_drive(rig):
     assert stands_mm(rig) == pytest.approx(PARKED_mm, abs=0.02)
 
 
-@pytest.mark.thorough
 @pytest.mark.parametrize("what", mostly_thorough(["sweep", "slip-trial"], ["sweep"]))
 def test_a_drive_that_its_own_time_out_has_stopped_is_acknowledged_and_lifted(rig, what):
     rig.quick_ways = what == "sweep"  # the other moment is counted from before the contact
@@ -101,15 +100,12 @@ def test_a_link_as_patient_as_its_drive_is_refused_and_the_bench_can_be_made_saf
     assert not any(e["what"] in ("homing", "move") for e in rig.log())
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("stages", "fault"),
     [
         ("az-festo", 'kind = "checksum"\nacquisition = 4\nafter_s = 0.066\nat = 3'),
-        pytest.param(
-            "festo",
-            'kind = "close"\nacquisition = 4\nafter_s = 0.1\nat = 2',
-            marks=pytest.mark.thorough,
-        ),
+        ("festo", 'kind = "close"\nacquisition = 4\nafter_s = 0.1\nat = 2'),
     ],
 )
 def test_one_spoilt_answer_to_the_stop_of_what_is_pressed_is_asked_for_again(rig, stages, fault):
@@ -144,6 +140,7 @@ UNREACHABLE = {
 """While something is pressed."""
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("procedure", mostly_thorough(UNREACHABLE, ["sweep"]))
 def test_a_stage_that_is_not_reached_while_it_is_made_safe_is_lifted_once_it_is(rig, procedure):
     """Every connection to z breaks, more often than the run tries; the guard, which has every link

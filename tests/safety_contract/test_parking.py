@@ -153,7 +153,8 @@ contact_to_mm = 13.0
 """
 
 
-@pytest.mark.parametrize("what", mostly_thorough(OBJECTS, ["film"]))
+@pytest.mark.thorough
+@pytest.mark.parametrize("what", OBJECTS)
 def test_an_object_that_is_taller_than_stated_is_met_slowly_enough_to_stop(rig, what):
     """On the first way down of a run z has not been there yet: a stiff film, or skin."""
     command, mounted, world, _, limit_N, asked = OBJECTS[what]

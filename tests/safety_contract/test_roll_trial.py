@@ -58,9 +58,9 @@ def the_reading(rig):
     ("stages", "speed"),
     [
         pytest.param("festo", "", marks=pytest.mark.nightly),
-        ("az", "3 deg/s"),
+        pytest.param("az", "3 deg/s", marks=pytest.mark.thorough),
         pytest.param("festo-az", "5.71 deg/s", marks=pytest.mark.nightly),
-        pytest.param("az-festo", "5.71 deg/s", marks=pytest.mark.thorough),
+        ("az-festo", "5.71 deg/s"),
     ],
 )
 def test_a_roll_with_default_settings_is_valid_on_every_model_of_stage(rig, stages, speed):

@@ -73,10 +73,10 @@ def run_with(rig, procedure, plan):
 @pytest.mark.parametrize(
     ("procedure", "keys", "said"),
     [
-        ("sweep", 'shows = "zero"', True),
         *(
             pytest.param(*case, marks=pytest.mark.thorough)
             for case in (
+                ("sweep", 'shows = "zero"', True),
                 ("slip-trial", 'shows = "zero"', True),
                 ("slip-trial", 'shows = "scaled"\nfactor = 0.1', False),
             )
@@ -188,7 +188,6 @@ def test_every_procedure_that_records_force_watches_every_axis(rig, procedure, a
     assert largest_N(rig) == 0.0
 
 
-@pytest.mark.thorough
 @pytest.mark.usefixtures("quick_ways")
 def test_a_sensor_that_dies_while_the_force_is_held_ends_the_run_before_the_servo_presses_on(rig):
     ended = run(rig, "slip-trial", f'kind = "dead-noisy"\n{HELD}', "--rest", "3s")

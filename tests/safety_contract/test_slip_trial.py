@@ -176,6 +176,7 @@ def test_the_same_seed_gives_the_same_samples(rig):
             assert (values == second[name]).all(), name
 
 
+@pytest.mark.thorough
 @pytest.mark.usefixtures("quick_ways")
 @pytest.mark.parametrize(
     ("number", "code"),

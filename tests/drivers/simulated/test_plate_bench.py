@@ -120,6 +120,7 @@ def moved(bench: Started, stage: str) -> SimulatedAxis:
     return axis
 
 
+@pytest.mark.thorough
 def test_sensors_and_truth_are_the_models(started: Started, skin6: CondensedSkin) -> None:
     bench = started.bench
     for stage in (bench.stage_z, bench.stage_x):
