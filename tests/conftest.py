@@ -20,6 +20,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import one_thread  # noqa: F401 - before NumPy
 import pytest
 from benches import DECLARED_CONTACT, Bench, declare_soft_contact
 from compiled_kernels import ensure_compiled

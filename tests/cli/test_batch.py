@@ -88,6 +88,7 @@ def same(interrupted: dict[int, Taken], uninterrupted: dict[int, Taken]) -> None
         assert abs(reading["gain_dB"] - other["gain_dB"]) < 5 * error
 
 
+@pytest.mark.thorough
 def test_every_run_is_taken_once_and_its_file_says_of_which_batch(
     uninterrupted: dict[int, Taken], rig_of_the_module
 ) -> None:

@@ -60,6 +60,7 @@ def test_a_text_file_is_no_journal(rig: Any, command: str) -> None:
     assert "not a journal" in error
 
 
+@pytest.mark.thorough
 def test_a_sound_file_is_shown_and_verified(rig: Any, run_file: Path) -> None:
     for path in run_file.parent.iterdir():
         shutil.copy(path, rig.folder)

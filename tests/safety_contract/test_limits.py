@@ -92,7 +92,8 @@ TRIPPED = {
 retake, which is then right; a force sensor that trips tells nothing of the drive."""
 
 
-@pytest.mark.parametrize("sensor", mostly_thorough(TRIPPED, ["load cell"]))
+@pytest.mark.thorough
+@pytest.mark.parametrize("sensor", TRIPPED)
 def test_a_load_over_the_limit_trips_and_is_retried_once(rig, sensor):
     """A first drive that is far too strong."""
     frequency, world, preload, words, code = TRIPPED[sensor]

@@ -36,8 +36,7 @@ def lost_for_ever(rig, procedure, kind):
     "case",
     mostly_nightly(
         itertools.product(WHILE_PRESSED, ("silence", "close", "half-open")),
-        [("slip-trial", "half-open")],
-        [("sweep", "silence")],
+        [("slip-trial", "half-open"), ("sweep", "silence")],
     ),
     ids="-".join,
 )

@@ -54,7 +54,8 @@ def violations(rig):
     return [entry["value"] for entry in rig.log() if entry["what"] == "violation"]
 
 
-@pytest.mark.parametrize("what", mostly_thorough(OBJECTS, ["film"]))
+@pytest.mark.thorough
+@pytest.mark.parametrize("what", OBJECTS)
 def test_an_object_on_the_way_to_the_parking_place_is_felt_and_z_goes_back_not_deeper(rig, what):
     """Parking itself presses: the way is slow and watched, and z goes back to where it came from
     long before the force limit is reached."""
