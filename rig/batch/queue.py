@@ -11,7 +11,8 @@ leaves a claim, which the next worker settles from the run's own journal
        +---------+  stopped, retried, died: continued from its journal
     queued -> set-aside   left out: its condition has failed too often
 
-One process writes runs (the worker, who holds the bench); any may read, and ask (`request`).
+One process writes runs (the worker, who holds the bench); any may read (`rig.batch.queue_view`) and
+leave a request (`Queue.add_request`).
 """
 
 from __future__ import annotations
@@ -20,25 +21,17 @@ import contextlib
 import functools
 import json
 import sqlite3
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping
 from datetime import datetime
 from pathlib import Path
-from typing import Any, Concatenate, Literal, NamedTuple, ParamSpec, Self, TypeVar
+from typing import Any, Concatenate, ParamSpec, Self, TypeVar
 
 from rig.batch.plan.conditions import BatchCondition, BatchPlan
-from rig.batch.queue_file import QueueConnection, QueueDamagedError, QueueWriteError
+from rig.batch.queue_file import QueueWriteError, connected
+from rig.batch.queue_records import AttemptResult, Claim, RunEstimate, RunState
+from rig.batch.queue_view import QueueView
 from rig.core.atomic import replacing
-from rig.core.errors import ConfigurationError, RigError
-
-RunState = Literal["queued", "running", "done", "failed", "set-aside"]
-Ending = Literal["complete", "stopped", "failed", "died"]
-BUSY_S = 30.0
-"""Longest wait for a transaction of another process, in s."""
-AT_ONCE = 1000
-HOLDS, PRESSES = "holds", "presses"
-"""Entries about the batch: how many holds its runs have had, and how often they have pressed
-the object."""
+from rig.core.errors import RigError
 
 SCHEMA = """
 CREATE TABLE meta (key TEXT PRIMARY KEY, value TEXT NOT NULL) WITHOUT ROWID;
@@ -91,83 +84,12 @@ def _patient(
     return patiently
 
 
-class RunEstimate(NamedTuple):
-    """Expected duration and size of a run."""
-
-    duration_s: float
-    spread_s: float
-    """Standard deviation of its duration."""
-    size_B: int = 0
-    """Size of its run file."""
-
-
-@dataclass(frozen=True)
-class Claim:
-    """A run that a worker has taken on, and which attempt at it this is."""
-
-    number: int
-    attempt: int
-    repeat: int
-    condition: BatchCondition
-    estimate_s: float
-    spread_s: float
-    size_B: int = 0
-    """Size of its run file at most, as planned."""
-
-
-@dataclass(frozen=True)
-class AttemptResult:
-    """Outcome of an attempt."""
-
-    ending: Ending
-    kind: str = ""
-    """Kind of a failure, by which it is retried (`rig.batch.plan.policy.FailureKind`); or empty."""
-    code: int = 0
-    reason: str = ""
-    bench_s: float = 0.0
-    points_done: int = 0
-    points_planned: int = 0
-    summary: Mapping[str, Any] | None = None
-    holds: int = 0
-    """Holds of this attempt, which are counted for the batch, not for each run."""
-    presses: int = 0
-    """Number of presses of the object; counted likewise."""
-
-
-@dataclass(frozen=True)
-class RemainingWork:
-    """Work that a batch has still to do, as planned."""
-
-    runs: int
-    bench_s: float
-    spread_s: float
-    """Standard deviation of `bench_s`, runs of one condition wrong together."""
-    size_B: int = 0
-    """Size of the run files to come."""
-
-
-@dataclass(frozen=True)
-class RunRow:
-    """One run and its state."""
-
-    number: int
-    condition: str
-    repeat: int
-    state: RunState
-    code: int | None
-    reason: str
-    bench_s: float
-    points_done: int
-    points_planned: int
-    attempts: int
-
-
-class Queue:
-    """An open queue. Every method is one transaction, durable when it returns."""
+class Queue(QueueView):
+    """An open queue that is written to: what `QueueView` reads, and the transactions. Each method
+    that writes is one transaction, durable when it returns."""
 
     def __init__(self, path: Path, connection: sqlite3.Connection):
-        self.path = path
-        self._sql = connection
+        super().__init__(path, connection)
         self.wait_for_disk: Callable[[QueueWriteError], None] = give_up
         """Is called where a transaction was not written, and returns when it may be tried again;
         what it raises ends the try. Without another function the error is raised."""
@@ -207,37 +129,10 @@ class Queue:
         return cls.open(path)
 
     @classmethod
-    def open(cls, path: Path, *, read_only: bool = False) -> Self:
-        """Open an existing queue. Raises ConfigurationError if there is none, or if the file is not
-        a queue."""
-        if not path.is_file():
-            raise ConfigurationError(
-                f"{path.parent} holds no batch: there is no {path.name} in it",
-                "name the folder of a batch, as `rig batch run` printed it",
-            )
-        mode = "ro" if read_only else "rw"
-        try:
-            sql = sqlite3.connect(
-                f"{path.absolute().as_uri()}?mode={mode}",
-                uri=True,
-                factory=QueueConnection,
-                timeout=BUSY_S,
-                isolation_level=None,
-                check_same_thread=False,
-            )
-            sql.execute("SELECT 1 FROM run LIMIT 1")
-            (found,) = sql.execute("PRAGMA quick_check(1)").fetchone()
-            if found != "ok":
-                raise sqlite3.DatabaseError(found)
-            if not read_only:
-                sql.execute("PRAGMA journal_mode = WAL")
-                sql.execute("PRAGMA synchronous = FULL")
-        except (sqlite3.DatabaseError, QueueDamagedError) as error:
-            why = error.__cause__ if isinstance(error, QueueDamagedError) else error
-            raise QueueDamagedError(str(why), path) from error
-        sql.path = path
-        sql.row_factory = sqlite3.Row
-        return cls(path, sql)
+    def open(cls, path: Path) -> Self:
+        """Open an existing queue to write to it. Raises ConfigurationError if there is none,
+        QueueDamagedError if the file is not a queue."""
+        return cls(path, connected(path, writing=True))
 
     def close_log(self) -> None:
         """Merge the write-ahead log into the one file, which can then be read from a read-only
@@ -245,22 +140,7 @@ class Queue:
         with contextlib.suppress(sqlite3.OperationalError):
             self._sql.execute("PRAGMA journal_mode = DELETE")
 
-    def close(self) -> None:
-        """Close the file."""
-        self._sql.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
-    # --- what is known of the batch -------------------------------------------------------------
-
-    def meta(self, key: str, default: str = "") -> str:
-        """Return an entry about the batch as a whole."""
-        row = self._sql.execute("SELECT value FROM meta WHERE key = ?", (key,)).fetchone()
-        return default if row is None else str(row[0])
+    # --- the batch as a whole -------------------------------------------------------------------
 
     @_patient
     def set_meta(self, key: str, value: str) -> None:
@@ -268,123 +148,7 @@ class Queue:
         with self._transaction():
             self._sql.execute("INSERT OR REPLACE INTO meta VALUES (?, ?)", (key, value))
 
-    def counts(self) -> dict[RunState, int]:
-        """Return the number of runs in each state."""
-        found = dict.fromkeys(("queued", "running", "done", "failed", "set-aside"), 0)
-        found.update(self._sql.execute("SELECT state, count(*) FROM run GROUP BY state").fetchall())
-        return found  # type: ignore[return-value]
-
-    def remaining(self) -> RemainingWork:
-        """Return the work that is queued or running, with the rests between runs."""
-        rows = self._sql.execute(
-            "SELECT n, n * (c.estimate_s + c.rest_s), n * c.spread_s, n * c.size_B"
-            " FROM condition c JOIN"
-            " (SELECT condition, count(*) AS n FROM run WHERE state IN ('queued', 'running')"
-            " GROUP BY condition) ON condition = c.id"
-        ).fetchall()
-        return RemainingWork(
-            sum(row[0] for row in rows),
-            sum(row[1] for row in rows),
-            sum(row[2] ** 2 for row in rows) ** 0.5,
-            sum(row[3] for row in rows),
-        )
-
-    def bench_s(self, number: int | None = None) -> float:
-        """Return the bench time of all attempts, or of those at one run, in s."""
-        query = "SELECT coalesce(sum(bench_s), 0) FROM run"
-        where = ((), "") if number is None else ((number,), " WHERE number = ?")
-        return float(self._sql.execute(query + where[1], where[0]).fetchone()[0])
-
-    def condition(self, name: str) -> BatchCondition:
-        """Return a condition by its id."""
-        row = self._sql.execute("SELECT * FROM condition WHERE id = ?", (name,)).fetchone()
-        return _condition_of(row)
-
-    def rows(self, states: Sequence[RunState] = ()) -> Iterator[RunRow]:
-        """Yield the runs in the order of the queue, in constant memory."""
-        where = f"WHERE state IN ({','.join('?' * len(states))})" if states else ""
-        cursor = self._sql.execute(
-            "SELECT number, condition, repeat, state, code, reason, bench_s, points_done,"
-            " points_planned, (SELECT count(*) FROM attempt a WHERE a.run = run.number) AS attempts"
-            f" FROM run {where} ORDER BY number",
-            tuple(states),
-        )
-        while rows := cursor.fetchmany(AT_ONCE):
-            for row in rows:
-                yield RunRow(**dict(row))
-
-    def latest(self, states: Sequence[RunState], most: int) -> list[RunRow]:
-        """Return the runs that ended last, latest first."""
-        cursor = self._sql.execute(
-            "SELECT number, condition, repeat, state, code, reason, bench_s, points_done,"
-            " points_planned, (SELECT count(*) FROM attempt a WHERE a.run = run.number) AS attempts"
-            f" FROM run WHERE state IN ({','.join('?' * len(states))}) AND ended IS NOT NULL"
-            " ORDER BY number DESC LIMIT ?",
-            (*states, most),
-        )
-        return [RunRow(**dict(row)) for row in cursor]
-
-    def references(self) -> list[BatchCondition]:
-        """Return the conditions that are references, in the order of the batch file."""
-        rows = self._sql.execute("SELECT * FROM condition WHERE reference = 1 ORDER BY place")
-        return [_condition_of(row) for row in rows.fetchall()]
-
-    def summaries(self, condition: str) -> list[tuple[int, dict[str, Any]]]:
-        """Yield number and summary of the runs of a condition that are done, in their order."""
-        rows = self._sql.execute(
-            "SELECT number, summary FROM run WHERE condition = ? AND state = 'done'"
-            " AND summary IS NOT NULL ORDER BY number",
-            (condition,),
-        )
-        return [(row[0], json.loads(row[1])) for row in rows]
-
-    def first_summary_with(self, figure: str, since: int) -> tuple[int, dict[str, Any]] | None:
-        """Return the first run from number `since` on that is done and whose summary has a
-        figure."""
-        row = self._sql.execute(
-            "SELECT number, summary FROM run WHERE state = 'done' AND number >= ?"
-            " AND json_extract(summary, ?) IS NOT NULL ORDER BY number LIMIT 1",
-            (since, f'$."{figure}"'),
-        ).fetchone()
-        return None if row is None else (row[0], json.loads(row[1]))
-
-    def attempts(self, number: int) -> dict[str, int]:
-        """Return the number of a run's attempts that ended for each kind of reason."""
-        return dict(
-            self._sql.execute(
-                "SELECT kind, count(*) FROM attempt WHERE run = ? AND kind != '' GROUP BY kind",
-                (number,),
-            ).fetchall()
-        )
-
-    def failed_in_a_row(self, most: int) -> int:
-        """Return the number of latest ended runs, up to `most`, that have failed without one done
-        since."""
-        rows = self._sql.execute(
-            "SELECT state FROM run WHERE ended IS NOT NULL AND state IN ('done', 'failed')"
-            " ORDER BY ended DESC, number DESC LIMIT ?",
-            (most,),
-        ).fetchall()
-        states = [row[0] for row in rows]
-        return states.index("done") if "done" in states else len(states)
-
-    def failures_of(self, condition: str) -> int:
-        """Return the number of runs of a condition that have failed for good."""
-        return int(
-            self._sql.execute(
-                "SELECT count(*) FROM run WHERE condition = ? AND state = 'failed'", (condition,)
-            ).fetchone()[0]
-        )
-
     # --- the worker -----------------------------------------------------------------------------
-
-    def upcoming(self) -> Claim | None:
-        """Return the run that would be claimed next; None where none is left."""
-        row = self._sql.execute(
-            "SELECT number, repeat, condition FROM run WHERE state = 'queued'"
-            " ORDER BY number LIMIT 1"
-        ).fetchone()
-        return None if row is None else self._claim(row)
 
     @_patient
     def claim(self, number: int) -> Claim:
@@ -435,13 +199,6 @@ class Queue:
                 ),
             )
 
-    def unfinished(self) -> Claim | None:
-        """Return the claim of a worker that died during a run; None if there is none."""
-        row = self._sql.execute(
-            "SELECT number, repeat, condition FROM run WHERE state = 'running' LIMIT 1"
-        ).fetchone()
-        return None if row is None else self._claim(row, further=0)
-
     @_patient
     def set_aside(self, condition: str, reason: str) -> int:
         """Leave out what is queued of a condition; returns how many runs these are."""
@@ -473,14 +230,6 @@ class Queue:
 
     # --- files of finished runs -----------------------------------------------------------------
 
-    def unprocessed(self) -> list[tuple[int, str]]:
-        """Return number and procedure of the finished runs whose files are still to be made."""
-        rows = self._sql.execute(
-            "SELECT number, procedure FROM run JOIN condition ON condition.id = run.condition"
-            " WHERE processed IS NULL AND state IN ('done', 'failed') ORDER BY number"
-        )
-        return [(row[0], row[1]) for row in rows]
-
     @_patient
     def set_processed(self, number: int, what: Mapping[str, Any]) -> None:
         """Record which files were made of a run, by what they are."""
@@ -498,13 +247,6 @@ class Queue:
             self._sql.execute(
                 "INSERT INTO event (time, level, text) VALUES (?, ?, ?)", (_now(), level, text)
             )
-
-    def events(self, most: int) -> list[tuple[str, str, str]]:
-        """Return the latest events (time, level, text), oldest first."""
-        rows = self._sql.execute(
-            "SELECT time, level, text FROM event ORDER BY id DESC LIMIT ?", (most,)
-        ).fetchall()
-        return [(row[0], row[1], row[2]) for row in reversed(rows)]
 
     @_patient
     def add_request(self, kind: str) -> None:
@@ -541,23 +283,6 @@ class Queue:
                 "free the disk, then: rig batch resume",
             ) from error
 
-    def _claim(self, row: sqlite3.Row, further: int = 1) -> Claim:
-        condition = self._sql.execute(
-            "SELECT * FROM condition WHERE id = ?", (row["condition"],)
-        ).fetchone()
-        before = self._sql.execute(
-            "SELECT count(*) FROM attempt WHERE run = ?", (row["number"],)
-        ).fetchone()[0]
-        return Claim(
-            row["number"],
-            before + further,
-            row["repeat"],
-            _condition_of(condition),
-            condition["estimate_s"],
-            condition["spread_s"],
-            condition["size_B"],
-        )
-
 
 def give_up(error: QueueWriteError) -> None:
     """Raise the error: for `Queue.wait_for_disk` where nothing waits."""
@@ -569,18 +294,6 @@ def _condition_row(place: int, condition: BatchCondition, estimate: RunEstimate)
         *(condition.id, place, condition.experiment, condition.procedure),
         *(json.dumps(dict(condition.settings)), json.dumps(dict(condition.varied))),
         *(int(condition.reference), condition.rest_s, *estimate),
-    )
-
-
-def _condition_of(row: sqlite3.Row) -> BatchCondition:
-    return BatchCondition(
-        row["id"],
-        row["experiment"],
-        row["procedure"],
-        json.loads(row["settings"]),
-        json.loads(row["varied"]),
-        bool(row["reference"]),
-        row["rest_s"],
     )
 
 

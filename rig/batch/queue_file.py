@@ -10,6 +10,9 @@ from typing import Any, Self
 
 from rig.core.errors import ConfigurationError, RigError
 
+BUSY_S = 30.0
+"""Longest wait for a transaction of another process, in s."""
+
 
 class QueueDamagedError(ConfigurationError):
     """Raised where the file of a queue is not, or not any more, one that can be read."""
@@ -19,6 +22,41 @@ class QueueDamagedError(ConfigurationError):
             f"{path} cannot be read as the queue of a batch: {why}",
             f"its runs' files are sound without it; rebuild it: rig batch rebuild {path.parent}",
         )
+
+
+def connected(path: Path, *, writing: bool) -> QueueConnection:
+    """Return a connection to the file of an existing queue, which has been checked.
+
+    Raises ConfigurationError if there is no file, QueueDamagedError if it is not a queue.
+    """
+    if not path.is_file():
+        raise ConfigurationError(
+            f"{path.parent} holds no batch: there is no {path.name} in it",
+            "name the folder of a batch, as `rig batch run` printed it",
+        )
+    mode = "rw" if writing else "ro"
+    try:
+        sql = sqlite3.connect(
+            f"{path.absolute().as_uri()}?mode={mode}",
+            uri=True,
+            factory=QueueConnection,
+            timeout=BUSY_S,
+            isolation_level=None,
+            check_same_thread=False,
+        )
+        sql.execute("SELECT 1 FROM run LIMIT 1")
+        (found,) = sql.execute("PRAGMA quick_check(1)").fetchone()
+        if found != "ok":
+            raise sqlite3.DatabaseError(found)
+        if writing:
+            sql.execute("PRAGMA journal_mode = WAL")
+            sql.execute("PRAGMA synchronous = FULL")
+    except (sqlite3.DatabaseError, QueueDamagedError) as error:
+        why = error.__cause__ if isinstance(error, QueueDamagedError) else error
+        raise QueueDamagedError(str(why), path) from error
+    sql.path = path
+    sql.row_factory = sqlite3.Row
+    return sql
 
 
 class QueueConnection(sqlite3.Connection):

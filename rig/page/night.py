@@ -6,7 +6,9 @@ from pathlib import Path
 from typing import Any
 
 from rig.batch.folder import QUEUE, BatchFolder
-from rig.batch.queue import Queue, RunRow
+from rig.batch.queue import Queue
+from rig.batch.queue_records import RunRow
+from rig.batch.queue_view import QueueView
 from rig.batch.report.heartbeat import read_heartbeat
 from rig.batch.report.status import status_of
 from rig.core.errors import ConfigurationError, RigError
@@ -56,7 +58,7 @@ def night(results: Path) -> dict[str, Any]:
         return {}
     try:
         status = status_of(folder, is_running(folder))
-        with Queue.open(folder.queue, read_only=True) as queue:
+        with QueueView.open(folder.queue) as queue:
             lists = {
                 "queued": [_row(row) for row in _first(queue, "queued")],
                 "running": [_row(row) for row in _first(queue, "running")],
@@ -94,7 +96,7 @@ def ask_batch(folder: BatchFolder, request: str) -> str:
         return queue.meta("name")
 
 
-def _first(queue: Queue, state: Any) -> list[RunRow]:
+def _first(queue: QueueView, state: Any) -> list[RunRow]:
     rows = []
     for row in queue.rows((state,)):
         rows.append(row)
@@ -117,7 +119,7 @@ def _row(row: RunRow) -> dict[str, Any]:
     }
 
 
-def _drift(queue: Queue) -> list[dict[str, Any]]:
+def _drift(queue: QueueView) -> list[dict[str, Any]]:
     """Return the watched figures of each reference by run, as differences from its first run."""
     from rig.batch.execute.drift import watched_figures
     from rig.batch.execute.terms import BatchTerms

@@ -21,7 +21,8 @@ from benchmarks.measured import machine
 
 from rig.batch.folder import BatchFolder
 from rig.batch.plan.conditions import BatchCondition, BatchPlan, PlannedRun
-from rig.batch.queue import AttemptResult, Queue, RunEstimate
+from rig.batch.queue import Queue
+from rig.batch.queue_records import AttemptResult, RunEstimate
 from rig.batch.report.status import status_of
 
 RUNS = int(os.environ.get("RIG_RUNS", "100000"))

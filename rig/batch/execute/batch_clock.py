@@ -14,6 +14,7 @@ from typing import Protocol
 from rig.batch.plan.settings import BatchFile
 from rig.batch.plan.window import window
 from rig.batch.queue import Queue
+from rig.batch.queue_view import QueueView
 
 PASSED_S = "night_s"
 """The queue's entry of the virtual time since the batch began."""
@@ -96,7 +97,7 @@ def clock_of(queue: Queue) -> BatchClock:
     return VirtualBatchClock(begun, float(queue.meta(PASSED_S, "0")), keep)
 
 
-def window_of(queue: Queue) -> tuple[datetime | None, datetime | None]:
+def window_of(queue: QueueView) -> tuple[datetime | None, datetime | None]:
     """Return the times between which a batch may use the bench."""
     batch = BatchFile.model_validate_json(queue.meta("file")).batch
     return window(batch, datetime.fromisoformat(queue.meta(SINCE) or queue.meta("begun")))

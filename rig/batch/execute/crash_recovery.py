@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rig.batch.plan.procedures import installed
-from rig.batch.queue import AttemptResult
+from rig.batch.queue_records import AttemptResult
 from rig.core.errors import RigError
 from rig.files.errors import JournalError
 from rig.files.journal.reader import JournalContents, read_journal

@@ -20,7 +20,8 @@ from rig.batch.execute.drift import (
 from rig.batch.plan.estimate import records_of
 from rig.batch.plan.procedures import installed
 from rig.batch.plan.settings import BatchFile
-from rig.batch.queue import AttemptResult, Claim, Queue
+from rig.batch.queue import Queue
+from rig.batch.queue_records import AttemptResult, Claim
 from rig.bench.plan import BenchPlan, read_bench
 from rig.bench.settings import BenchSettings
 

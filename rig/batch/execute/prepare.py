@@ -20,7 +20,7 @@ from rig.batch.plan.findings import KeyPath, PlanFinding, RefusedBatchError
 from rig.batch.plan.read import read_batch
 from rig.batch.plan.settings import BatchFile
 from rig.batch.plan.validate import BenchConnector, ValidationResult, validate
-from rig.batch.queue import RunEstimate
+from rig.batch.queue_records import RunEstimate
 from rig.batch.report.notify import require_usable
 from rig.bench.connect import connect
 from rig.bench.connected import Bench

@@ -18,7 +18,8 @@ from rig.batch.folder import BatchFolder
 from rig.batch.plan.conditions import BatchCondition, BatchPlan
 from rig.batch.plan.policy import kind_of
 from rig.batch.plan.procedures import installed
-from rig.batch.queue import AttemptResult, Queue, RunState
+from rig.batch.queue import Queue
+from rig.batch.queue_records import AttemptResult, RunState
 from rig.core.errors import ConfigurationError, RigError
 from rig.files.journal.reader import read_journal
 from rig.files.journal.values import RunHeader

@@ -10,7 +10,7 @@ from rig.batch.execute.terms import BatchTerms
 from rig.batch.execute.worker_link import SendEvent
 from rig.batch.folder import BatchFolder
 from rig.batch.plan.procedures import installed
-from rig.batch.queue import Claim
+from rig.batch.queue_records import Claim
 from rig.run.bench_selector import (
     BenchRequest,
     BenchSelector,

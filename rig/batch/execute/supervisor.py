@@ -30,8 +30,9 @@ from rig.batch.execute.disk_room import DeferredWrites
 from rig.batch.execute.postprocess import PostprocessJob, PostprocessQueue, PostprocessResult
 from rig.batch.folder import BatchFolder
 from rig.batch.plan.settings import BatchFile, Occasion
-from rig.batch.queue import HOLDS, PRESSES, Queue
+from rig.batch.queue import Queue
 from rig.batch.queue_file import QueueDamagedError, QueueWriteError
+from rig.batch.queue_records import HOLDS, PRESSES
 from rig.batch.report.heartbeat import Heartbeat, HeartbeatRecord, HeartbeatState
 from rig.batch.report.notify import Notifier
 from rig.core.errors import ExitCode

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from rig.batch.folder import BatchFolder
 from rig.batch.plan.settings import BatchFile
-from rig.batch.queue import Queue
+from rig.batch.queue_view import QueueView
 
 
 @dataclass(frozen=True)
@@ -26,7 +26,7 @@ class BatchTerms:
     """Folder that the batch file's own file names are relative to."""
 
     @classmethod
-    def of(cls, queue: Queue, folder: BatchFolder) -> BatchTerms:
+    def of(cls, queue: QueueView, folder: BatchFolder) -> BatchTerms:
         """Read from a queue."""
         bench = queue.meta("bench")
         return cls(

@@ -38,8 +38,9 @@ from rig.batch.folder import BatchFolder
 from rig.batch.plan.policy import after_failure, kind_of, reason_to_end
 from rig.batch.plan.procedures import installed
 from rig.batch.plan.window import does_not_fit
-from rig.batch.queue import AttemptResult, Claim, Queue, give_up
+from rig.batch.queue import Queue, give_up
 from rig.batch.queue_file import QueueWriteError
+from rig.batch.queue_records import AttemptResult, Claim
 from rig.core.errors import ExitCode, RigError
 from rig.core.units import counted
 from rig.run.interlocks.store import InterlockStore

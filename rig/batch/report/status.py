@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from rig.batch.folder import BatchFolder
-from rig.batch.queue import HOLDS, PRESSES, Queue, RemainingWork, RunRow, RunState
+from rig.batch.queue_records import HOLDS, PRESSES, RemainingWork, RunRow, RunState
+from rig.batch.queue_view import QueueView
 from rig.batch.report.heartbeat import read_heartbeat
 from rig.bench.plan import read_bench
 from rig.core.errors import RigError
@@ -128,7 +129,7 @@ def status_of(folder: BatchFolder, running: bool | None = None) -> BatchStatus:
     whether it is `running` says so: then its lock is not tried, not even for a moment."""
     if running is None:
         running = folder.is_held("supervisor")
-    with Queue.open(folder.queue, read_only=True) as queue:
+    with QueueView.open(folder.queue) as queue:
         state = queue.meta("state")
         beat = read_heartbeat(folder.heartbeat) if running else None
         if beat and beat.state == "holding" and not state.startswith(("held", "paus")):

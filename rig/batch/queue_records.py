@@ -1,0 +1,86 @@
+"""What a queue gives and takes: estimates, claims, results of attempts, rows."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Literal, NamedTuple
+
+from rig.batch.plan.conditions import BatchCondition
+
+RunState = Literal["queued", "running", "done", "failed", "set-aside"]
+Ending = Literal["complete", "stopped", "failed", "died"]
+HOLDS, PRESSES = "holds", "presses"
+"""Entries about the batch: how many holds its runs have had, and how often they have pressed
+the object."""
+
+
+class RunEstimate(NamedTuple):
+    """Expected duration and size of a run."""
+
+    duration_s: float
+    spread_s: float
+    """Standard deviation of its duration."""
+    size_B: int = 0
+    """Size of its run file."""
+
+
+@dataclass(frozen=True)
+class Claim:
+    """A run that a worker has taken on, and which attempt at it this is."""
+
+    number: int
+    attempt: int
+    repeat: int
+    condition: BatchCondition
+    estimate_s: float
+    spread_s: float
+    size_B: int = 0
+    """Size of its run file at most, as planned."""
+
+
+@dataclass(frozen=True)
+class AttemptResult:
+    """Outcome of an attempt."""
+
+    ending: Ending
+    kind: str = ""
+    """Kind of a failure, by which it is retried (`rig.batch.plan.policy.FailureKind`); or empty."""
+    code: int = 0
+    reason: str = ""
+    bench_s: float = 0.0
+    points_done: int = 0
+    points_planned: int = 0
+    summary: Mapping[str, Any] | None = None
+    holds: int = 0
+    """Holds of this attempt, which are counted for the batch, not for each run."""
+    presses: int = 0
+    """Number of presses of the object; counted likewise."""
+
+
+@dataclass(frozen=True)
+class RemainingWork:
+    """Work that a batch has still to do, as planned."""
+
+    runs: int
+    bench_s: float
+    spread_s: float
+    """Standard deviation of `bench_s`, runs of one condition wrong together."""
+    size_B: int = 0
+    """Size of the run files to come."""
+
+
+@dataclass(frozen=True)
+class RunRow:
+    """One run and its state."""
+
+    number: int
+    condition: str
+    repeat: int
+    state: RunState
+    code: int | None
+    reason: str
+    bench_s: float
+    points_done: int
+    points_planned: int
+    attempts: int
