@@ -44,7 +44,8 @@ def pressed_for_s(rig):
     return 1e-6 * (next(t_us for t_us in lifted if t_us > touched_us) - touched_us)
 
 
-@pytest.mark.parametrize("procedure", mostly_thorough(PROCEDURES, ["slip-trial"]))
+@pytest.mark.thorough
+@pytest.mark.parametrize("procedure", PROCEDURES)
 def test_a_dead_sensor_is_named_by_the_torque_before_the_force_limit_is_reached(rig, procedure):
     ended = run(rig, procedure, 'kind = "dead-noisy"')
     assert ended.code == 3, ended.stderr

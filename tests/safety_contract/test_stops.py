@@ -16,8 +16,8 @@ NOISE_mm = 0.01
 """By how much an axis at rest may stand deeper than before: the drive's window and the film's
 creep."""
 CASES = [case for case in itertools.product(STATES, CAUSES) if case != NOTHING_FOLLOWS]
-BY_DEFAULT = [("approach", "SIGTERM")]
 THOROUGH = [
+    ("approach", "SIGTERM"),
     *(("homing", "interlock"), ("travel", "force limit"), ("held", "SIGTERM")),
     *(("slide", "force limit"), ("sweep, recording", "Ctrl-C"), ("paused", "interlock")),
 ]
@@ -28,7 +28,7 @@ roll that is stopped see test_roll_trial."""
 @pytest.mark.stages("festo", because="the states' moments are those of these stages")
 @pytest.mark.parametrize(
     "case",
-    mostly_nightly(CASES, THOROUGH, BY_DEFAULT),
+    mostly_nightly(CASES, THOROUGH),
     ids=" by ".join,
 )
 def test_a_stop_never_moves_towards_contact_and_is_never_recorded_as_done(rig, case):
