@@ -129,9 +129,11 @@ class Server:
             for name in {*env, *self._environment}
             if name.startswith("PYTHON") and env.get(name) != self._environment.get(name)
         }
-        if changed <= {"PYTHONPATH"} and "PYTHONPATH" not in self._environment:
-            return any(map(_holds_known_names, _folders(env)))
-        return True
+        if not changed:
+            return False
+        if changed != {"PYTHONPATH"} or "PYTHONPATH" in self._environment:
+            return True
+        return any(map(_holds_known_names, _folders(env)))
 
     def start(
         self, arguments: Sequence[str], folder: Path, env: Mapping[str, str] | None = None

@@ -27,7 +27,7 @@ class QueueDamagedError(ConfigurationError):
 def connected(path: Path, *, writing: bool) -> QueueConnection:
     """Return a connection to the file of an existing queue, which has been checked.
 
-    Raises ConfigurationError if there is no file, QueueDamagedError if it is not a queue.
+    Raises ConfigurationError if the file does not exist, QueueDamagedError if it is not a queue.
     """
     if not path.is_file():
         raise ConfigurationError(

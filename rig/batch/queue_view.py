@@ -108,7 +108,7 @@ class QueueView:
         return [_condition_of(row) for row in rows.fetchall()]
 
     def summaries(self, condition: str) -> list[tuple[int, dict[str, Any]]]:
-        """Yield number and summary of the runs of a condition that are done, in their order."""
+        """Return number and summary of the runs of a condition that are done, in their order."""
         rows = self._sql.execute(
             "SELECT number, summary FROM run WHERE condition = ? AND state = 'done'"
             " AND summary IS NOT NULL ORDER BY number",
