@@ -9,8 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import logging
-import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -18,7 +17,8 @@ from rig.bench.connected import Bench
 from rig.bench.limits import require
 from rig.bench.plan import longest_call_s
 from rig.core.errors import ConfigurationError, ExitCode, LimitError, RigError
-from rig.jog.axes import JogSettings, LinearMover, RotaryMover, axes_of
+from rig.jog.axes import JogSettings, axes_of
+from rig.jog.drives import JogDrives
 from rig.jog.keys import (
     Action,
     AxisPosition,
@@ -32,26 +32,18 @@ from rig.jog.keys import (
     StopAxes,
     WatchForce,
 )
-from rig.run.arming import BEAT_EVERY_S, SHUTDOWN_DEADLINE_S, Arming, ShutdownFailure
-from rig.run.holds import HoldError, Holds, PauseSwitch
+from rig.jog.watch import JogWatch, Vector
+from rig.run.arming import SHUTDOWN_DEADLINE_S, Arming, ShutdownFailure
+from rig.run.holds import HoldError, PauseSwitch
 from rig.run.interlocks.store import InterlockStore
-from rig.run.interlocks.watch import InterlockWatch
 from rig.run.locks.bench_mark import BenchMarks
 from rig.run.making_safe.guard import GuardLink
 from rig.run.stopping import StopFlag
-from rig.run.streams.force_monitor import ForceMonitor
 from rig.run.trip import TripError
 
-FORCE_RATE_S_S = 500.0
 TICK_S = 0.02
-FORCE_OVER_S = 0.02
-"""Time over which the displayed force is averaged; the watcher checks every frame."""
-OTHERS_EVERY_S = 0.5
-"""Interval between polls of the axes that are not chosen."""
 
 log = logging.getLogger("rig")
-
-Vector = tuple[float, float, float]
 
 
 @dataclass(frozen=True)
@@ -121,95 +113,60 @@ class JogSession:
         if "force_sensor" in bench.instruments:
             reach = bench.force_sensor.reach()["force"]
             require("largest force", settings.largest_force_N, reach)
-        axes, limited = axes_of(bench, settings)
+        axes, self._limited = axes_of(bench, settings)
         names = [axis.name for axis in axes]
         if chosen is not None and chosen not in names:
             raise ConfigurationError(
                 f"{bench.plan.source}: the bench has no axis {chosen}", f"it has {', '.join(names)}"
             )
-        self._bench, self._clock, self._stop = bench, bench.clock, stop
+        self._bench, self._clock = bench, bench.clock
         self._person, self._settings = person, settings
-        self._guard: GuardLink
-        self._marks: BenchMarks
-        self._axes = {axis.name: axis for axis in axes}
-        self._drives: dict[str, LinearMover | RotaryMover] = {
-            name: RotaryMover(bench.rotary)
-            if name == "rotary"
-            else LinearMover(getattr(bench, name))
-            for name in names
-        }
+        self._axes = tuple(axes)
+        self._drives = JogDrives(bench, names)
         self._jog = Jog(axes, settings.largest_force_N, chosen or names[0])
-        self._limited = limited
         self._arming = Arming(overlapping=not bench.clock.is_virtual)
-        self._holds = Holds()
-        self._interlocks = InterlockWatch(
-            bench,
-            self._holds,
-            self._arming.emergency_stop,
-            records or InterlockStore(bench.plan, lasting=False),
-            lambda level, code, message: log.log(logging.getLevelName(level.upper()), message),
-        )
-        self._force: ForceMonitor | None = None
-        self._force_N: Vector | None = None
-        self._places: dict[str, AxisPosition] = {}
-        self._others_at_s = 0.0
+        records = records or InterlockStore(bench.plan, lasting=False)
+        self._watch = JogWatch(bench, self._arming, stop, records, self._say)
         self._began_at = 0.0
-        self._undisturbed = self._homing = self._blocked = self._left = False
-        self._last_beat_s = 0.0
-        self._guard_missed = False
+        """Position at which the motion under way began."""
+        self._left = False
 
     def go(self, guard: GuardLink, marks: BenchMarks) -> JogOutcome:
         """Jog until the operator leaves, a signal comes or something fails; then stop everything,
         and mark the bench as it was left. Never raises a RigError."""
         ended = JogOutcome()
-        self._guard, self._marks = guard, marks
-        unregister_interlocks = self._clock.each_slice(self._interlocks.poll)
-        unregister = self._clock.each_slice(self._each_slice)
-        try:
-            with PauseSwitch(self._holds):
-                self._begin()
-                while not self._left:
-                    self._survive_pass()
-        except RigError as error:
-            ended.code = error.code
-            ended.failures.extend(error.parts())
-        finally:
-            self._make_safe(ended)
-            unregister()
-            unregister_interlocks()
-            self._interlocks.end()
+        with self._watch.in_every_wait(guard):
+            try:
+                with PauseSwitch(self._watch.holds):
+                    self._begin()
+                    while not self._left:
+                        self._survive_pass()
+            except RigError as error:
+                ended.code = error.code
+                ended.failures.extend(error.parts())
+            finally:
+                with self._watch.undisturbed():
+                    self._make_safe(ended, guard, marks)
         return ended
 
     # --- beginning and end --------------------------------------------------------------------
 
     def _begin(self) -> None:
-        self._interlocks.begin()
-        self._interlocks.check()
         waits_s = max(longest_call_s(part.settings) for part in self._bench.plan.instruments)
         deadline_s = SHUTDOWN_DEADLINE_S + waits_s
-        if "force_sensor" in self._bench.instruments:
-            sensor = self._bench.force_sensor
-            monitor = ForceMonitor(sensor, self._clock, self._holds, self._arming.emergency_stop)
-            self._arming.register("force stream", monitor.stop, deadline_s, watches=True)
-            monitor.start(min(FORCE_RATE_S_S, sensor.reach()["rate"].high))
-            self._force = monitor
-        else:
-            self._person.say("this bench has no force sensor: the force is not watched")
-        for name, drive in self._drives.items():
-            self._arming.register(name, drive.stage.stop, deadline_s, drive.stage.make_safe)
+        self._watch.begin(deadline_s)
+        self._drives.register(self._arming, deadline_s)
         self._stop_all()
         for text in self._limited:
             self._person.say(text)
-        if self._force is not None:
-            self._force.watch(self._settings.largest_force_N)
+        self._watch.limit_force(self._settings.largest_force_N)
 
-    def _make_safe(self, ended: JogOutcome) -> None:
-        self._undisturbed = True
+    def _make_safe(self, ended: JogOutcome, guard: GuardLink, marks: BenchMarks) -> None:
         with self._bench.links.making_safe():
-            failures = self._arming.make_safe(self._guard.beat)
+            failures = self._arming.make_safe(guard.beat)
         if (moved := self._jog.moving) is not None:
             with contextlib.suppress(RigError):
-                self._poll_position(moved.name)
+                self._drives.poll_one(moved.name)
             self._log_end("the session ended")
         for failure in failures:
             if not failure.drives:
@@ -221,96 +178,50 @@ class JogSession:
                 ended.code = ExitCode.UNSAFE
         try:
             if ended.off_failures:
-                self._marks.unsafe({off.name: off.reason for off in ended.off_failures})
+                marks.unsafe({off.name: off.reason for off in ended.off_failures})
             else:
-                self._marks.clear()
+                marks.clear()
         except RigError as error:
             ended.failures.append(error)
             ended.code = ended.code or error.code
         if not ended.off_failures:
-            self._guard.safe()
-
-    # --- checked in every wait ----------------------------------------------------------------
-
-    def _each_slice(self) -> None:
-        now = time.monotonic()
-        if now - self._last_beat_s >= BEAT_EVERY_S:
-            self._last_beat_s = now
-            self._guard.beat()
-        if self._undisturbed:
-            return
-        self._stop.check()
-        self._interlocks.check()
-        if self._force is not None:
-            self._force.check()
-        if not self._blocked:
-            self._holds.check()
-        if self._homing and self._person.keys():
-            raise _HomingStoppedError("homing was stopped by a key")
-        if not self._guard_missed and (trouble := self._guard.trouble()) is not None:
-            self._guard_missed = True
-            self._say(f"the guard {trouble}: if this program dies as well, only the drives stop")
-
-    @contextlib.contextmanager
-    def _first_cause(self) -> Iterator[None]:
-        """Report the first cause: a person's interlock or a trip of the watcher replaces the
-        exception of a call that it disturbed."""
-        try:
-            yield
-        except RigError:
-            self._interlocks.settle()
-            self._interlocks.check()
-            if self._force is not None:
-                self._force.settle()
-                self._force.check_trip()
-            raise
-
-    @contextlib.contextmanager
-    def _no_disturbance(self) -> Iterator[None]:
-        """Let only a drive end a wait within the block, in which something is being stopped."""
-        before, self._undisturbed = self._undisturbed, True
-        try:
-            yield
-        finally:
-            self._undisturbed = before
+            guard.safe()
 
     # --- one pass after the other -------------------------------------------------------------
 
     def _survive_pass(self) -> None:
         """Make one pass; a trip or a hold stops the motion and does not end the session."""
         try:
-            with self._first_cause():
+            with self._watch.first_cause():
                 self._pass()
         except TripError as trip:
             self._after_trip(trip)
         except HoldError as hold:
-            self._blocked = True
+            self._watch.hold_is_known()
             self._perform(self._jog.block(hold.message))
 
     def _pass(self) -> None:
         self._clock.sleep(TICK_S)
-        if self._blocked and not self._holds.active:
-            self._holds.acknowledge()
-            self._blocked = False
+        if self._watch.hold_is_over():
             self._perform(self._jog.unblock())
-        self._poll_positions()
         chosen = self._jog.chosen.name
+        self._drives.poll(chosen)
         for key in _urgent_alone(self._person.keys()):
-            actions = self._jog.press(key, self._clock.now(), self._places[chosen])
+            actions = self._jog.press(key, self._clock.now(), self._drives.positions[chosen])
             self._perform(actions)
             if any(isinstance(action, StopAxes | HomeAxis) for action in actions):
                 break  # Later keys were pressed before the operator saw the bench stop.
         if (moving := self._jog.moving) is not None:
-            self._drives[moving.name].stage.moving()  # Raises the reason why a motion ended.
-        largest_N = self._read_force()
+            self._drives.check_motion(moving.name)
+        largest_N = self._watch.read_force()
         self._perform(self._jog.poll(self._clock.now(), largest_N))
         self._person.show(
             JogStatus(
-                tuple(self._axes.values()),
-                self._places,
+                self._axes,
+                self._drives.positions,
                 self._jog.chosen,
                 self._jog.moving,
-                self._force_N,
+                self._watch.force_N,
                 self._jog.pressed,
             )
         )
@@ -328,11 +239,11 @@ class JogSession:
                 f"{trip.message} during the retreat: the force does not fall",
                 "switch the drives off and free the object by hand",
             ) from trip
-        force_N = self._read_force()
+        force_N = self._watch.read_force()
         assert force_N is not None, "only a force sensor trips"
         self._perform(self._jog.trip(force_N))
 
-    # --- actions------------------------------------------------------------------------------
+    # --- actions ------------------------------------------------------------------------------
 
     def _perform(self, actions: Sequence[Action]) -> None:
         for action in actions:
@@ -344,8 +255,7 @@ class JogSession:
                 case HomeAxis(axis):
                     self._home(axis)
                 case WatchForce(limit_N):
-                    assert self._force is not None, "only a force sensor trips"
-                    self._force.watch(limit_N)
+                    self._watch.limit_force(limit_N)
                 case ShowMessage(text):
                     self._say(text)
                 case EndSession():
@@ -365,17 +275,16 @@ class JogSession:
                 axis.unit,
                 axis.speed,
                 axis.unit,
-                self._force_in_words(),
+                self._watch.force_in_words(),
             )
-        self._drives[axis.name].start(move.target, axis.speed)
+        self._drives.start(axis.name, move.target, axis.speed)
 
     def _halt(self, axis: JogAxis | None, why: str) -> None:
         if axis is None:
             self._stop_all()
         else:
-            with self._no_disturbance():
-                self._drives[axis.name].stage.stop()
-            self._poll_position(axis.name)
+            with self._watch.undisturbed():
+                self._drives.stop_one(axis.name)
         self._log_end(why)
         self._jog.stopped(self._clock.now(), released=axis is not None)
         self._person.forget()
@@ -383,61 +292,35 @@ class JogSession:
     def _stop_all(self) -> None:
         """Stop every axis, the moving one first; then read their positions."""
         moving = self._jog.moving
-        names = sorted(self._drives, key=lambda name: moving is None or name != moving.name)
-        with self._no_disturbance():
-            for name in names:
-                self._drives[name].stage.stop()
-            for name in names:
-                homed = self._drives[name].stage.homed()
-                self._places[name] = AxisPosition(self._drives[name].position(), homed)
+        with self._watch.undisturbed():
+            self._drives.stop(None if moving is None else moving.name)
 
     def _home(self, axis: JogAxis) -> None:
         self._person.say(f"homing {axis.name}; any key stops it")
         log.info(
             "jog: %s homes from %.4f %s; force %s",
             axis.name,
-            self._places[axis.name].position,
+            self._drives.positions[axis.name].position,
             axis.unit,
-            self._force_in_words(),
+            self._watch.force_in_words(),
         )
         self._person.forget()
-        self._homing = True
+        unregister = self._clock.each_slice(self._stop_homing_at_a_key)
         try:
-            self._drives[axis.name].stage.home()
+            self._drives.home(axis.name)
         except _HomingStoppedError as stopped:
             self._say(stopped.message)
         finally:
-            self._homing = False
+            unregister()
         self._halt(None, "homing")
-        if self._places[axis.name].homed:
+        if self._drives.positions[axis.name].homed:
             self._say(f"{axis.name} is homed")
 
-    # --- polling and messages -----------------------------------------------------------------
+    def _stop_homing_at_a_key(self) -> None:
+        if self._person.keys():
+            raise _HomingStoppedError("homing was stopped by a key")
 
-    def _poll_positions(self) -> None:
-        now = self._clock.now()
-        others = now - self._others_at_s >= OTHERS_EVERY_S
-        if others:
-            self._others_at_s = now
-        for name in self._drives:
-            if others or name == self._jog.chosen.name:
-                self._poll_position(name)
-
-    def _poll_position(self, name: str) -> None:
-        self._places[name] = AxisPosition(self._drives[name].position(), self._places[name].homed)
-
-    def _read_force(self) -> float | None:
-        """Return the largest force along any axis, in N; None without a force sensor."""
-        if self._force is None:
-            return None
-        x, y, z = map(float, self._force.mean_N(FORCE_OVER_S))
-        self._force_N = x, y, z
-        return max(abs(x), abs(y), abs(z))
-
-    def _force_in_words(self) -> str:
-        if self._force_N is None:
-            return "unknown"
-        return ", ".join(f"{n} {f:+.2f}" for n, f in zip("xyz", self._force_N, strict=True)) + " N"
+    # --- messages -----------------------------------------------------------------------------
 
     def _log_end(self, why: str) -> None:
         """Log where a motion has ended, if one was under way."""
@@ -447,10 +330,10 @@ class JogSession:
             "jog: %s came from %.4f to %.4f %s (%s); force %s",
             axis.name,
             self._began_at,
-            self._places[axis.name].position,
+            self._drives.positions[axis.name].position,
             axis.unit,
             why,
-            self._force_in_words(),
+            self._watch.force_in_words(),
         )
 
     def _say(self, text: str) -> None:
