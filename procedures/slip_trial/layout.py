@@ -5,6 +5,31 @@ from __future__ import annotations
 from procedures.pressed.layout import ASKED, CALIBRATED, GRIP, HELD, RECORDED, TOUCHED
 from rig.files.journal.layout import Column, Layout, Plot, Trace
 
+FRICTION = (
+    Column("static_friction", "", "Static friction coefficient"),
+    Column("static_friction_error", "", "Standard error"),
+    Column("kinetic_friction", "", "Kinetic friction coefficient"),
+    Column("kinetic_friction_error", "", "Standard error"),
+    Column("no_friction", "", "Why there are no coefficients", "text"),
+)
+"""Columns of what a slide shows of the friction."""
+
+RAMP = (
+    Column("ramp_error_rms", "N", "Error of the tangential ramp, rms"),
+    Column("ramp_to", "s", "End of the ramp, since the start of the record"),
+)
+"""Columns of trials whose tangential force follows a ramp."""
+
+WEIGHT = (
+    Column("outcome", "", "What became of a weight: held, averted or lost", "text"),
+    Column("load", "N", "Weight that the contact had to hold"),
+    Column("slid", "mm", "Largest travel of the weight since first alarm or end of the ramp"),
+    Column("force_used", "N", "Mean normal force at the end of the motion"),
+    Column("least_force", "N", "Least that holds the weight, by the largest F_t/F_n shown"),
+    Column("least_force_true", "N", "SIMULATED truth: the same by the static coefficient"),
+)
+"""Columns of trials in which a weight hangs on the contact."""
+
 LAYOUT = Layout(
     definition="NXrig_slip_trial",
     version="2",
@@ -13,22 +38,12 @@ LAYOUT = Layout(
         Column("speed", "mm/s", "Speed of the slide", origin="set"),
         Column("direction", "", "Direction along x", origin="set"),
         *HELD,
-        Column("static_friction", "", "Static friction coefficient"),
-        Column("static_friction_error", "", "Standard error"),
-        Column("kinetic_friction", "", "Kinetic friction coefficient"),
-        Column("kinetic_friction_error", "", "Standard error"),
-        Column("no_friction", "", "Why there are no coefficients", "text"),
+        *FRICTION,
         *TOUCHED,
         *CALIBRATED,
-        Column("ramp_error_rms", "N", "Error of the tangential ramp, rms"),
-        Column("ramp_to", "s", "End of the ramp, since the start of the record"),
+        *RAMP,
         *GRIP,
-        Column("outcome", "", "What became of a weight: held, averted or lost", "text"),
-        Column("load", "N", "Weight that the contact had to hold"),
-        Column("slid", "mm", "Largest travel of the weight since first alarm or end of the ramp"),
-        Column("force_used", "N", "Mean normal force at the end of the motion"),
-        Column("least_force", "N", "Least that holds the weight, by the largest F_t/F_n shown"),
-        Column("least_force_true", "N", "SIMULATED truth: the same by the static coefficient"),
+        *WEIGHT,
         Column("slide_from", "s", "Start of the slide, since the start of the record"),
         Column("slide_to", "s", "End of the slide, since the start of the record"),
         *RECORDED,

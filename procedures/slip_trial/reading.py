@@ -11,7 +11,9 @@ import numpy as np
 from procedures.pressed import reading as pressed_reading
 from procedures.pressed.grip import grip_reading
 from procedures.pressed.reading import TrialRecord
+from procedures.slip_trial.layout import FRICTION, RAMP, WEIGHT
 from rig.analysis.trial.friction import FrictionError, friction
+from rig.files.journal.layout import without_values
 
 if TYPE_CHECKING:
     import numpy.typing as npt
@@ -24,19 +26,6 @@ USED_S = 0.1
 """Last stretch of a motion, whose mean normal force is the force used."""
 PRESSED_SHARE = 0.5
 """Share of the normal force above which F_t/F_n is a coefficient and not noise."""
-WEIGHT_KEYS = (
-    "load_N",
-    "slid_mm",
-    "force_used_N",
-    "least_force_N",
-    "least_force_true_N",
-)
-FRICTION_COLUMNS = (
-    "static_friction",
-    "static_friction_error",
-    "kinetic_friction",
-    "kinetic_friction_error",
-)
 
 
 @dataclass
@@ -87,7 +76,7 @@ def _weight(
     World's static coefficient. A weight that never rested is lost, too: it still slides."""
     load_N = settings.hold_at_N
     if load_N is None or not len(t):
-        return dict.fromkeys(WEIGHT_KEYS, None) | {"outcome": ""}
+        return without_values(WEIGHT)
     kept = record.weight_rested and not record.lost
     outcome = "lost" if not kept else "averted" if record.squeezes else "held"
     used_N = float(force[t >= t[-1] - USED_S, 0].mean())
@@ -113,7 +102,7 @@ def _ramp(
 ) -> Reading:
     """Return how well the tangential force followed its ramp until the skin slipped."""
     if record.ramp_to_s is None:
-        return {"ramp_error_rms_N": None, "ramp_to_s": None}
+        return without_values(RAMP)
     since = t - record.motion_from_s
     rising = (since >= 0) & (t <= record.ramp_to_s)
     rise = settings.along * (force[rising, 1] - force[rising, 1][0])
@@ -137,7 +126,7 @@ def _friction(
         holds = run.settings.hold_at_N is not None and record.weight_rested
         why = f"the weight did not slide away ({error})" if holds else error.one_line()
         run.event("info" if holds else "warning", "friction", f"trial {record.number}: {why}")
-        return {**dict.fromkeys(FRICTION_COLUMNS), "no_friction": why}
+        return without_values(FRICTION) | {"no_friction": why}
     return {
         "no_friction": "",
         "static_friction": found.static.value,

@@ -7,6 +7,7 @@ lab's own procedure gets the same files as a built-in one.
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable
 from dataclasses import KW_ONLY, dataclass
 from typing import Annotated, Any, Literal
 
@@ -121,6 +122,12 @@ class Column:
             if text := getattr(self, later):
                 stored[later] = text
         return stored
+
+
+def without_values(columns: Iterable[Column]) -> dict[str, str | float | None]:
+    """Return the part of a reading that has no value in `columns`: None for a number, "" for a
+    text. For results that do not apply to every point."""
+    return {column.key: None if column.kind == "number" else "" for column in columns}
 
 
 def unit_suffix(units: str) -> str:
