@@ -58,7 +58,7 @@ def test_a_stop_is_heard_while_the_last_files_are_made(
         raise AssertionError("the request was not heard")
 
     monkeypatch.setattr(finishing, "_make_files", one_more_round)
-    finishing._postprocess = NeverReady()  # type: ignore[assignment]
+    finishing._files = NeverReady()  # type: ignore[assignment]
     finishing._heartbeat = SimpleNamespace(write=lambda _: None)  # type: ignore[assignment]
     finishing._simulated = True
     with Queue.open(BatchFolder(tmp_path).queue) as finishing._queue:

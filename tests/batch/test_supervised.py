@@ -11,8 +11,8 @@ from typing import Any
 
 import pytest
 
-from rig.batch.execute.supervisor import BEAT, _beat
 from rig.batch.execute.worker import SUPERVISOR_S, Worker
+from rig.batch.execute.worker_process import BEAT, send_beat
 from rig.run.stopping import StopRequestedError
 
 
@@ -86,11 +86,11 @@ def test_a_worker_that_reads_nothing_gets_one_sign_of_life_and_no_more() -> None
     reads, writes = os.pipe()
     try:
         for _ in range(3):
-            _beat(writes)
+            send_beat(writes)
         assert os.read(reads, 100) == BEAT.encode() + b"\n"
-        _beat(writes)
+        send_beat(writes)
         assert os.read(reads, 100) == BEAT.encode() + b"\n"
         os.close(reads)
-        _beat(writes)  # it may have died
+        send_beat(writes)  # it may have died
     finally:
         os.close(writes)

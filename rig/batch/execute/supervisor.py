@@ -12,22 +12,16 @@ worker learns that the supervisor has died.
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import json
 import os
-import selectors
-import struct
-import subprocess
-import sys
-import termios
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 from rig.batch.execute.disk_room import DeferredWrites
-from rig.batch.execute.postprocess import PostprocessJob, PostprocessQueue, PostprocessResult
+from rig.batch.execute.run_files import RunFiles
+from rig.batch.execute.worker_process import WorkerProcess
 from rig.batch.folder import BatchFolder
 from rig.batch.plan.settings import BatchFile, Occasion
 from rig.batch.queue import Queue
@@ -41,8 +35,6 @@ from rig.run.stopping import StopFlag
 
 POLL_EVERY_S = 0.1
 """Interval in s at which stop requests, other terminals and background processes are polled."""
-BEAT, BEAT_EVERY_S = "beat", 1.0
-"""Word that informs the worker that the supervisor is alive, and the interval in s."""
 STARTING_S = 300.0
 """Time limit from a claim to its run's plan: boot, connect, compile for the first time. From then
 on the run's guard watches."""
@@ -123,8 +115,6 @@ class Supervisor:
         """Reason why the batch was held last, until a run has ended."""
         self._disk_was_full = False
         """True if files of runs may not have been made for that reason."""
-        self._numbers: dict[Path, int] = {}
-        """The runs whose files are still to be made, by journal."""
 
     def run(self) -> ExitCode:
         """Take all runs and return the exit code of the batch. Raises ConfigurationError if another
@@ -149,9 +139,10 @@ class Supervisor:
             )
             self._heartbeat = Heartbeat(self._folder.heartbeat)
             self._notifier = Notifier(self._batch.notify)
-            self._postprocess = PostprocessQueue(self._log, (lock,))
-            for number, procedure in self._queue.unprocessed():
-                self._add_job(number, procedure)
+            self._files = RunFiles(
+                self._folder, self._batch, self._queue, self._record, self._say, self._log, lock
+            )
+            self._files.add_all(self._queue.unprocessed())
             self._record(self._queue.set_meta, "state", "running")
             self._record(self._queue.add_event, "info", f"started (process {os.getpid()})")
             self._notify("start", f"{counted(self._queue.remaining().runs, 'run')} to take")
@@ -216,30 +207,12 @@ class Supervisor:
 
     def _one_worker(self) -> int:
         """Start a worker and listen to it until it has ended; returns its exit code."""
-        worker = subprocess.Popen(
-            [sys.executable, "-P", "-m", "rig.batch.execute.worker", str(self._folder.path)],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=self._log,
-            start_new_session=True,  # a terminal's Ctrl-C is the supervisor's to pass on
-        )
-        assert worker.stdin is not None
-        assert worker.stdout is not None
-        os.set_blocking(worker.stdout.fileno(), False)
-        self._record(self._queue.set_meta, "worker", str(worker.pid))
         stop_sent = False
-        buffer = b""
-        beaten_s = 0.0
-        with selectors.DefaultSelector() as selector, worker:
-            selector.register(worker.stdout, selectors.EVENT_READ)
-            while True:
-                if selector.select(POLL_EVERY_S):
-                    chunk = worker.stdout.read(65536)
-                    if chunk == b"":
-                        break
-                    *lines, buffer = (buffer + (chunk or b"")).split(b"\n")
-                    for line in lines:
-                        self._handle(line)
+        with WorkerProcess(self._folder.path, self._log) as worker:
+            self._record(self._queue.set_meta, "worker", str(worker.pid))
+            while (lines := worker.lines(POLL_EVERY_S)) is not None:
+                for line in lines:
+                    self._handle(line)
                 if self._stop.requested is not None and not stop_sent:
                     stop_sent = True
                     number = self._stop.requested
@@ -248,15 +221,12 @@ class Supervisor:
                     self._asked_to_end |= _ends_the_batch(command)
                     self._send(worker, command, REQUESTS.get(command.split()[0], command))
                 self._poll()
-                if time.monotonic() - beaten_s >= BEAT_EVERY_S:
-                    beaten_s = time.monotonic()
-                    _beat(worker.stdin.fileno())
+                worker.beat()
                 if self._give_up is not None and time.monotonic() > self._give_up:
                     self._give_up = None
                     self._say(f"warning: the worker was silent for {STARTING_S:g} s and was killed")
                     worker.kill()
-            worker.stdin.close()
-        return worker.returncode
+        return worker.exit_code
 
     def _requests(self) -> list[str]:
         try:
@@ -264,15 +234,10 @@ class Supervisor:
         except (QueueWriteError, QueueDamagedError):  # on a full disk they stay
             return []
 
-    def _send(self, worker: subprocess.Popen[bytes], command: str, request: str) -> None:
+    def _send(self, worker: WorkerProcess, command: str, request: str) -> None:
         """Pass a command on to the worker; `request` says for people what was requested."""
-        assert worker.stdin is not None
         self._record(self._queue.add_event, "info", f"{request} requested")
-        try:
-            worker.stdin.write(command.encode() + b"\n")
-            worker.stdin.flush()
-        except OSError:  # it has died, which is seen at its other end
-            pass
+        worker.send(command)
 
     def _handle(self, line: bytes) -> None:
         """One line from the worker; what a library has printed goes to the log."""
@@ -319,52 +284,24 @@ class Supervisor:
 
     # --- files of finished runs -------------------------------------------------------------------
 
-    def _add_job(self, number: int, procedure: str) -> None:
-        journal = self._folder.journal(number, procedure)
-        if not journal.exists() and not self._folder.run_file(number, procedure).exists():
-            self._record(self._queue.set_processed, number, {})  # it failed before its first record
-            return
-        self._numbers[journal] = number
-        self._postprocess.add(PostprocessJob(journal, self._batch.figures, self._batch.detect))
-
     def _make_files(self, *, start: bool) -> None:
         wanted = start and self._stop.requested is None and not self._writes.why
-        if (result := self._postprocess.poll(start=wanted)) is not None:
-            self._save_result(result)
-
-    def _save_result(self, result: PostprocessResult) -> None:
-        number = self._numbers.pop(result.journal)
-        for text in (*result.warnings, *filter(None, [result.error])):
-            self._record(self._queue.add_event, "warning", text)
-            self._say(f"warning: {text}")
-        if not result.error:
-            made = {
-                "file": None if result.file is None else result.file.name,
-                "processed": None if result.processed is None else result.processed.name,
-                "figures": [figure.name for figure in result.figures],
-            }
-            self._record(self._queue.set_processed, number, made)
+        self._files.poll(start=wanted)
 
     def _finish_files(self) -> None:
         """Make the files of all finished runs. A stop request leaves out those that are not under
         way; `rig batch resume` makes them."""
         if self._disk_was_full:
-            waiting = set(self._numbers.values())
-            for number, procedure in self._queue.unprocessed():
-                if number not in waiting:
-                    self._add_job(number, procedure)
-        if self._stop.requested is None and len(self._postprocess):
-            self._say(
-                f"finishing: making the files of {counted(len(self._postprocess), 'run')} ..."
-            )
-        while len(self._postprocess) and self._stop.requested is None:
+            self._files.add_all(self._queue.unprocessed())
+        if self._stop.requested is None and len(self._files):
+            self._say(f"finishing: making the files of {counted(len(self._files), 'run')} ...")
+        while len(self._files) and self._stop.requested is None:
             if any(_ends_the_batch(command) for command in self._requests()):
                 break
             self._write_heartbeat("finishing")
             self._make_files(start=True)
             time.sleep(POLL_EVERY_S)
-        if (result := self._postprocess.close(CLOSING_S)) is not None:
-            self._save_result(result)
+        self._files.close(CLOSING_S)
         if missing := len(self._queue.unprocessed()):
             self._say(
                 f"not compiled yet: {counted(missing, 'run file')}; compile with: "
@@ -455,21 +392,12 @@ class Supervisor:
         if event["ending"] != "complete" or event["code"]:
             self._record(self._queue.add_event, "warning", text)
         if event["ending"] != "stopped" and not event["again"]:
-            self._add_job(event["number"], event["procedure"])
+            self._files.add(event["number"], event["procedure"])
             if event["ending"] != "complete":
                 self._notify("failure", text)
 
     def _on_end(self, event: Mapping[str, Any]) -> None:
         self._end = dict(event)
-
-
-def _beat(pipe: int) -> None:
-    """Send a sign of life to a worker, unless it has left an earlier one unread: a write to a full
-    pipe would wait for a worker that is stopped."""
-    with contextlib.suppress(OSError):  # it has died, which is seen at its other end
-        unread = struct.unpack("i", fcntl.ioctl(pipe, termios.FIONREAD, struct.pack("i", 0)))[0]
-        if unread == 0:
-            os.write(pipe, BEAT.encode() + b"\n")
 
 
 def _ends_the_batch(command: str) -> bool:
