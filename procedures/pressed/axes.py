@@ -7,12 +7,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
-from procedures.pressed.contact import contact_range_mm, refuse_deeper
+from procedures.pressed.approach.contact import contact_range_mm, refuse_deeper
 from rig.bench.limits import require
 
 if TYPE_CHECKING:
+    from procedures.pressed.approach.torque_watch import TorqueWatch
     from procedures.pressed.links import TrialLinks
-    from procedures.pressed.torque_watch import TorqueWatch
     from rig.control.tick_loop import Tick
     from rig.instruments.roles import LinearStage, RotaryStage
     from rig.run.context import Run

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from procedures.pressed.contact import FORCE_RATE_S_S
+from procedures.pressed.approach.contact import FORCE_RATE_S_S
 from procedures.pressed.lost_frames import COMPARED_LOOKS
 
 if TYPE_CHECKING:

@@ -5,17 +5,17 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from procedures.pressed.approach.torque_watch import SUSPECT
 from procedures.pressed.axes import SentMove
-from procedures.pressed.torque_watch import SUSPECT
 from rig.core.errors import InstrumentError
 
 if TYPE_CHECKING:
+    from procedures.pressed.approach.torque_watch import TorqueWatch
     from procedures.pressed.axes import PressingStage
     from procedures.pressed.force import TrialForce
     from procedures.pressed.links import TrialLinks
     from procedures.pressed.reading import TrialRecord
     from procedures.pressed.ticks import TrialTicks
-    from procedures.pressed.torque_watch import TorqueWatch
     from rig.control.force_servo import ContactShift, ForceServo
 
 SILENT_S = 0.5

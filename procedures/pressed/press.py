@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from procedures.pressed.approach_watch import ApproachWatch, naming_the_sensor
-from procedures.pressed.contact import (
+from procedures.pressed.approach.approach_watch import ApproachWatch, naming_the_sensor
+from procedures.pressed.approach.contact import (
     BOTTOM_mm,
     CLEAR_mm,
     contact_range_mm,
@@ -14,22 +14,22 @@ from procedures.pressed.contact import (
     nothing_felt,
     refuse_early_contact,
 )
+from procedures.pressed.approach.way_down import held_speed_bound
 from procedures.pressed.reading import CONTACT_N
 from procedures.pressed.settings import TAP_S, NEAR_mm
-from procedures.pressed.way_down import held_speed_bound
 from rig.control.approach import Approach
 from rig.control.speed_bound import largest_speed_mm_s
 from rig.core.errors import InstrumentError
 
 if TYPE_CHECKING:
+    from procedures.pressed.approach.earlier_runs import EarlierPress
+    from procedures.pressed.approach.torque_watch import TorqueWatch
     from procedures.pressed.axes import PressingStage
-    from procedures.pressed.earlier_runs import EarlierPress
     from procedures.pressed.reading import TrialRecord
     from procedures.pressed.recorder import TickRecorder
     from procedures.pressed.series import PressedSeries
     from procedures.pressed.settings import PressedSettings
     from procedures.pressed.ticks import TrialTicks
-    from procedures.pressed.torque_watch import TorqueWatch
     from rig.control.tick_loop import Tick
     from rig.run.context import Run
 

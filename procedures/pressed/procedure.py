@@ -33,6 +33,7 @@ from abc import abstractmethod
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, ClassVar
 
+from procedures.pressed.approach.way_down import require_possible
 from procedures.pressed.grip import GripSettings, grip_reading
 from procedures.pressed.layout import ASKED, CALIBRATED, GRIP, HELD, RECORDED, TOUCHED
 from procedures.pressed.settings import (
@@ -42,7 +43,6 @@ from procedures.pressed.settings import (
     trial_points,
 )
 from procedures.pressed.trial_procedure import TrialProcedure
-from procedures.pressed.way_down import require_possible
 from rig.bench.limits import require
 from rig.core.errors import ConfigurationError
 from rig.files.journal.layout import Column, Layout, Plot, Trace

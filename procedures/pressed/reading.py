@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from procedures.pressed.contact import ForceZero
-from procedures.pressed.earlier_runs import EarlierPress
+from procedures.pressed.approach.contact import ForceZero
+from procedures.pressed.approach.earlier_runs import EarlierPress
 from procedures.pressed.layout import TOUCHED
 from procedures.pressed.lost_frames import lost_frames
 from procedures.pressed.settings import AFTER_S, PressedSettings, point_name

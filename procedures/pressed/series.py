@@ -11,9 +11,9 @@ from rig.bench.settings import STRIPS
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from procedures.pressed.approach.torque_watch import TorqueWatch
     from procedures.pressed.detection import LiveDetection
     from procedures.pressed.rates import ServoRates
-    from procedures.pressed.torque_watch import TorqueWatch
     from rig.run.context import Run
 
 

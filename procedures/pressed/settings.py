@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from pydantic import Field, field_validator, model_validator
 
-from procedures.pressed.contact import (
+from procedures.pressed.approach.contact import (
     HOMING_S,
     SETTLED_S,
     TARE_S,

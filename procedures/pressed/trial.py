@@ -21,10 +21,12 @@ import math
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
+from procedures.pressed.approach.contact import SETTLED_S, come_close, tare_in_free_air
+from procedures.pressed.approach.earlier_runs import EarlierPress
+from procedures.pressed.approach.torque_watch import TorqueWatch
+from procedures.pressed.approach.way_down import TRAVEL_mm_s, held_speed_bound
 from procedures.pressed.axes import ArrivalWatch, PolledStage, PressingStage, SentMove
 from procedures.pressed.commanded_x import CommandedX
-from procedures.pressed.contact import SETTLED_S, come_close, tare_in_free_air
-from procedures.pressed.earlier_runs import EarlierPress
 from procedures.pressed.grip import Grip
 from procedures.pressed.hold import ForceHold
 from procedures.pressed.links import TrialLinks
@@ -33,8 +35,6 @@ from procedures.pressed.reading import CONTACT_N, DECIMATED_Hz
 from procedures.pressed.recorder import TickRecorder
 from procedures.pressed.settings import AFTER_S
 from procedures.pressed.ticks import TrialTicks
-from procedures.pressed.torque_watch import TorqueWatch
-from procedures.pressed.way_down import TRAVEL_mm_s, held_speed_bound
 from rig.bench.limits import require
 from rig.control.force_servo import ForceServo, settings_from
 from rig.core.errors import InstrumentError

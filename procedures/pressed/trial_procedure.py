@@ -8,7 +8,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence, Set
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from procedures.pressed.contact import contact_range_mm
+from procedures.pressed.approach.contact import contact_range_mm
+from procedures.pressed.approach.torque_limit import require_torque_limit
+from procedures.pressed.approach.way_down import held_speed_bound, require_possible
 from procedures.pressed.grip_summary import grip_summary
 from procedures.pressed.layout import STREAMS
 from procedures.pressed.rates import ServoRates, rates_for, warn_of_slow_links
@@ -20,8 +22,6 @@ from procedures.pressed.settings import (
     summary_of,
     truth_of,
 )
-from procedures.pressed.torque_limit import require_torque_limit
-from procedures.pressed.way_down import held_speed_bound, require_possible
 from rig.core.units import counted
 from rig.run.points import Reading
 from rig.run.procedure import DriftFigure, Procedure, StreamPlan

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING
 
+from procedures.pressed.approach.way_down import TRAVEL_mm_s
 from procedures.pressed.axes import Look
 from procedures.pressed.positions import AxisRows
 from procedures.pressed.series import PressedSeries
 from procedures.pressed.settings import AFTER_S
 from procedures.pressed.trial import PressedTrial
-from procedures.pressed.way_down import TRAVEL_mm_s
 from procedures.roll_trial.reading import RollTrialRecord, reading_of
 from procedures.roll_trial.settings import NUDGED_S, NUDGES, SETTLED_S
 from rig.analysis.trial.axis_offset import NudgeForce, axis_offset

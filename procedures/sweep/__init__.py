@@ -17,10 +17,10 @@ import random
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from procedures.pressed import contact
-from procedures.pressed.contact import contact_range_mm
-from procedures.pressed.torque_limit import require_torque_limit
-from procedures.pressed.way_down import speed_bound
+from procedures.pressed.approach import contact
+from procedures.pressed.approach.contact import contact_range_mm
+from procedures.pressed.approach.torque_limit import require_torque_limit
+from procedures.pressed.approach.way_down import speed_bound
 from procedures.sweep import layout as sweep_layout
 from procedures.sweep import preload
 from procedures.sweep.settings import (

@@ -13,8 +13,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from procedures.pressed.approach_watch import ApproachWatch, naming_the_sensor
-from procedures.pressed.contact import (
+from procedures.pressed.approach.approach_watch import ApproachWatch, naming_the_sensor
+from procedures.pressed.approach.contact import (
     HOMING_S,
     SETTLED_S,
     TARE_S,
@@ -35,8 +35,8 @@ from procedures.pressed.contact import (
     travel_s,
     unload,
 )
-from procedures.pressed.earlier_runs import EarlierPress
-from procedures.pressed.torque_watch import TorqueWatch
+from procedures.pressed.approach.earlier_runs import EarlierPress
+from procedures.pressed.approach.torque_watch import TorqueWatch
 from rig.bench.limits import require
 from rig.bench.settings import FixtureSettings
 from rig.core.errors import InstrumentError, LimitError

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from procedures.pressed.approach_watch import ApproachWatch, naming_the_sensor
+from procedures.pressed.approach.approach_watch import ApproachWatch, naming_the_sensor
 from rig.core.errors import InstrumentError
 
 CONTACT_N, TARGET_N = 0.1, 4.0

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from procedures.pressed.approach_watch import ApproachWatch, naming_the_sensor
-from procedures.pressed.torque_watch import TorqueWatch, WayTorque
+from procedures.pressed.approach.approach_watch import ApproachWatch, naming_the_sensor
+from procedures.pressed.approach.torque_watch import TorqueWatch, WayTorque
 from rig.core.errors import InstrumentError
 from rig.instruments.roles import Reach
 

@@ -13,8 +13,8 @@ import math
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from procedures.pressed.torque_watch import WayTorque
-from procedures.pressed.way_down import (
+from procedures.pressed.approach.torque_watch import WayTorque
+from procedures.pressed.approach.way_down import (
     ARRIVED_S,
     BASELINE_S,
     TRAVEL_mm_s,

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from procedures.pressed.torque_limit import torque_limit_percent
+from procedures.pressed.approach.torque_limit import torque_limit_percent
 from rig.core.errors import InstrumentError
 from rig.instruments.roles import ReadsTorque
 

@@ -6,11 +6,11 @@ import math
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
-from procedures.pressed.torque_watch import SUSPECT
+from procedures.pressed.approach.torque_watch import SUSPECT
 from rig.core.errors import InstrumentError
 
 if TYPE_CHECKING:
-    from procedures.pressed.contact import ForceZero
+    from procedures.pressed.approach.contact import ForceZero
     from rig.run.context import Run
     from rig.run.press_references import TouchGain
 

@@ -20,8 +20,8 @@ from collections import deque
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
-from procedures.pressed.contact import SIGMAS, contact_range_mm, felt_N
-from procedures.pressed.torque_watch import SUSPECT, TorqueWatch
+from procedures.pressed.approach.contact import SIGMAS, contact_range_mm, felt_N
+from procedures.pressed.approach.torque_watch import SUSPECT, TorqueWatch
 from rig.core.errors import InstrumentError
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from procedures.pressed.torque_watch import WayTorque
+from procedures.pressed.approach.torque_watch import WayTorque
 from rig.bench.braking import USUAL_DECELERATION_mm_s2, braking_bound
 from rig.bench.settings import FixtureSettings
 from rig.control.speed_bound import SpeedBound
