@@ -11,7 +11,7 @@ from procedures.pressed import PressedProcedure, PressedSettings
 from rig.files.journal.layout import Column
 
 if TYPE_CHECKING:
-    from procedures.pressed.motion import MotionRecord
+    from procedures.pressed.record.motion import MotionRecord
     from procedures.pressed.trial import PressedTrial
 
 

@@ -18,7 +18,7 @@ from rig.files.journal.layout import Column
 from rig.run.points import Move
 
 if TYPE_CHECKING:
-    from procedures.pressed.motion import MotionRecord
+    from procedures.pressed.record.motion import MotionRecord
     from procedures.pressed.trial import PressedTrial
     from rig.bench.settings import FixtureSettings
     from rig.control.tick_loop import Tick

@@ -17,8 +17,8 @@ from typing import TYPE_CHECKING, Literal
 from pydantic import Field, model_validator
 from pydantic.config import JsonDict
 
+from procedures.pressed.record.squeeze import Squeeze
 from procedures.pressed.settings import PressedSettings
-from procedures.pressed.squeeze import Squeeze
 from rig.files.journal.detections import NO_DETECTOR, SLIP
 
 if TYPE_CHECKING:
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     import numpy.typing as npt
 
     from procedures.pressed.axes import SentMove
-    from procedures.pressed.reading import TrialRecord
+    from procedures.pressed.record.reading import TrialRecord
     from rig.files.journal.detections import Detection
     from rig.run.context import Run
     from rig.run.points import Reading

@@ -12,9 +12,9 @@ from rig.core.errors import InstrumentError
 if TYPE_CHECKING:
     from procedures.pressed.approach.torque_watch import TorqueWatch
     from procedures.pressed.axes import PressingStage
-    from procedures.pressed.force import TrialForce
     from procedures.pressed.links import TrialLinks
-    from procedures.pressed.reading import TrialRecord
+    from procedures.pressed.record.force import TrialForce
+    from procedures.pressed.record.reading import TrialRecord
     from procedures.pressed.ticks import TrialTicks
     from rig.control.force_servo import ContactShift, ForceServo
 

@@ -35,7 +35,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from procedures.pressed.approach.way_down import require_possible
 from procedures.pressed.grip import GripSettings, grip_reading
-from procedures.pressed.layout import ASKED, CALIBRATED, GRIP, HELD, RECORDED, TOUCHED
+from procedures.pressed.record.layout import ASKED, CALIBRATED, GRIP, HELD, RECORDED, TOUCHED
 from procedures.pressed.settings import (
     PressedSettings,
     arm_pressed,
@@ -48,7 +48,7 @@ from rig.core.errors import ConfigurationError
 from rig.files.journal.layout import Column, Layout, Plot, Trace
 
 if TYPE_CHECKING:
-    from procedures.pressed.motion import MotionRecord
+    from procedures.pressed.record.motion import MotionRecord
     from procedures.pressed.trial import PressedTrial
     from rig.bench.connected import Bench
     from rig.bench.settings import FixtureSettings
@@ -183,7 +183,7 @@ class PressedProcedure(TrialProcedure):
     def import_ahead(self) -> None:
         """Import what a trial needs: never while something is switched on."""
         super().import_ahead()
-        import procedures.pressed.motion
+        import procedures.pressed.record.motion
         import procedures.pressed.trial  # noqa: F401 - with numpy: not for `rig --help`
 
     def points(self) -> tuple[Point, ...]:
@@ -227,8 +227,8 @@ class PressedProcedure(TrialProcedure):
     def take(self, run: Run, point: Point) -> Reading:
         """Make ready, press, do what the subclass does under the force, lift; then its reading."""
         # Imported by import_ahead(), and not at the top: numpy would slow `rig --help`.
-        from procedures.pressed.motion import motion_record, plain
-        from procedures.pressed.reading import TrialRecord, reading_of
+        from procedures.pressed.record.motion import motion_record, plain
+        from procedures.pressed.record.reading import TrialRecord, reading_of
         from procedures.pressed.trial import PressedTrial
 
         series = self._series

@@ -12,8 +12,8 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from procedures.pressed.approach.torque_watch import TorqueWatch
-    from procedures.pressed.detection import LiveDetection
     from procedures.pressed.rates import ServoRates
+    from procedures.pressed.record.detection import LiveDetection
     from rig.run.context import Run
 
 

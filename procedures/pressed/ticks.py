@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from procedures.pressed.recorder import LEAST_WAIT_S
+from procedures.pressed.record.recorder import LEAST_WAIT_S
 from rig.control.tick_loop import tick_loop
 
 if TYPE_CHECKING:
     from procedures.pressed.links import TrialLinks
-    from procedures.pressed.recorder import TickRecorder
+    from procedures.pressed.record.recorder import TickRecorder
     from rig.control.tick_loop import LoopStatistics, Tick
     from rig.files.journal.detections import Detection
     from rig.run.context import Run

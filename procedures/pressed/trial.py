@@ -26,13 +26,13 @@ from procedures.pressed.approach.earlier_runs import EarlierPress
 from procedures.pressed.approach.torque_watch import TorqueWatch
 from procedures.pressed.approach.way_down import TRAVEL_mm_s, held_speed_bound
 from procedures.pressed.axes import ArrivalWatch, PolledStage, PressingStage, SentMove
-from procedures.pressed.commanded_x import CommandedX
 from procedures.pressed.grip import Grip
 from procedures.pressed.hold import ForceHold
 from procedures.pressed.links import TrialLinks
 from procedures.pressed.press import Press
-from procedures.pressed.reading import CONTACT_N, DECIMATED_Hz
-from procedures.pressed.recorder import TickRecorder
+from procedures.pressed.record.commanded_x import CommandedX
+from procedures.pressed.record.reading import CONTACT_N, DECIMATED_Hz
+from procedures.pressed.record.recorder import TickRecorder
 from procedures.pressed.settings import AFTER_S
 from procedures.pressed.ticks import TrialTicks
 from rig.bench.limits import require
@@ -42,7 +42,7 @@ from rig.detector.commands import HeldForce
 from rig.files.journal.detections import SLIP
 
 if TYPE_CHECKING:
-    from procedures.pressed.reading import TrialRecord
+    from procedures.pressed.record.reading import TrialRecord
     from procedures.pressed.series import PressedSeries
     from procedures.pressed.settings import PressedSettings
     from rig.control.force_servo import ContactShift

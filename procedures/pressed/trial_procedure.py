@@ -12,8 +12,8 @@ from procedures.pressed.approach.contact import contact_range_mm
 from procedures.pressed.approach.torque_limit import require_torque_limit
 from procedures.pressed.approach.way_down import held_speed_bound, require_possible
 from procedures.pressed.grip_summary import grip_summary
-from procedures.pressed.layout import STREAMS
 from procedures.pressed.rates import ServoRates, rates_for, warn_of_slow_links
+from procedures.pressed.record.layout import STREAMS
 from procedures.pressed.settings import (
     SUMMARY_LABELS,
     TOUCH_DRIFT,
@@ -80,7 +80,7 @@ class TrialProcedure(Procedure):
         """Import what a trial needs and try its detector, which takes a minute on the first use on
         a computer: never while something is switched on. RigError for a detector that cannot be
         used."""
-        from procedures.pressed.detection import try_detector
+        from procedures.pressed.record.detection import try_detector
 
         import_what_a_trial_needs()
         try_detector(self.settings.detector)
@@ -104,7 +104,7 @@ class TrialProcedure(Procedure):
     def start_series(self, run: Run) -> None:
         """Make the series at the first arming; it lasts through holds and trips."""
         # Imported by import_ahead(), and not at the top: numpy would slow `rig --help`.
-        from procedures.pressed.detection import start_detection
+        from procedures.pressed.record.detection import start_detection
         from procedures.pressed.series import load_scales_for
 
         if self._series is None:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from procedures.pressed import layout as pressed_layout
-from procedures.pressed.layout import ASKED, CALIBRATED, HELD, RECORDED, TOUCHED, ages
+from procedures.pressed.record import layout as pressed_layout
+from procedures.pressed.record.layout import ASKED, CALIBRATED, HELD, RECORDED, TOUCHED, ages
 from rig.files.journal.layout import Column, Layout, Plot, Trace
 from rig.run.procedure import StreamPlan
 

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from procedures.pressed import reading as pressed_reading
-from procedures.pressed.reading import DECIMATED_Hz, TrialRecord
+from procedures.pressed.record import reading as pressed_reading
+from procedures.pressed.record.reading import DECIMATED_Hz, TrialRecord
 from rig.analysis.response.spectrum import rms_above
 
 if TYPE_CHECKING:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from procedures.pressed.approach.way_down import TRAVEL_mm_s
 from procedures.pressed.axes import Look
-from procedures.pressed.positions import AxisRows
+from procedures.pressed.record.positions import AxisRows
 from procedures.pressed.series import PressedSeries
 from procedures.pressed.settings import AFTER_S
 from procedures.pressed.trial import PressedTrial

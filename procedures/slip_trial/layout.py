@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from procedures.pressed.layout import ASKED, CALIBRATED, GRIP, HELD, RECORDED, TOUCHED
+from procedures.pressed.record.layout import ASKED, CALIBRATED, GRIP, HELD, RECORDED, TOUCHED
 from rig.files.journal.layout import Column, Layout, Plot, Trace
 
 FRICTION = (

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from procedures.pressed import reading as pressed_reading
 from procedures.pressed.grip import grip_reading
-from procedures.pressed.reading import TrialRecord
+from procedures.pressed.record import reading as pressed_reading
+from procedures.pressed.record.reading import TrialRecord
 from procedures.slip_trial.layout import FRICTION, RAMP, WEIGHT
 from rig.analysis.trial.friction import FrictionError, friction
 from rig.files.journal.layout import without_values

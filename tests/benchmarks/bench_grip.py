@@ -20,7 +20,7 @@ import numpy as np
 import pytest
 from measured import heading, repeats
 
-from procedures.pressed.detection import LiveDetection
+from procedures.pressed.record.detection import LiveDetection
 from rig.core.clock import WallClock
 from rig.detector.registered import chosen_detector
 from rig.files.journal.detections import from_text

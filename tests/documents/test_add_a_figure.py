@@ -14,7 +14,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "figures"))
 
 import recorded
 
-from procedures.pressed.layout import STREAMS
+from procedures.pressed.record.layout import STREAMS
 from rig.figures import style
 from rig.files.runfile.reader import RunFile, Waveform
 

@@ -13,7 +13,7 @@ from packages import install, on_path
 
 from procedures.pressed import PressedProcedure, PressedSettings
 from procedures.pressed.hold import LOST_STEPS, ForceHold
-from procedures.pressed.reading import TrialRecord
+from procedures.pressed.record.reading import TrialRecord
 from rig.core.errors import ConfigurationError, InstrumentError
 from rig.files.runfile.reader import RunFile
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from procedures.pressed.approach.contact import ForceZero
-from procedures.pressed.force import TrialForce
+from procedures.pressed.record.force import TrialForce
 from rig.instruments.roles import ForceFrames
 
 

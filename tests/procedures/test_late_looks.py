@@ -11,8 +11,8 @@ from test_pressed_reading import reading_of_record
 from test_pressed_reading import record as a_record
 
 from procedures.pressed.axes import PolledStage
-from procedures.pressed.positions import LookWatch, PositionRecorder
-from procedures.pressed.reading import OLDEST_LOOK, TrialRecord
+from procedures.pressed.record.positions import LookWatch, PositionRecorder
+from procedures.pressed.record.reading import OLDEST_LOOK, TrialRecord
 
 TICK_S = 0.01
 SPEED_mm_s = 6.0

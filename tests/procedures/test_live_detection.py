@@ -10,9 +10,9 @@ import pytest
 import recorded_trials as trials
 from pydantic import ValidationError
 
-from procedures.pressed.commanded_x import CommandedX
-from procedures.pressed.detection import DetectionRecord, LiveDetection
-from procedures.pressed.reading import TrialRecord
+from procedures.pressed.record.commanded_x import CommandedX
+from procedures.pressed.record.detection import DetectionRecord, LiveDetection
+from procedures.pressed.record.reading import TrialRecord
 from procedures.slip_trial.settings import SlipTrialSettings
 from rig.core.clock import WallClock
 from rig.detector.commands import HeldForce, XMove, columns_of, commands_in

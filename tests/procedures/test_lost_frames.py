@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from procedures.pressed.lost_frames import COMPARED_LOOKS, lost_frames
+from procedures.pressed.record.lost_frames import COMPARED_LOOKS, lost_frames
 
 RATE_S_S = 1000.0
 TICK_s = 0.01

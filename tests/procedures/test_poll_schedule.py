@@ -6,7 +6,7 @@ from collections.abc import Iterable
 
 import pytest
 
-from procedures.pressed.recorder import PollSchedule
+from procedures.pressed.record.recorder import PollSchedule
 from rig.control.tick_loop import Tick
 
 

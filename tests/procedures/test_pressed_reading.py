@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from procedures.pressed.reading import TrialRecord, reading_of
+from procedures.pressed.record.reading import TrialRecord, reading_of
 from procedures.slip_trial.settings import SlipTrialSettings
 from rig.control.tick_loop import LoopStatistics
 

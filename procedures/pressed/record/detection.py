@@ -31,7 +31,7 @@ from rig.processing.live import LiveDetector, start
 if TYPE_CHECKING:
     import numpy.typing as npt
 
-    from procedures.pressed.reading import TrialRecord
+    from procedures.pressed.record.reading import TrialRecord
     from rig.core.clock import Clock
     from rig.detector.commands import Command
     from rig.detector.events import SlipEvent

@@ -12,18 +12,18 @@ import math
 from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING
 
-from procedures.pressed.detection import DetectionRecord
-from procedures.pressed.force import TrialForce
-from procedures.pressed.positions import AxisRows, LookWatch, PositionRecorder
-from procedures.pressed.strips import StripRecorder
+from procedures.pressed.record.detection import DetectionRecord
+from procedures.pressed.record.force import TrialForce
+from procedures.pressed.record.positions import AxisRows, LookWatch, PositionRecorder
+from procedures.pressed.record.strips import StripRecorder
 from rig.core.errors import RigError
 from rig.instruments.roles import CountsMisreadings
 
 if TYPE_CHECKING:
     from procedures.pressed.axes import PolledAxis, PolledStage
-    from procedures.pressed.detection import LiveDetection
     from procedures.pressed.links import TrialLinks
-    from procedures.pressed.reading import TrialRecord
+    from procedures.pressed.record.detection import LiveDetection
+    from procedures.pressed.record.reading import TrialRecord
     from rig.control.tick_loop import Tick
     from rig.files.journal.detections import Detection
     from rig.run.context import Run

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from procedures.pressed.reading import DECIMATED_Hz, TrialRecord
+from procedures.pressed.record.reading import DECIMATED_Hz, TrialRecord
 from rig.analysis.trial.decimation import Decimator
 from rig.bench.settings import STRIPS
 from rig.instruments.roles import Record
@@ -22,8 +22,8 @@ from rig.run.streams.sample_stream import SampleStream
 if TYPE_CHECKING:
     import numpy.typing as npt
 
-    from procedures.pressed.detection import LiveDetection
     from procedures.pressed.links import TrialLinks
+    from procedures.pressed.record.detection import LiveDetection
     from procedures.pressed.settings import PressedSettings
     from rig.run.context import Run
 

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from procedures.pressed.approach.contact import FORCE_RATE_S_S
-from procedures.pressed.lost_frames import COMPARED_LOOKS
+from procedures.pressed.record.lost_frames import COMPARED_LOOKS
 
 if TYPE_CHECKING:
     from procedures.pressed.rates import ServoRates
-    from procedures.pressed.reading import TrialRecord
+    from procedures.pressed.record.reading import TrialRecord
     from rig.run.context import Run
 
 FORCE_WINDOW_S = 0.004

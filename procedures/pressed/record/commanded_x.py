@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-from procedures.pressed.reading import DECIMATED_Hz
+from procedures.pressed.record.reading import DECIMATED_Hz
 from rig.detector.commands import XMove
 
 if TYPE_CHECKING:
-    from procedures.pressed.detection import LiveDetection
-    from procedures.pressed.reading import TrialRecord
+    from procedures.pressed.record.detection import LiveDetection
+    from procedures.pressed.record.reading import TrialRecord
     from rig.core.clock import Clock
 
 SAME_SPEED = 0.1

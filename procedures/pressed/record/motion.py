@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from procedures.pressed.reading import DECIMATED_Hz
+from procedures.pressed.record.reading import DECIMATED_Hz
 
 if TYPE_CHECKING:
     import numpy.typing as npt
 
-    from procedures.pressed.reading import TrialRecord
+    from procedures.pressed.record.reading import TrialRecord
     from rig.run.points import Reading
 
     Values = npt.NDArray[np.float64]

@@ -14,11 +14,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from procedures.pressed.force import BLOCK_S
+from procedures.pressed.record.force import BLOCK_S
 
 if TYPE_CHECKING:
     from procedures.pressed.axes import Look, PolledAxis, PolledStage
-    from procedures.pressed.reading import TrialRecord
+    from procedures.pressed.record.reading import TrialRecord
     from rig.run.context import Run
 
 

@@ -1,0 +1,1 @@
+"""What a trial records while its ticks run: positions, strips, force, detections, its reading."""
