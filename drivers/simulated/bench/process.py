@@ -80,105 +80,128 @@ async def serve(
                 f"it has {' and '.join(get_args(known))}",
             )
     check_replaced(options.replace)
-    settings = world_settings(options)
-    faults = fault_plan(options)
-    log = Path(options.world_log) if options.world_log else None
-    world = World(settings, options.seed, options.slaved, log, faults.of(TimedFault))
-    bench = Instruments(world, options, faults)
+    bench = _ServedBench(options, show_line)
     # What has been imported stays until the end: no collection has to examine it, the one at the
     # interpreter's end included, for which a run would wait.
     gc.freeze()
-    monitor = bench.monitor(settings.watch)
-    ended = asyncio.Event()
-    loop = asyncio.get_running_loop()
+    try:
+        ready(await bench.begin())
+        await bench.ended.wait()
+    finally:
+        await bench.close()
+    if bench.world.failure is not None:
+        raise InstrumentError("simulated bench", "contact", bench.world.failure)
 
-    def settle() -> None:
+
+class _ServedBench:
+    """A World with its instruments behind their ports, whose time its owner or real time moves."""
+
+    def __init__(self, options: Options, show_line: Callable[[str], None]):
+        self._options, self._show_line = options, show_line
+        self._settings = world_settings(options)
+        faults = fault_plan(options)
+        log = Path(options.world_log) if options.world_log else None
+        self.world = World(self._settings, options.seed, options.slaved, log, faults.of(TimedFault))
+        self._instruments = bench = Instruments(self.world, options, faults)
+        self._monitor = bench.monitor(self._settings.watch)
+        self.ended = asyncio.Event()
+        """Set when the bench is to end."""
+        self._loop = asyncio.get_running_loop()
+        self._real_time: asyncio.Task[None] | None = None
+        self._control = ControlServer(
+            self.world,
+            {FORCE_SENSOR: lambda: bench.force.bytes_sent},
+            self.ended.set,
+            self._orphaned,
+            partial(self._release, "handed-over"),
+            self._time_has_passed,
+        )
+
+    async def begin(self) -> dict[str, Any]:
+        """Open every port; return what the owner has to know of the bench (`serve`)."""
+        options, bench = self._options, self._instruments
+        if not options.slaved:
+            self._follow_real_time()
+        from_the_terminal = () if options.slaved else (signal.SIGINT, signal.SIGQUIT)
+        for number in (signal.SIGTERM, *from_the_terminal):
+            self._loop.add_signal_handler(number, self.ended.set)
+        for server in bench.servers:
+            await server.start()
+        port = await self._control.start()
+        if options.slaved:  # its end is seen however early it was: what it sets free has started
+            await self._loop.connect_read_pipe(lambda: _OwnersPipe(self._orphaned), sys.stdin)
+        interlocks = self.world.contacts.tables()
+        return {
+            "control_port": port,
+            "bench_toml": bench_toml(options, self._settings, bench.listening(), interlocks),
+            "recorded_toml": bench_toml(options, self._settings, bench.anywhere(), interlocks),
+            "models": bench.models,
+        }
+
+    async def close(self) -> None:
+        """Close every port, and complete the log of the World and the report of the monitor."""
+        self._control.close()
+        if self._real_time is not None:
+            self._real_time.cancel()
+        for server in self._instruments.servers:
+            await server.close()
+        self._settle()
+        if self._monitor is not None:
+            self._monitor.check(self.world.now_us)
+            self._monitor.over()
+        self.world.close()
+
+    def _settle(self) -> None:
+        """Let everything come to the state that belongs to the present time."""
+        bench = self._instruments
         for drive in bench.drives:
-            drive.settle(world.now_us)
+            drive.settle(self.world.now_us)
         if bench.rotary is not None:
-            bench.rotary.settle(world.now_us)
-        world.settle()
+            bench.rotary.settle(self.world.now_us)
+        self.world.settle()
         if bench.converter is not None:
             bench.converter.settle()
 
-    def after_time_passed() -> None:
-        settle()
-        bench.force.pump()
-        if monitor is not None:
-            monitor.check(world.now_us)
+    def _time_has_passed(self) -> None:
+        """Do what belongs to the time by which the owner has moved the bench."""
+        self._settle()
+        self._instruments.force.pump()
+        if self._monitor is not None:
+            self._monitor.check(self.world.now_us)
 
-    async def follow_real_time() -> None:
-        lateness = Lateness()
+    def _orphaned(self) -> None:
+        """Stay for a while without the owner, in real time, so that a guard can make it safe."""
+        self._release("owner-gone")
+        self._loop.call_later(self._options.linger_s, self.ended.set)
+
+    def _release(self, why: str) -> None:
+        """Let the time follow real time; `why` is for the log."""
+        if not self.world.timeline.slaved:
+            return
+        self.world.timeline.set_free()
+        self.world.log("world", why, None, "world")
+        for server in self._instruments.serial:
+            server.set_free()
+        self._follow_real_time()
+
+    def _follow_real_time(self) -> None:
+        self._real_time = self._loop.create_task(self._settle_all_the_time())
+
+    async def _settle_all_the_time(self) -> None:
+        world, lateness = self.world, Lateness()
         while True:
-            if (late_s := lateness.note(loop.time())) is not None:
+            if (late_s := lateness.note(self._loop.time())) is not None:
                 world.log("world", "late", round(late_s, 3), "world")
-                show_line(
+                self._show_line(
                     f"warning: the simulated bench was late by {late_s:.2g} s: the computer is too "
                     "busy for it in real time. A run may have found an instrument silent meanwhile"
                 )
-            settle()
-            if monitor is not None:
-                monitor.check(world.now_us)
+            self._settle()
+            if self._monitor is not None:
+                self._monitor.check(world.now_us)
             if world.failure is not None:
-                ended.set()
+                self.ended.set()
             await asyncio.sleep(SETTLE_EVERY_S)
-
-    free: list[asyncio.Task[None]] = []
-
-    def set_free() -> None:
-        free.append(loop.create_task(follow_real_time()))
-
-    def release(why: str) -> None:
-        """Let the time follow real time; `why` is for the log."""
-        if not world.timeline.slaved:
-            return
-        world.timeline.set_free()
-        world.log("world", why, None, "world")
-        for server in bench.serial:
-            server.set_free()
-        set_free()
-
-    def orphaned() -> None:
-        release("owner-gone")
-        loop.call_later(options.linger_s, ended.set)
-
-    streams = {FORCE_SENSOR: lambda: bench.force.bytes_sent}
-    handed_over = partial(release, "handed-over")
-    control = ControlServer(world, streams, ended.set, orphaned, handed_over, after_time_passed)
-    if not options.slaved:
-        set_free()
-    from_the_terminal = () if options.slaved else (signal.SIGINT, signal.SIGQUIT)
-    for number in (signal.SIGTERM, *from_the_terminal):
-        loop.add_signal_handler(number, ended.set)
-    try:
-        for server in bench.servers:
-            await server.start()
-        port = await control.start()
-        if options.slaved:  # its end is seen however early it was: what it sets free has started
-            await loop.connect_read_pipe(lambda: _OwnersPipe(orphaned), sys.stdin)
-        interlocks = world.contacts.tables()
-        ready(
-            {
-                "control_port": port,
-                "bench_toml": bench_toml(options, settings, bench.listening(), interlocks),
-                "recorded_toml": bench_toml(options, settings, bench.anywhere(), interlocks),
-                "models": bench.models,
-            }
-        )
-        await ended.wait()
-    finally:
-        control.close()
-        for task in free:
-            task.cancel()
-        for server in bench.servers:
-            await server.close()
-        settle()
-        if monitor is not None:
-            monitor.check(world.now_us)
-            monitor.over()
-        world.close()
-    if world.failure is not None:
-        raise InstrumentError("simulated bench", "contact", world.failure)
 
 
 class _OwnersPipe(asyncio.Protocol):
