@@ -189,12 +189,7 @@ def score(
         from rig.evaluation.labelled_files import judge_files
         from rig.evaluation.scored_trials import judge_trials
         from rig.evaluation.scoring.contenders import BaselineContender
-        from rig.evaluation.scoring.seeds import (
-            FIRST_REPORTING_SEED,
-            check_unseen,
-            check_use,
-            seed_range,
-        )
+        from rig.evaluation.scoring.seeds import check_unseen, check_use, seed_range
         from rig.physics.population import PopulationSettings, StripFrontEndSettings
 
         ranges = _with_options(
@@ -234,15 +229,7 @@ def score(
             return
         drawn = seed_range(seeds or (WIRE_SEEDS if wire else MODEL_SEEDS))
         check_use(drawn, tuning=tuning)
-        if tune is not None and wire:
-            raise ConfigurationError(
-                "--wire cannot be combined with --tune", "tune on trials of the skin model"
-            )
-        if tune is not None and not tuning:
-            raise ConfigurationError(
-                f"--tune {tune}: thresholds are chosen on tuning seeds only",
-                f"add --tuning and seeds below {FIRST_REPORTING_SEED}",
-            )
+        _check_tuning(tune, tuning, wire)
         if not tuning:
             for one in [*contenders, *map(BaselineContender, beside)]:
                 check_unseen(one.name, one.tuned_on, drawn)
@@ -250,8 +237,6 @@ def score(
         if wire:
             contenders += map(BaselineContender, beside)
             found = _wire(kinds, drawn, contenders, roc, jobs)
-            for name, reason in found.failed.items():
-                say(f"score: {name} could not be made: {reason}")
             details = {
                 "seeds": str(drawn),
                 "kinds": list(_wire_kinds(kinds)),
@@ -275,6 +260,22 @@ def score(
             "front_end": front.model_dump(mode="json"),
         }  # fmt: skip
         report(contenders, judged, use, True, said, out, as_json)
+
+
+def _check_tuning(tune: Path | None, tuning: bool, wire: bool) -> None:
+    """Raise ConfigurationError where thresholds would be chosen on other trials than those of the
+    skin model at seeds for tuning."""
+    from rig.evaluation.scoring.seeds import FIRST_REPORTING_SEED
+
+    if tune is not None and wire:
+        raise ConfigurationError(
+            "--wire cannot be combined with --tune", "tune on trials of the skin model"
+        )
+    if tune is not None and not tuning:
+        raise ConfigurationError(
+            f"--tune {tune}: thresholds are chosen on tuning seeds only",
+            f"add --tuning and seeds below {FIRST_REPORTING_SEED}",
+        )
 
 
 class _Progress:
@@ -337,7 +338,7 @@ def _wire(
     chosen = _wire_kinds(kinds)
     progress = WireProgress("score", jobs)
     try:
-        return judge_wire(
+        found = judge_wire(
             chosen, drawn.seeds(), contenders, user_cache(), sweep=roc, jobs=jobs, done=progress
         )
     except (KeyboardInterrupt, SystemExit):
@@ -346,6 +347,9 @@ def _wire(
             "command continues"
         )
         raise
+    for name, reason in found.failed.items():
+        say(f"score: {name} could not be made: {reason}")
+    return found
 
 
 class WireProgress:
