@@ -122,6 +122,16 @@ class TrialRecord:
     """Times in s, since the record began, of alarms that the grip did not answer."""
 
     @property
+    def tick_count(self) -> int:
+        """Ticks that were due in all loops."""
+        return sum(loop.ticks for loop in self.loops)
+
+    @property
+    def late_ticks(self) -> int:
+        """Ticks that began late or were left out, in all loops."""
+        return sum(loop.late for loop in self.loops)
+
+    @property
     def alarms(self) -> list[Detection]:
         """Slips that were detected in the motion, as far as it has come."""
         to_s = math.inf if self.moves else self.motion_to_s
@@ -202,10 +212,36 @@ def reading_of(run: Run, record: TrialRecord) -> Reading:
     record, both clocks, the truth of a simulated bench; and the reason why the trial is invalid, if
     it is (``invalid``)."""
     settings: PressedSettings = run.settings
-    force, t = record.forces_N(), record.frame_times_s()
+    force = record.forces_N()
+    reading: Reading = {
+        "trial": record.number,
+        **record.zero.columns(run.force.axes),
+        "contact_mm": record.contact_mm,
+        "stiffness_N_mm": record.stiffness_N_mm,
+        **_held_force(record, force),
+        **_completeness(record),
+        "detector": settings.detector,
+        "detections": to_text(record.detections),
+        **columns_of(record.commands),
+    }
+    _warn_of_z(run, record)
+    run.check_stop()  # computing takes a while: still alive
+    reading |= _touch_down(run, record, force)
+    run.check_stop()
+    if truth := run.clock.truth():
+        begun_us = round(1e6 * record.begun_s)
+        reading["simulated_truth"] = json.dumps({**truth, "record_begun_us": begun_us})
+    late_share = record.late_ticks / max(record.tick_count, 1)
+    reading["invalid"] = "; ".join(_doubts(settings, record, reading, late_share))
+    return reading
+
+
+def _held_force(record: TrialRecord, force: npt.NDArray[np.float64]) -> Reading:
+    """Return how well F_n of `force` (n, 3) followed its set point in the motion, outside the rises
+    by the grip and the times in which z was to rest."""
+    t = record.frame_times_s()
     held = (t >= record.motion_from_s) & (t <= record.motion_to_s)
-    wanted_N = record.set_force_N(t)
-    error = 100 * (_smoothed(force[:, 0], record.force_rate_S_s) / wanted_N - 1)
+    error = 100 * (_smoothed(force[:, 0], record.force_rate_S_s) / record.set_force_N(t) - 1)
     judged = held.copy()
     for squeeze in record.squeezes:
         judged &= (t < squeeze.decided_s) | (t > squeeze.decided_s + SQUEEZED_S)
@@ -214,35 +250,37 @@ def reading_of(run: Run, record: TrialRecord) -> Reading:
     for from_s, to_s in record.rested:
         judged &= (t < from_s) | (t > to_s + SQUEEZED_S)
     errors = error[judged]
-    ticks = sum(loop.ticks for loop in record.loops)
-    late = sum(loop.late for loop in record.loops)
-    missed = sum(loop.missed for loop in record.loops)
-    reading: Reading = {
-        "trial": record.number,
+    return {
         "set_normal_force_N": record.normal_force_N,
-        **record.zero.columns(run.force.axes),
-        "contact_mm": record.contact_mm,
-        "stiffness_N_mm": record.stiffness_N_mm,
         "overshoot_percent": max(0.0, float(error[t < record.motion_from_s].max())),
         "mean_normal_force_N": float(force[held, 0].mean()),
         "force_error_rms_percent": float(np.sqrt(np.mean(errors**2))) if len(errors) else None,
         "force_error_peak_percent": float(np.abs(errors).max()) if len(errors) else None,
+    }
+
+
+def _completeness(record: TrialRecord) -> Reading:
+    """Return how many rows, frames, ticks and looks at the stages the record has, and which of them
+    are missing or late."""
+    return {
         "samples": record.rows,
         "frames": record.frames,
         "lost_frames": lost_frames(record.frame_looks, record.force_rate_S_s),
         "tick_Hz": record.tick_Hz,
-        "ticks": ticks,
-        "late_ticks": late,
-        "missed_ticks": missed,
+        "ticks": record.tick_count,
+        "late_ticks": record.late_ticks,
+        "missed_ticks": sum(loop.missed for loop in record.loops),
         "held_back_ticks": record.held_back,
         "largest_lateness_s": max(loop.largest_lateness_s for loop in record.loops),
         "misread_positions": record.misread,
         "oldest_look_s": max(record.unseen_s.values(), default=None),
         "filter_delay_s": record.filter_delay_s,
-        "detector": settings.detector,
-        "detections": to_text(record.detections),
-        **columns_of(record.commands),
     }
+
+
+def _warn_of_z(run: Run, record: TrialRecord) -> None:
+    """Warn of a z that was often busy, and of positions that cannot have been."""
+    ticks = record.tick_count
     if record.held_back > HELD_BACK * ticks:
         run.event(
             "warning",
@@ -258,14 +296,6 @@ def reading_of(run: Run, record: TrialRecord) -> Reading:
             "cannot have been; it was asked again, and the wrong answer is not in the file: check "
             "its cable and its link",
         )
-    run.check_stop()  # computing takes a while: still alive
-    reading |= _touch_down(run, record, force)
-    run.check_stop()
-    if truth := run.clock.truth():
-        begun_us = round(1e6 * record.begun_s)
-        reading["simulated_truth"] = json.dumps({**truth, "record_begun_us": begun_us})
-    reading["invalid"] = "; ".join(_doubts(settings, record, reading, late / max(ticks, 1)))
-    return reading
 
 
 def _touch_down(run: Run, record: TrialRecord, force: npt.NDArray[np.float64]) -> Reading:
