@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from rig.batch.execute.worker import SUPERVISOR_S, Worker
+from rig.batch.execute.between_runs import SUPERVISOR_S, BetweenRuns
 from rig.batch.execute.worker_process import BEAT, send_beat
 from rig.run.stopping import StopRequestedError
 
@@ -25,13 +25,13 @@ class Between:
         self.heard_after_s = 30.0
         """Waiting time after which the supervisor is heard again."""
         self.commands = SimpleNamespace(heard_s=0.0, stop_after_run=False, paused=_Unset())
-        worker: Any = Worker.__new__(Worker)
-        worker._stop = SimpleNamespace(check=self.check)
-        worker._commands = self.commands
-        worker._check_interlocks = lambda: None
-        worker._interlocks_watched = contextlib.nullcontext
-        worker._send = lambda event, **fields: self.reported.append(fields["text"])
-        self.worker = worker
+        waits: Any = BetweenRuns.__new__(BetweenRuns)
+        waits._stop = SimpleNamespace(check=self.check)
+        waits._commands = self.commands
+        waits._check_interlocks = lambda: None
+        waits._interlocks_watched = contextlib.nullcontext
+        waits._send = lambda event, **fields: self.reported.append(fields["text"])
+        self.waits = waits
         monkeypatch.setattr(time, "monotonic", lambda: self.now_s)
         monkeypatch.setattr(time, "sleep", self.sleep)
 
@@ -53,7 +53,7 @@ class _Unset:
 
 def test_a_supervisor_that_is_heard_is_not_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
     between = Between(0.9 * SUPERVISOR_S, monkeypatch)
-    between.worker._between_runs()
+    between.waits.check()
     assert (between.waited_s, between.reported) == (0.0, [])
 
 
@@ -61,7 +61,7 @@ def test_a_supervisor_that_hangs_is_waited_for_before_a_run_begins(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     between = Between(1.1 * SUPERVISOR_S, monkeypatch)
-    between.worker._between_runs()
+    between.waits.check()
     assert between.waited_s == pytest.approx(30.0, abs=0.1)
     (reported,) = between.reported
     assert "the supervisor of the batch was not heard for 10 s" in reported
@@ -78,7 +78,7 @@ def test_a_stop_request_ends_that_wait(monkeypatch: pytest.MonkeyPatch) -> None:
 
     monkeypatch.setattr(time, "sleep", sleep)
     with pytest.raises(StopRequestedError):
-        between.worker._between_runs()
+        between.waits.check()
     assert between.waited_s < 2.0
 
 

@@ -19,17 +19,17 @@ import os
 import signal
 import sys
 import threading
-import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import Sequence
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import rig
-from rig.batch.execute.batch_clock import TIME_OVER, clock_of, window_of
+from rig.batch.execute.batch_clock import clock_of
+from rig.batch.execute.between_runs import BetweenRuns, EndOfBatchError, stopped_by_request
 from rig.batch.execute.crash_recovery import archive_files, journal_to_resume, outcome_from_journal
-from rig.batch.execute.disk_room import LEAST_B, has_room
+from rig.batch.execute.disk_room import has_room
 from rig.batch.execute.drift_watch import DriftWatch
 from rig.batch.execute.run_benches import RunBenches
 from rig.batch.execute.terms import BatchTerms
@@ -37,49 +37,24 @@ from rig.batch.execute.worker_link import CommandListener, Reporter, SendEvent
 from rig.batch.folder import BatchFolder
 from rig.batch.plan.policy import after_failure, kind_of, reason_to_end
 from rig.batch.plan.procedures import installed
-from rig.batch.plan.window import does_not_fit
 from rig.batch.queue import Queue, give_up
 from rig.batch.queue_file import QueueWriteError
 from rig.batch.queue_records import AttemptResult, Claim
 from rig.core.errors import ExitCode, RigError
 from rig.core.units import counted
-from rig.run.interlocks.store import InterlockStore
-from rig.run.interlocks.watch import InterlockError, InterlockWatch, watched
-from rig.run.stopping import MAKING_SAFE_S, StopFlag, StopRequestedError, TimeLimit
+from rig.run.stopping import MAKING_SAFE_S, StopFlag, StopRequestedError
 
 if TYPE_CHECKING:
     from rig.batch.execute.drift import HoldReason
     from rig.bench.settings import BenchSettings
-    from rig.core.clock import Clock
     from rig.run.outcome import RunOutcome
 
-LOOK_EVERY_S = 1.0
-"""Interval in s at which a batch that is held by a full disk looks for room on it."""
-CHECK_EVERY_S = 0.05
-"""Interval in s at which a worker that waits for a person checks for commands."""
-SUPERVISOR_S = 10.0
-"""Time in s without a word of the supervisor, which sends one every second, after which no further
-run begins: nobody would notice what becomes of it."""
 GUARD_PATIENCE_S = 60.0
 """Longest time in s that the guard of an earlier worker that died may take to make the bench
 safe."""
 
 GIVEN_UP = "stopped by a person, who let the batch continue"
 """Reason of a run that was ended alone. It is not taken again."""
-
-
-UNSUPERVISED = (
-    f"the supervisor of the batch was not heard for {SUPERVISOR_S:g} s, it was stopped or hung: no "
-    "run was begun until it was heard again"
-)
-
-
-class _EndError(RigError):
-    """The batch ends here, safely, before its last run."""
-
-
-def _stopped(when: str) -> _EndError:
-    return _EndError(f"stopped by rig batch stop, {when}", None, ExitCode.SIGTERM)
 
 
 class Worker:
@@ -96,14 +71,21 @@ class Worker:
         self._benches = RunBenches(self._terms, folder, stop, send)
         self._clock = clock_of(queue)
         self._watch = DriftWatch(queue, self._terms.file, self._terms.bench, self._terms.results)
-        self._interlocks: InterlockWatch | None = None
-        """The watch over the interlock contacts while the batch waits between runs."""
+        self._between = BetweenRuns(
+            folder,
+            queue,
+            self._batch.on_hold,
+            self._clock,
+            self._benches,
+            stop,
+            self._commands,
+            send,
+        )
         self._proven: set[str] = set()
         """Interlock contacts that were seen to open and close since this process began."""
         self._mounted: BenchSettings | None = None
         """The bench of the latest run."""
-        self._from, self._until = window_of(queue)
-        queue.wait_for_disk = self._wait_for_the_queue
+        queue.wait_for_disk = self._between.wait_for_the_queue
 
     def work(self) -> ExitCode:
         """Take the runs; the exit code of the batch."""
@@ -111,13 +93,13 @@ class Worker:
             with ExitStack() as at_the_end:
                 at_the_end.callback(self._benches.abandon)
                 self._recover()
-                self._wait_for_the_window()
+                self._between.wait_for_the_window()
                 while (claim := self._next()) is not None:
                     self._take(claim, at_the_end)
         except StopRequestedError as stopped:
             self._end("stopped", stopped.one_line(), stopped.code)
             return stopped.code
-        except _EndError as ended:
+        except EndOfBatchError as ended:
             self._end("stopped", ended.one_line(), ended.code)
             return ended.code
         counts = self._queue.counts()
@@ -145,7 +127,7 @@ class Worker:
         """Return the next run, once nothing speaks against it; None after the last."""
         rested: int | None = None
         while True:
-            self._between_runs()
+            self._between.check()
             upcoming = self._queue.upcoming()
             if upcoming is None:
                 return None
@@ -154,19 +136,17 @@ class Worker:
             if why := reason_to_end(
                 self._batch, counts["done"], counts["failed"], self._queue.bench_s()
             ):
-                raise _EndError(why, "rig batch resume", ExitCode.STOPPED_BY_CONDITION)
+                raise EndOfBatchError(why, "rig batch resume", ExitCode.STOPPED_BY_CONDITION)
             takes_s = rest_s + upcoming.estimate_s + MAKING_SAFE_S
-            if why := does_not_fit(self._clock.now(), self._until, takes_s, upcoming.spread_s):
-                raise self._time_over(why)
+            self._between.require_time(takes_s, upcoming.spread_s)
             if found := self._watch.before(upcoming, self._clock.now()):
                 only_disk = all(one.kind == "disk" for one in found)
-                self._hold(_text_of(found), self._disk_has_room if only_disk else None)
+                self._between.hold(_text_of(found), self._disk_has_room if only_disk else None)
                 continue
             if not rest_s:
                 return upcoming
             self._send("state", state="resting", text=f"{rest_s:g} s")
-            with self._interlocks_watched():
-                self._clock.rest(rest_s, self._between_runs)
+            self._between.rest(rest_s)
             rested = upcoming.number  # what was asked above may have changed since
 
     def _rest_before(self, upcoming: Claim) -> float:
@@ -174,126 +154,11 @@ class Worker:
         again = upcoming.attempt > 1 and self._queue.attempts(upcoming.number)
         return upcoming.condition.rest_s + (self._batch.retries.rest_s if again else 0.0)
 
-    def _between_runs(self) -> None:
-        """Act on requests to stop or pause, and on interlocks; the bench is safe. Wait while the
-        supervisor is stopped or hangs."""
-        self._stop.check()
-        self._check_interlocks()
-        if not self._is_supervised():
-            self._send("note", level="warning", text=UNSUPERVISED)
-            with self._interlocks_watched():
-                while not self._is_supervised():
-                    self._stop.check()
-                    self._check_interlocks()
-                    time.sleep(CHECK_EVERY_S)
-        if self._commands.stop_after_run:
-            raise _stopped("between runs")
-        if self._commands.paused.is_set():
-            self._send("state", state="paused", text="between runs")
-            self._wait("paused")
-
-    def _is_supervised(self) -> bool:
-        return time.monotonic() - self._commands.heard_s < SUPERVISOR_S
-
-    def _hold(self, why: str, over: Callable[[], bool] | None = None) -> None:
-        """Wait for a person, or end the batch, as `on_hold` says. With `over` the batch also
-        continues by itself as soon as that is true."""
-        self._queue.add_event("hold", why)
-        if self._batch.on_hold == "stop":
-            raise _EndError(why, "rig batch resume", ExitCode.STOPPED_BY_CONDITION)
-        self._commands.paused.set()
-        self._send("hold", text=why, by_itself=over is not None)
-        self._wait("held", over)
-
-    def _wait_for_the_queue(self, error: QueueWriteError) -> None:
-        """Return when the disk has room again; between runs, with the bench safe. The queue tries
-        its transaction again then, before anything else happens."""
-        if self._batch.on_hold == "stop":
-            self._queue.wait_for_disk = give_up
-            raise _EndError(error.message, "rig batch resume", ExitCode.STOPPED_BY_CONDITION)
-        paused = self._commands.paused.is_set()
-        self._commands.paused.set()
-        self._send("hold", text=error.one_line(), by_itself=True)
-        try:
-            self._wait("held", lambda: has_room(self._folder.path, LEAST_B))
-        except RigError:
-            self._queue.wait_for_disk = give_up  # the batch ends, with or without its record
-            raise
-        if paused:
-            self._commands.paused.set()
-
     def _disk_has_room(self) -> bool:
         """Return whether the next run's files, and the rest of the batch, fit on the disk."""
         upcoming = self._queue.upcoming()
         size_B = 0 if upcoming is None else upcoming.size_B
         return has_room(self._folder.path / "runs", size_B) and not self._watch.disk()
-
-    def _wait(self, state: str, over: Callable[[], bool] | None = None) -> None:
-        looked_s = time.monotonic()
-        with self._interlocks_watched():
-            while self._commands.paused.is_set():
-                self._stop.check()
-                self._check_interlocks()
-                if self._commands.stop_after_run:
-                    raise _stopped(f"while {state}")
-                if self._until is not None and self._clock.now() >= self._until:
-                    raise self._time_over(f"{self._limit_name()} was reached while it was {state}")
-                if over is not None and time.monotonic() - looked_s >= LOOK_EVERY_S:
-                    looked_s = time.monotonic()
-                    if over():
-                        self._commands.paused.clear()
-                        self._send("state", state="running", text="there is room on the disk again")
-                        return
-                time.sleep(CHECK_EVERY_S)
-
-    @contextmanager
-    def _interlocks_watched(self) -> Iterator[None]:
-        """Watch the bench's interlock contacts while no run does: a door that is opened and closed
-        between two runs latches as well."""
-        bench = self._benches.lasting
-        if bench is None or not bench.plan.settings.interlock or self._interlocks is not None:
-            yield
-            return
-        with ExitStack() as at_the_end:
-            try:
-                records = InterlockStore(bench.plan, lasting=True)
-                self._interlocks = at_the_end.enter_context(watched(bench.plan, records))
-            except RigError as error:  # The next run judges it.
-                text = f"interlocks are not watched between runs: {error.one_line()}"
-                self._send("note", level="warning", text=text)
-            try:
-                self._check_interlocks()
-                yield
-            finally:
-                self._interlocks = None
-
-    def _check_interlocks(self) -> None:
-        """Raise _EndError if a person's contact is latched."""
-        if self._interlocks is None:
-            return
-        try:
-            self._interlocks.check()
-        except InterlockError as latched:
-            raise _EndError(latched.message, latched.hint, latched.code) from latched
-
-    def _time_over(self, why: str) -> _EndError:
-        """Return the decision that ends the batch at its `stop_by`; the next `rig batch resume`
-        opens a new window."""
-        self._queue.wait_for_disk = give_up
-        with contextlib.suppress(QueueWriteError):
-            self._queue.set_meta(TIME_OVER, "yes")
-        return _EndError(why, "rig batch resume", ExitCode.STOPPED_BY_CONDITION)
-
-    def _wait_for_the_window(self) -> None:
-        if self._from is None or (wait_s := (self._from - self._clock.now()).total_seconds()) <= 0:
-            return
-        self._send(
-            "state",
-            state="waiting",
-            text=f"not before {self._from.astimezone():%Y-%m-%d %H:%M:%S}",
-        )
-        self._clock.rest(wait_s, self._between_runs)
-        self._send("state", state="running")
 
     def _end(self, state: str, why: str, code: ExitCode) -> None:
         """Record why the batch ends, if the disk takes it, and have the supervisor end it."""
@@ -348,7 +213,7 @@ class Worker:
             if self._mounted is not None and (
                 found := self._watch.after(claim, ended, self._mounted)
             ):
-                self._hold(_text_of(found))
+                self._between.hold(_text_of(found))
                 self._watch.accept(claim)
             return
         if ended.ending == "stopped" and given_up:
@@ -360,8 +225,8 @@ class Worker:
             self._finished(claim, ended)
             self._stop.check()
             if ended.code == ExitCode.STOPPED_BY_CONDITION:
-                raise self._time_over(ended.reason)
-            raise _stopped("after a point")
+                raise self._between.time_over(ended.reason)
+            raise stopped_by_request("after a point")
         before = self._queue.attempts(claim.number)
         before[ended.kind] = before.get(ended.kind, 0) + 1
         verdict = after_failure(
@@ -378,9 +243,11 @@ class Worker:
         if verdict.set_aside and not claim.condition.reference:
             self._set_aside(claim)
         if verdict.batch == "end":
-            raise _EndError(verdict.why, None, ExitCode(ended.code or ExitCode.INTERNAL))
+            raise EndOfBatchError(verdict.why, None, ExitCode(ended.code or ExitCode.INTERNAL))
         if verdict.batch == "hold":
-            self._hold(verdict.why, self._disk_has_room if ended.kind == "storage" else None)
+            self._between.hold(
+                verdict.why, self._disk_has_room if ended.kind == "storage" else None
+            )
 
     def _set_aside(self, claim: Claim) -> None:
         name = claim.condition.id
@@ -450,7 +317,7 @@ class Worker:
         if self._terms.bench is None and (upcoming := self._queue.upcoming()) is not None:
             self._benches.boot(upcoming)
         self._commands.run, self._commands.in_run = claim.number, True
-        self._stop.time_limit = self._time_limit(bench.clock)
+        self._stop.time_limit = self._between.time_limit(bench.clock)
         try:
             outcome = execute(job, bench.plan, bench.clock, self._stop, Reporter(self._send))
         finally:
@@ -459,23 +326,6 @@ class Worker:
             if bench.started is not None:
                 bench.started.wait()
         return outcome
-
-    def _time_limit(self, bench_clock: Clock) -> TimeLimit | None:
-        """Return the time by which a run that begins now has to end; None without `stop_by`."""
-        if self._until is None:
-            return None
-        now, until = self._clock.now, self._until
-        begun_s = bench_clock.now()
-
-        def left_s() -> float:
-            passed_s = bench_clock.now() - begun_s if bench_clock.is_virtual else 0.0
-            return (until - now()).total_seconds() - passed_s
-
-        return TimeLimit(self._limit_name(), left_s)
-
-    def _limit_name(self) -> str:
-        assert self._until is not None
-        return f"stop_by ({self._until.astimezone():%Y-%m-%d %H:%M:%S})"
 
 
 def _text_of(findings: Sequence[HoldReason]) -> str:
