@@ -19,6 +19,7 @@ from procedures.pressed.approach.contact import (
     SETTLED_S,
     TARE_S,
     ZERO_LABEL,
+    arm_from_where_it_stands,
     expected_contact_mm,
     first_ways_s,
     force_zero_of,
@@ -385,13 +386,18 @@ def arm_pressed(
     """
     bench, settings = run.bench, run.settings
     least_S_s = max(MIN_FORCE_RATE_S_S, tick_Hz)
+
+    def lift(came_from_mm: float) -> None:
+        _lift(run, what, stop, came_from_mm)
+
+    arm_from_where_it_stands(run, "normal force", lift)
     stream_force(run, least_S_s, f"a trial whose servo acts at {tick_Hz:g} Hz")
     run.force.watch(settings.largest_force_N)
     # Last, since a DAQ that hangs keeps no skin pressed.
     run.arm("acquisition", bench.daq.stop, drives=False)
     run.arm(what, stop, emergency=emergency, done=done)
     stop()
-    park(run, "normal force", lambda came_from_mm: _lift(run, what, stop, came_from_mm))
+    park(run, "normal force", lift)
     if not bench.stage_x.homed():  # only now: the skin is clear of everything
         bench.stage_x.home()
 

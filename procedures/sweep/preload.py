@@ -20,6 +20,7 @@ from procedures.pressed.approach.contact import (
     TARE_S,
     BOTTOM_mm,
     ForceZero,
+    arm_from_where_it_stands,
     come_close,
     contact_range_mm,
     expected_contact_mm,
@@ -186,9 +187,14 @@ def press(run: Run, target_N: float) -> Preload:
     """Press the film with `target_N` and hold it; the shutdown action is registered before
     contact."""
     bench = run.bench
+
+    def lift(came_from_mm: float) -> None:
+        unload(run, "film", came_from_mm)
+
+    arm_from_where_it_stands(run, "preload", lift)
     stream_force(run, MIN_FORCE_RATE_S_S, "the control of the preload")
     run.force.watch(bench.force_sensor.reach()["force"].high)
-    park(run, "preload", lambda came_from_mm: unload(run, "film", came_from_mm))
+    park(run, "preload", lift)
     zero = tare_in_free_air(run)
     torque = TorqueWatch(run)
     torque.rest()

@@ -1,8 +1,9 @@
 """What a driver of another package returns is checked before anything is concluded from it.
 
 When it is connected: that there is an instrument, with the methods and limits of its role
-(`connect_foreign`). Later: every position of a stage (`CheckedStage`). A driver of this package
-judges its own positions (`drivers.shared.stage.TravelBound`) and is left as it is.
+(`connect_foreign`). Later: every position of a stage (`CheckedStage`) and every frame of a force
+sensor (`CheckedForceSensor`). A driver of this package judges its own positions
+(`drivers.shared.stage.TravelBound`) and is left as it is.
 
 Only what is returned is judged, never what is sent: stops, motions and keep-alives reach the driver
 whatever its positions look like, and what the driver asks itself is not seen here.
@@ -15,13 +16,19 @@ import math
 from collections.abc import Callable, Mapping
 from importlib.metadata import EntryPoint
 from numbers import Real
-from typing import Any
+from typing import Any, cast
 
 from rig.bench.plan import InstrumentPlan
 from rig.core.entry_points import DRIVERS, OWN_PACKAGE, BrokenPackageError, cause, find, package
-from rig.core.errors import ConfigurationError, RigError, WrongPositionError, shortened
+from rig.core.errors import (
+    ConfigurationError,
+    RigError,
+    WrongFramesError,
+    WrongPositionError,
+    shortened,
+)
 from rig.instruments.interfaces import INTERFACES, members
-from rig.instruments.roles import Identity, Instrument, Reach
+from rig.instruments.roles import ForceFrames, Identity, Instrument, Reach, axes_of
 
 BEYOND = 1.0
 """How far outside its limits a stage may be seen, in mm or deg: more than an axis overshoots, and
@@ -41,7 +48,7 @@ def connect_foreign(
     part: InstrumentPlan, entry: EntryPoint, connect: Callable[[], Any]
 ) -> Instrument:
     """Connect by a driver of another package, and return its instrument: a stage as a
-    `CheckedStage`.
+    `CheckedStage`, a force sensor as a `CheckedForceSensor`.
 
     Raises BrokenPackageError, which names the package, where `connect` raises something else than a
     RigError, or returns what does not fulfil its role; that is closed.
@@ -63,10 +70,11 @@ def connect_foreign(
     if fault is not None:
         _close(instrument)
         raise BrokenPackageError(entry, fault)
+    driver = f"{entry.name!r} of the package {package(entry)}"
     if part.role in ("stage_z", "stage_x", "rotary"):
-        instrument = checked_stage(
-            part.role, instrument, f"{entry.name!r} of the package {package(entry)}"
-        )
+        instrument = checked_stage(part.role, instrument, driver)
+    elif part.role == "force_sensor":
+        instrument = checked_force_sensor(instrument, driver)
     found: Instrument = instrument
     return found
 
@@ -203,14 +211,64 @@ class CheckedStage:
         return WrongPositionError(self._role, command, what, hint, position)
 
 
+class CheckedForceSensor:
+    """A force sensor of another package, whose frames are checked; all else is the driver's own.
+
+    Frames are `ForceFrames` of n rows and 3 columns, and every force is a finite number.
+    """
+
+    def __init__(self, sensor: Any, driver: str):
+        self._sensor, self._driver = sensor, driver
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._sensor, name)
+
+    def read(self) -> ForceFrames | None:
+        """See `ForceSensor`. Raises WrongFramesError."""
+        frames = self._sensor.read()
+        if frames is None or (wrong := _wrong_in(frames, axes_of(self._sensor))) is None:
+            return cast("ForceFrames | None", frames)
+        hint = f"check the sensor and its cable, and the driver {self._driver}"
+        raise WrongFramesError("force_sensor", "read", f"its driver returned {wrong}", hint)
+
+
+def _wrong_in(frames: Any, axes: str) -> str | None:
+    """Return what is wrong with frames of a force sensor that has these axes; None for frames with
+    forces."""
+    import numpy as np  # the driver has imported it; at the top it would slow every command
+
+    if not isinstance(frames, ForceFrames):
+        return f"{_shown(frames)}, not ForceFrames"
+    if np.shape(frames.force_N) != (shape := (len(frames), 3)):
+        return f"force_N of the shape {np.shape(frames.force_N)}, not {shape}"
+    finite = np.isfinite(frames.force_N)
+    if finite.all():
+        return None
+    along = [axis for axis in "xyz" if not finite[:, "xyz".index(axis)].all()]
+    axis = next((axis for axis in along if axis in axes), along[0])
+    column = frames.force_N[:, "xyz".index(axis)]
+    return f"a force of {column[~np.isfinite(column)][0]} N along {axis}"
+
+
 def checked_stage(role: str, stage: Any, driver: str) -> Any:
-    """Return a stage with its positions checked. It has the members that the stage has, so that the
-    optional interfaces (`ReportsFault` and others) are found at it, however they are looked for."""
-    own = vars(CheckedStage)
-    passed_on = [name for name in dir(stage) if not name.startswith("_") and name not in own]
-    members = {name: property(_passed_on(name)) for name in passed_on}
-    return type("CheckedStage", (CheckedStage,), members)(role, stage, driver)
+    """Return a stage with its positions checked."""
+    return _with_members_of(stage, CheckedStage, "_stage")(role, stage, driver)
 
 
-def _passed_on(name: str) -> Callable[[CheckedStage], Any]:
-    return lambda checked: getattr(checked._stage, name)
+def checked_force_sensor(sensor: Any, driver: str) -> Any:
+    """Return a force sensor with its frames checked."""
+    return _with_members_of(sensor, CheckedForceSensor, "_sensor")(sensor, driver)
+
+
+def _with_members_of(instrument: Any, checked: type, kept_as: str) -> type:
+    """Return a class derived from `checked` that has the members that the instrument has, so that
+    the optional interfaces (`ReportsFault` and others) are found at it, however they are looked
+    for. `kept_as` is the attribute of the instrument."""
+    own = vars(checked)
+    passed_on = [name for name in dir(instrument) if not name.startswith("_") and name not in own]
+    members = {name: property(_passed_on(kept_as, name)) for name in passed_on}
+    return type(checked.__name__, (checked,), members)
+
+
+def _passed_on(kept_as: str, name: str) -> Callable[[Any], Any]:
+    return lambda checked: getattr(getattr(checked, kept_as), name)

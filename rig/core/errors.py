@@ -142,6 +142,10 @@ class WrongPositionError(InstrumentError):
         """The position, in mm or deg; NaN where it is not a number."""
 
 
+class WrongFramesError(InstrumentError):
+    """Raised for what a force sensor's driver returned in place of frames with forces."""
+
+
 class LimitError(RigError):
     """Raised for a value outside a limit of the bench, whether refused or tripped."""
 

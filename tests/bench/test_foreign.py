@@ -6,18 +6,19 @@ from collections.abc import Callable
 from importlib.metadata import EntryPoint
 from typing import Any
 
+import numpy as np
 import pytest
 
 from rig.bench import connect as connecting
 from rig.bench.connect import connect
 from rig.bench.connected import close_all
-from rig.bench.foreign import checked_stage, connect_foreign
+from rig.bench.foreign import checked_force_sensor, checked_stage, connect_foreign
 from rig.bench.plan import BenchPlan, InstrumentPlan
 from rig.core.clock import WallClock
 from rig.core.entry_points import BrokenPackageError
-from rig.core.errors import InstrumentError, WrongPositionError
+from rig.core.errors import InstrumentError, WrongFramesError, WrongPositionError
 from rig.core.settings import Settings
-from rig.instruments.roles import Identity, Reach, ReportsFault
+from rig.instruments.roles import ForceFrames, Identity, Reach, ReportsFault
 
 ENTRY = EntryPoint("zstage", "zstage.driver", "rig.drivers")
 PART: Any = InstrumentPlan("stage_x", "zstage", None, Settings())  # type: ignore[arg-type]
@@ -157,3 +158,54 @@ def test_an_axis_beyond_its_limits_may_come_back_and_is_not_seen_there_again() -
 def test_a_whole_number_is_a_position() -> None:
     position = checked_stage("stage_x", wrong(at=7), "").position_mm()
     assert (position, type(position)) == (7.0, float)
+
+
+class Gauge:
+    """A force sensor with one axis that returns what it is given."""
+
+    axes = "z"
+
+    def __init__(self, returned: Any):
+        self.returned = returned
+
+    def read(self) -> Any:
+        return self.returned
+
+    def stop(self) -> str:
+        return "stopped"
+
+
+def force_frames(force_N: Any, rows: int = 4) -> ForceFrames:
+    raw = np.zeros((rows, 3), np.float32)
+    return ForceFrames(0, raw, force_N, np.zeros(rows, np.bool_), raw_unit="N")
+
+
+ALL_NAN = np.full((4, 3), np.nan)
+LAST_INFINITE = np.zeros((4, 3))
+LAST_INFINITE[3, 0] = np.inf
+
+
+@pytest.mark.parametrize(
+    ("returned", "words"),
+    [
+        (force_frames(ALL_NAN), "returned a force of nan N along z"),
+        (force_frames(LAST_INFINITE), "returned a force of inf N along x"),
+        (force_frames(np.zeros((4, 1))), r"returned force_N of the shape \(4, 1\), not \(4, 3\)"),
+        (3.5, "returned 3.5, not ForceFrames"),
+        ([1.0, 2.0], "returned a list, not ForceFrames"),
+    ],
+    ids=["nan", "one infinite", "another shape", "a number", "a list"],
+)
+def test_frames_without_forces_name_the_driver(returned: Any, words: str) -> None:
+    sensor = checked_force_sensor(Gauge(returned), "'gauge' of the package lab")
+    with pytest.raises(WrongFramesError, match=words) as caught:
+        sensor.read()
+    assert "the driver 'gauge' of the package lab" in str(caught.value.hint)
+
+
+def test_frames_with_forces_are_handed_over_as_they_are() -> None:
+    good = force_frames(np.ones((4, 3)))
+    sensor = checked_force_sensor(Gauge(good), "'gauge' of the package lab")
+    assert sensor.read() is good
+    assert (sensor.axes, sensor.stop()) == ("z", "stopped")
+    assert checked_force_sensor(Gauge(None), "").read() is None

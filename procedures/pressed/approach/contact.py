@@ -174,7 +174,7 @@ def park(run: Run, name: str, way_back: Callable[[float], None]) -> None:
     something is felt on it.
     """
     stage = run.bench.stage_z
-    run.arm(name, stage.stop, emergency=stage.make_safe, done="z stage stopped")
+    arm_from_where_it_stands(run, name, way_back)
     stage.stop()
     if not stage.homed():
         stage.home()
@@ -191,6 +191,31 @@ def park(run: Run, name: str, way_back: Callable[[float], None]) -> None:
         go_down_watched(run, parked_mm, f"parked_mm = {parked_mm:g} mm")
     else:
         stage.move_to(parked_mm, TRAVEL_mm_s)
+
+
+def arm_from_where_it_stands(run: Run, name: str, way_back: Callable[[float], None]) -> None:
+    """Register the end of z before anything is asked of it, or of the force sensor: z is stopped
+    and, if it stands where contact may be, goes its `way_back` from there.
+
+    It may stand on something that an earlier run has left pressed, and what fails first may be the
+    force sensor that would show it.
+    """
+    stage = run.bench.stage_z
+    first_mm, _ = contact_range_mm(run.bench)
+
+    def end() -> None:
+        stage.stop()
+        try:
+            if not stage.homed():
+                return
+            stands_mm = stage.position_mm()
+        except InstrumentError as error:
+            run.fail(error)  # it has stopped, and was not moved
+            return
+        if stands_mm > first_mm - CLEAR_mm + BOTTOM_mm:
+            way_back(stands_mm)
+
+    run.arm(name, end, UNLOAD_DEADLINE_S, emergency=stage.make_safe, done="z stage stopped")
 
 
 def stream_force(run: Run, least_S_s: float, what: str) -> None:
@@ -547,8 +572,8 @@ def _judge_what_remains(run: Run, pressed: str, where: str) -> None:
         run.event(
             "warning",
             "pressed",
-            f"force_sensor was silent or late after the way up: z stands {where}, "
-            f"and it is not known whether the {pressed} is still pressed; look before you go near",
+            f"the force is not known after the way up, since force_sensor sends nothing or late: z "
+            f"stands {where}; look whether the {pressed} is still pressed before you go near",
         )
         return
     limit_N = run.force.limit_N

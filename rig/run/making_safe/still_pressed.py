@@ -304,7 +304,10 @@ class _Sensor:
 
 
 def _largest_N(forces: np.ndarray) -> float:  # noqa: N802
-    return float(np.abs(forces.mean(axis=0)).max())
+    largest_N = float(np.abs(forces.mean(axis=0)).max())
+    if not math.isfinite(largest_N):
+        raise RigError("force_sensor: it sends forces that are not finite numbers")
+    return largest_N
 
 
 def _frames(bench: Bench, wanted: int) -> np.ndarray:

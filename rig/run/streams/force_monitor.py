@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from rig.core.clock import Clock
-from rig.core.errors import InstrumentError, RigError
+from rig.core.errors import InstrumentError, RigError, WrongFramesError
 from rig.instruments.roles import ForceFrames, ForceSensor, axes_of
 from rig.run.holds import Holds
 from rig.run.streams.frame_buffer import FrameBuffer
@@ -222,10 +222,16 @@ class ForceMonitor:
     def read(self) -> Sequence[ForceFrames]:
         """Return the new frames after the watchers have checked them; called by the reader's
         thread."""
-        frames = self._sensor.read()
+        try:
+            frames = self._sensor.read()
+        except WrongFramesError as error:
+            self._make_safe(FrameFault(error.cause, error.hint or ""))
+            raise
         if frames is None:
             self._watch_silence()
             return []
+        if (unknown := self._faults.unknown_force(frames)) is not None:
+            self._make_safe(unknown)
         now = self._clock.now()
         self._last_frame_s = now
         if _STALE in self._holds.active:

@@ -47,6 +47,18 @@ class FrameFaults:
         self._still = 0
         """Number of successive frames up to the latest that repeat the one before them."""
 
+    def unknown_force(self, frames: ForceFrames) -> FrameFault | None:
+        """Return the fault of frames of which a force is not a finite number, which no limit judges
+        and nothing may be computed from; else None."""
+        finite = np.isfinite(frames.force_N)
+        if finite.all():
+            return None
+        wrong = int(np.count_nonzero(~finite.all(axis=1)))
+        return FrameFault(
+            f"the force of {wrong} of {len(frames)} frames is not a finite number",
+            "check the amplifier, its cable and its calibration",
+        )
+
     def in_frames(self, frames: ForceFrames) -> Iterator[FrameFault]:
         """Yield what is wrong with the next frames, the most urgent first."""
         yield from self._too_large(frames)

@@ -243,3 +243,26 @@ def test_the_rate_is_the_one_that_the_sensor_reports() -> None:
         assert monitor.rate_S_s == 250.0
     finally:
         monitor.stop()
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+def test_a_force_that_is_no_number_makes_the_bench_safe_and_reaches_nobody(
+    sensor: Sensor, value: float
+) -> None:
+    done: list[str] = []
+
+    def act() -> list[str]:
+        done.append("made safe")
+        return []
+
+    monitor = ForceMonitor(sensor, Clock(), Holds(), act)  # type: ignore[arg-type]
+    feed(monitor, sensor, frames(0, 10))
+    wrong = frames(10, 10)
+    wrong.force_N[3, 2] = value
+    sensor.coming.append(wrong)
+    with pytest.raises(InstrumentError, match="the force of 1 of 10 frames is not a finite number"):
+        monitor.read()
+    assert done == ["made safe"]
+    assert monitor.frames_seen == 10
+    with pytest.raises(InstrumentError, match="not a finite number"):
+        monitor.check_trip()
