@@ -57,9 +57,21 @@ def test_run_installs_what_is_named_and_works_without_what_cannot_be_installed(
     assert helped.returncode == 0, helped.stderr
     assert "Hold a force and watch the skin creep." in helped.stdout
 
-    with (project / "extensions.txt").open("a") as extensions:
-        extensions.write("-e ../not-there\n")
-    safe = in_a_shell("./run rig make-safe --help", project)
-    assert safe.returncode == 0, safe.stderr
-    assert "a package of extensions.txt cannot be installed" in safe.stderr
-    assert "make-safe" in safe.stdout
+    good = (project / "extensions.txt").read_text()
+    broken = tmp_path / "broken"
+    broken.mkdir()
+    (broken / "pyproject.toml").write_text("[oops")
+    (project / "extensions.txt").write_text(f"-e ../not-there\n# ours\n{good}../broken\n")
+    for _ in range(2):  # at every start, not at the first alone
+        safe = in_a_shell("./run rig make-safe --help", project)
+        assert safe.returncode == 0, safe.stderr
+        for line in ("-e ../not-there", "../broken"):
+            assert f"run: '{line}' of extensions.txt could not be installed" in safe.stderr
+        assert "make-safe" in safe.stdout
+    helped = in_a_shell(show_help, project)
+    assert "Hold a force and watch the skin creep." in helped.stdout, helped.stderr
+    assert helped.stderr.count("could not be installed") == 2
+
+    (project / "extensions.txt").write_text(good)
+    mended = in_a_shell(show_help, project)
+    assert "could not be installed" not in mended.stderr
