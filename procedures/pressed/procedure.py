@@ -178,6 +178,10 @@ class PressedProcedure(TrialProcedure):
         """
         return (self.settings.normal_force_N,)
 
+    def values_in_title(self) -> tuple[float, ...]:
+        """Return the forces of `normal_forces_N`."""
+        return self._forces()
+
     # --- what the base class does with them -----------------------------------------------------
 
     def import_ahead(self) -> None:

@@ -4,13 +4,16 @@ differ from their defaults, the results with their verdicts, and how the run end
 from __future__ import annotations
 
 import json
+import math
+import shlex
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rig.cli.screen import COLUMNS, Section, end_of, on_a_screen
+from rig.cli.outcome import say
+from rig.cli.screen import COLUMNS, LINES, Section, end_of, on_a_screen
 from rig.cli.words import in_words
 from rig.core.errors import ConfigurationError, RigError
 from rig.core.units import counted, time_span
@@ -56,11 +59,13 @@ def of_run(
         sections.append(Section(name, [f"{k}: {in_words(v)}" for k, v in found.items()], rank=2))
     sections.append(Section("warnings", description.get("warnings", ()), rank=3))
     foot = [f"results_by: {results_by}"] if results_by else []
-    if (journal := Path(description["file"]).with_suffix(".rigj")).exists() and _can_be_resumed(
-        description
-    ):
-        foot.append(f"resume with: rig resume {end_of(str(journal), COLUMNS - 25)}")
-    return on_a_screen(head, sections, [*foot, MORE_AND_FIGURES])
+    journal = Path(description["file"]).with_suffix(".rigj")
+    if not journal.exists() or not _can_be_resumed(description):
+        return on_a_screen(head, sections, [*foot, MORE_AND_FIGURES])
+    # As one line, however long: it is to be copied.
+    resume = f"resume with: rig resume {shlex.quote(str(journal))}"
+    room = LINES - math.ceil(len(resume) / COLUMNS)
+    return [*on_a_screen(head, sections, [*foot, MORE_AND_FIGURES], room), resume]
 
 
 def of_processed(description: Mapping[str, Any], usual: Mapping[str, Any]) -> list[str]:
@@ -179,7 +184,9 @@ def _brief(header: RunHeader, procedure: type[Procedure] | None, results: Result
         try:
             settings = procedure.Settings.model_validate_json(json.dumps(header.settings))
             return CheckedProcedure(procedure(settings)).in_brief(results.values, results.put_in)
-        except (RigError, ValueError):  # ValueError: settings of another version
+        except RigError as error:
+            say(f"warning: the results are not shown in brief: {error.one_line()}")
+        except ValueError:  # settings of another version
             pass
     return single_values(results.values, results.put_in, results.labels)
 

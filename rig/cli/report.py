@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, ProgressColumn, Task, TaskID, TextColumn
 from rich.text import Text
 
-from rig.cli.outcome import say, say_failure, turning
+from rig.cli.outcome import log, say, say_failure, turning
 from rig.core.entry_points import BrokenPackageError
 from rig.core.units import counted, duration
 from rig.figures.drawing import DrawingProcess, Drawn
@@ -145,6 +145,7 @@ def finish(
             drawn = drawing.draw(outcome.file)
     outcome.warnings.extend(drawn.warnings)
     for warning in outcome.warnings:
+        log.warning("%s", warning)
         say(f"warning: {warning}")
     if as_json:
         print(json.dumps(as_object(outcome, [str(path) for path in drawn.files])))  # noqa: T201 - stdout carries data

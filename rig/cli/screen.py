@@ -56,8 +56,10 @@ class Section:
         return [*lines, f"  ... and {more} more; --all shows them"] if more else lines
 
 
-def on_a_screen(head: Sequence[str], sections: Sequence[Section], foot: Sequence[str]) -> list[str]:
-    """Return at most `LINES` lines of at most `COLUMNS` characters.
+def on_a_screen(
+    head: Sequence[str], sections: Sequence[Section], foot: Sequence[str], most: int = LINES
+) -> list[str]:
+    """Return at most `most` lines of at most `COLUMNS` characters.
 
     Each text of `head` is shortened to a line, and each of `foot` to two. They have to leave room
     for three lines by section.
@@ -67,7 +69,7 @@ def on_a_screen(head: Sequence[str], sections: Sequence[Section], foot: Sequence
     ]
     above = [shortened(printable(line), COLUMNS) for line in head]
     below = [line for text in foot for line in _in_two_lines(printable(text))]
-    left = LINES - len(above) - len(below)
+    left = most - len(above) - len(below)
     found: dict[int, list[str]] = {}
     order = sorted(range(len(printed)), key=lambda k: printed[k].rank)
     for place, k in enumerate(order):

@@ -128,7 +128,7 @@ def heading(figure: Figure, run: RunFile, number: int, point: str) -> float:
     in inches."""
     doubt = str(run.column("invalid")[number])
     of = f"trial {number + 1} of {len(run.column('invalid'))}"
-    force = f"{run.settings['normal_force_N']:g} N normal force"
+    force = f"{run.column('set_normal_force')[number]:g} N normal force"
     title = run.header.marked(f"{run.header.procedure.removesuffix('-trial')} {of}, {force}")
     invalid = f"invalid: {doubt}" if doubt else ""
     return set_heading(figure, title, circumstances(run), run.path.name, invalid)

@@ -150,9 +150,15 @@ class CheckedProcedure:
         return found
 
     def in_brief(self, summary: Mapping[str, Any], put_in: Mapping[str, Any]) -> list[str]:
-        """Return the summary in a few lines."""
+        """Return the summary in a few lines.
+
+        Raises ProcedureFaultError if the procedure returns no list of lines.
+        """
         with self._blamed():
-            return [str(line) for line in self._procedure.in_brief(summary, put_in)]
+            found: Any = self._procedure.in_brief(summary, put_in)
+        if isinstance(found, str) or not isinstance(found, Sequence):
+            raise self._fault(f"in_brief() returned {_kind(found)}, not a list of lines")
+        return [str(line) for line in found]
 
     def _points(self, hook: str, found: Any) -> tuple[Point, ...]:
         points = tuple(found) if isinstance(found, (tuple, list)) else (found,)

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import contextlib
 import gc
+import logging
 import time
 from collections.abc import Iterator
 from datetime import datetime
@@ -50,6 +51,8 @@ from rig.run.press_references import PressReferences
 from rig.run.results import results_of
 from rig.run.stopping import StopFlag, StopRequestedError
 from rig.run.time_of_day import jump_in_words
+
+log = logging.getLogger("rig")
 
 
 def execute(
@@ -416,11 +419,17 @@ class _Execution:
                 self.recorder.put_results(found)
             try:
                 self.outcome.in_brief = self.procedure.in_brief(found.values, found.put_in)
-            except RigError:  # a bug of the procedure: its values are shown one by one
+            except RigError as error:  # a bug of the procedure: its values are shown one by one
                 self.outcome.in_brief = single_values(found.values, found.put_in, found.labels)
+                self._warn_of_results("the results are not shown in brief", error)
         except Exception as error:  # noqa: BLE001 - a bug in an analysis does not end what follows
             reported_error = error if isinstance(error, RigError) else internal(error)
-            self.outcome.warnings.append(f"no results in the run file: {reported_error.one_line()}")
+            self._warn_of_results("no results in the run file", reported_error)
+
+    def _warn_of_results(self, what: str, error: RigError) -> None:
+        """Warn in one line, and leave the traceback in the log."""
+        self.outcome.warnings.append(f"{what}: {error.one_line()}")
+        log.warning("%s", what, exc_info=error)
 
     def _forget_what_is_not_in_the_journal(self) -> None:
         """Drop the readings that are not in the journal, after a failure of the disk."""

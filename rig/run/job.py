@@ -185,11 +185,13 @@ class RunJob:
         of_film = f"of film {film!r}" if film else "of a film"
         on = of_film if mounted == "film-clamp" else f"on {mounted}"
         title = f"{self.procedure.name} {on}"
-        value = getattr(self.settings, name, None)
-        if not isinstance(value, float):
+        values = dict.fromkeys(f"{value:g}" for value in self.procedure.values_in_title())
+        if not values:
             return title
+        *others, last = values
+        stated = f"{', '.join(others)} and {last}" if others else last
         words = name_without_unit(name).replace("_", " ")
-        return f"{title}, {value:g} {unit_of(name) or ''} {words}"
+        return f"{title}, {stated} {unit_of(name) or ''} {words}"
 
     def _header(
         self, bench: Bench, points: Sequence[Point], time_of_day: TimeOfDay

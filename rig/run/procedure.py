@@ -98,7 +98,8 @@ class Procedure(ABC):
     drift: ClassVar[Mapping[str, DriftFigure]] = MappingProxyType({})
     """Numbers of the summary by which a batch's reference run shows wear, by their key."""
     stated_in_title: ClassVar[str] = ""
-    """Field of the settings whose value the title of a run states, such as ``preload_N``."""
+    """Field of the settings whose value the title of a run states, such as ``preload_N``
+    (`values_in_title`)."""
     summary_labels: ClassVar[Mapping[str, str]] = MappingProxyType({})
     """Label and, after a semicolon, unit of values of the summary, by name, for the terminal. The
     other values are shown by their names."""
@@ -221,6 +222,12 @@ class Procedure(ABC):
         list of tables a name has a list.
         """
         return {}
+
+    def values_in_title(self) -> Sequence[float]:
+        """Return the values that the title states of `stated_in_title`, where these are not the one
+        of the settings; none if the title states nothing."""
+        value = getattr(self.settings, self.stated_in_title, None)
+        return (value,) if isinstance(value, float) else ()
 
     def in_brief(self, summary: Mapping[str, Any], put_in: Mapping[str, Any]) -> Sequence[str]:
         """Return the summary in a few lines of at most 78 characters, the most important first.

@@ -42,14 +42,24 @@ def test_a_slower_sensor_gives_an_older_force(
 
 
 class SlowSensor:
-    """A run whose force sensor has only some rates; nothing else of it can be used."""
+    """A run whose force sensor has only some rates, and whose z can be armed but not moved."""
 
     def __init__(self, highest_S_s: float) -> None:
         reach = {"rate": Reach(1.0, highest_S_s, "1/s", "force_sensor")}
         sensor = SimpleNamespace(reach=lambda: reach)
-        self.bench = SimpleNamespace(force_sensor=sensor, daq=SimpleNamespace(stop=None))
+        fixture = SimpleNamespace(contact_from_mm=12.0, contact_to_mm=13.0, parked_mm=5.0)
+        self.bench = SimpleNamespace(
+            force_sensor=sensor,
+            daq=SimpleNamespace(stop=None),
+            stage_z=SimpleNamespace(stop=_move, make_safe=_move),
+            settings=SimpleNamespace(fixture=fixture),
+        )
         self.settings = SimpleNamespace(largest_force_N=15.0)
         self.asked_S_s = 0.0
+        self.armed: list[str] = []
+
+    def arm(self, name: str, *_: Any, **__: Any) -> None:
+        self.armed.append(name)
 
     def stream_force(self, rate_S_s: float) -> Any:
         self.asked_S_s = rate_S_s
@@ -71,6 +81,7 @@ def test_a_sensor_that_is_too_slow_is_refused_before_anything_moves(
     words = rf"sends {rate_S_s:g} frames/s, .* at {tick_Hz:g} Hz needs {least_S_s:g} or more"
     with pytest.raises(LimitError, match=words):
         arm_pressed(run, "slide", _move, _move, "x stage stopped", tick_Hz)  # type: ignore[arg-type]
+    assert run.armed == ["normal force"], "what lifts z, which may have been left pressed"
 
 
 def _move() -> None:
