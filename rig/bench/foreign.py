@@ -58,7 +58,7 @@ def connect_foreign(
     except (RigError, OSError):
         raise
     except Exception as error:
-        raise BrokenPackageError(entry, f"cannot connect: {cause(error)}") from error
+        raise BrokenPackageError(entry, f"cannot connect: {cause(error, entry)}") from error
     try:
         fault = _fault(part.role, instrument)
     except RigError:

@@ -116,7 +116,7 @@ def load(group: str, name: str, find_fault: Callable[[Any], str | None] | None =
         if is_stop(error):  # a signal that came while the module was imported
             raise
         raise BrokenPackageError(
-            entry, f"cannot be imported: {cause(error)}", _remedy(entry, error)
+            entry, f"cannot be imported: {cause(error, entry)}", _remedy(entry, error)
         ) from error
     fault = _fault(entry, loaded)
     if fault is None and find_fault is not None:
@@ -141,7 +141,7 @@ def summary(group: str, name: str) -> str:
     try:
         docstring = _docstring(entry.module, entry.attr)
     except (SyntaxError, ModuleNotFoundError) as error:
-        raise BrokenPackageError(entry, f"cannot be imported: {cause(error)}") from error
+        raise BrokenPackageError(entry, f"cannot be imported: {cause(error, entry)}") from error
     except Exception as error:
         if is_stop(error):
             raise
@@ -208,18 +208,21 @@ def _docstring(module: str, class_name: str) -> str:
     return (ast.get_docstring(classes[class_name]) or "") if class_name in classes else ""
 
 
-def cause(error: BaseException) -> str:
-    """Return the exception of an import in one line, with file and line if they are known."""
+def cause(error: BaseException, entry: EntryPoint | None = None) -> str:
+    """Return the exception of an import in one line, with file and line if they are known: the
+    last in the package of `entry`, if it took part, else the last at all."""
     if isinstance(error, SyntaxError) and error.filename is not None:
         place, message = f"{error.filename} line {error.lineno}: ", error.msg
     else:
-        frames = traceback.extract_tb(error.__traceback__)
-        own = [
-            frame
-            for frame in frames
-            if frame.filename not in _MACHINERY and not frame.filename.startswith("<frozen")
+        frames = [
+            (frame.f_code.co_filename, line, str(frame.f_globals.get("__name__")).split(".")[0])
+            for frame, line in traceback.walk_tb(error.__traceback__)
+            if frame.f_code.co_filename not in _MACHINERY
+            and not frame.f_code.co_filename.startswith("<frozen")
         ]
-        place = f"{own[-1].filename} line {own[-1].lineno}: " if own else ""
+        top = "" if entry is None else entry.module.split(".")[0]
+        places = [one for one in frames if one[2] == top] or frames
+        place = f"{places[-1][0]} line {places[-1][1]}: " if places else ""
         message = str(error)
     return shortened(f"{place}{type(error).__name__}: {' '.join(message.split())}", LONGEST_REASON)
 

@@ -46,6 +46,7 @@ def driver_contract(
     silent_first_request: str = "",
     force_scale: float = 1.0,
     travel: tuple[float, float] | None = None,
+    no_identity: str = "",
 ) -> ContractTest:
     """Return a pytest test that puts the installed driver `driver` through its role's contract.
 
@@ -55,10 +56,15 @@ def driver_contract(
     unnoticed, where a driver has such a reason. A force sensor is pressed with 5 N along z, rising
     to about 10 N; `force_scale` scales that for another range. `travel` is how far a stage may
     move, in mm or deg, for its `bench_settings`; the usual one of the simulated bench unless given.
+    `no_identity` is the reason why the instrument cannot be distinguished from another one, where
+    there is such a reason, for example that no request asks for its name: then that another
+    instrument is refused is left out.
     """
     from rig.testing.core_case import CoreCase
 
-    return contract_of(CoreCase(driver, core, settings, silent_first_request, force_scale, travel))
+    return contract_of(
+        CoreCase(driver, core, settings, silent_first_request, force_scale, travel, no_identity)
+    )
 
 
 def contract_of(*cases: Case, further_deals: Collection[int] = ()) -> ContractTest:

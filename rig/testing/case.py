@@ -113,6 +113,8 @@ class Case(ABC):
     """Reason why the module's `make_safe` has nothing to do; empty if it has something to do."""
     anonymous = ""
     """Reason why the instrument cannot report that it is simulated; empty if it can."""
+    no_identity = ""
+    """Reason why the instrument cannot be distinguished from another one; empty if it can."""
     stranger_says = "ACME T-1000"
     """Text that names an instrument other than the expected one in the refusal."""
 

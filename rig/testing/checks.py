@@ -46,6 +46,8 @@ def checks_of(case: Case) -> dict[str, Check]:
     }
     if not case.every_fault:
         del each[WALK]
+    if case.no_identity:
+        del each[STRANGERS]
     return each
 
 
@@ -211,6 +213,7 @@ def check_one_fault_anywhere_gives_an_error_or_the_right_value_and_is_over(case:
 
 
 NOT_EXCITED = "the simulator is at rest although the driver has set it going"
+STRANGERS = "another_instrument_is_refused_with_both_names_and_released"
 WALK = "one_fault_anywhere_gives_an_error_or_the_right_value_and_is_over"
 
 

@@ -100,10 +100,12 @@ class CoreCase(Case):
         silent_first_request: str = "",
         force_scale: float = 1.0,
         travel: tuple[float, float] | None = None,
+        no_identity: str = "",
     ):
         self.name = f"{driver}-{core.link}"
         self.driver = driver
         self.deaf_greeting = silent_first_request
+        self.no_identity = no_identity
         self.alike = tuple(core.alike)
         if core.link == "serial":
             self.exclusive_link = "a serial port belongs to the one who has opened it"

@@ -60,6 +60,8 @@ def _check_frames(pieces: list[ForceFrames], service: Any, first: int, since_s: 
         same("first_index, counted from 0 since start() without a gap,", piece.first_index, first)
         same("the shape of raw, with any axes,", piece.raw.shape, (len(piece), 3))
         same("the shape of force_N, with any axes,", piece.force_N.shape, (len(piece), 3))
+        finite = np.isfinite(piece.force_N)
+        assert finite.all(), f"force_N has {int((~finite).sum())} values that are no finite number"
         assert not piece.raw[:, missing].any(), "axes that the sensor lacks are 0 in raw"
         assert not piece.force_N[:, missing].any(), "axes that the sensor lacks are 0 in force_N"
         assert not piece.saturated.any(), "frames are marked saturated within the range"
