@@ -233,7 +233,9 @@ def _fits(column: Column, value: Any) -> bool:
 
 
 def _kind(value: Any) -> str:
-    return "None" if value is None else f"a {type(value).__name__}"
+    """Return what kind of value this is, with its article."""
+    name = type(value).__name__
+    return "None" if value is None else f"{'an' if name[0] in 'aeiou' else 'a'} {name}"
 
 
 def _blame(procedure: type[Procedure], error: BaseException) -> RigError:

@@ -4,6 +4,7 @@ file, and names what matters there."""
 from __future__ import annotations
 
 import json
+import shlex
 import sys
 from pathlib import Path
 from typing import Any
@@ -77,6 +78,19 @@ def test_a_run_that_was_killed_shows_how_to_go_on(rig: Any) -> None:
     said = shown(rig, "run.rigj")
     assert "status: failed (" in said
     assert "resume with: rig resume run.rigj" in said
+
+
+def test_the_line_to_resume_is_whole_however_long_the_path_is(rig: Any) -> None:
+    folder = rig.folder / "a folder of measurements" / ("deep-" * 20)
+    folder.mkdir(parents=True)
+    with JournalWriter.create(folder / "run.rigj", recorded_run.header()) as writer:
+        recorded_run.take_point(writer, 0)
+    path = str(folder / "run.rigj")
+    done = rig.run("show", path)
+    assert done.code == 0, done.stderr
+    last = done.stdout.splitlines()[-1]
+    assert shlex.split(last.removeprefix("resume with: ")) == ["rig", "resume", path]
+    assert sum(-(-max(1, len(line)) // 80) for line in done.stdout.splitlines()) <= 23
 
 
 def test_nothing_that_is_shown_leaves_the_whole_description(rig: Any, folder: Path) -> None:

@@ -268,6 +268,40 @@ def test_a_summary_that_fails_costs_the_results_and_is_a_warning(
         assert run.results is None
 
 
+def five(*_: Any) -> int:
+    return 5
+
+
+def one_text(*_: Any) -> str:
+    return "all is well"
+
+
+@pytest.mark.parametrize(
+    ("what", "words"),
+    [
+        (dividing, "a fault in the package test_procedure: test_procedure.py line"),
+        (five, "in_brief() returned an int, not a list of lines"),
+        (one_text, "in_brief() returned a str, not a list of lines"),
+    ],
+)
+def test_a_fault_in_brief_is_a_warning_and_the_results_are_shown_one_by_one(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
+    what: Callable[..., Any],
+    words: str,
+) -> None:
+    monkeypatch.setattr("rig.run.execute.log.propagate", True)
+    procedure = made(in_brief=what)(Settings())
+    outcome = run_of(procedure, tmp_path, monkeypatch)
+    assert outcome.code is ExitCode.DONE
+    (warning,) = outcome.warnings
+    assert warning.startswith("the results are not shown in brief: ")
+    assert words in warning
+    assert list(outcome.in_brief) == [f"{k}: {v}" for k, v in outcome.summary.items()]
+    assert "Traceback" in caplog.text or "ProcedureFaultError" in caplog.text
+
+
 def test_the_end_is_on_the_disk_before_the_summary_is_computed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

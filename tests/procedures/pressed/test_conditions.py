@@ -16,6 +16,7 @@ from procedures.pressed.hold import LOST_STEPS, ForceHold
 from procedures.pressed.record.reading import TrialRecord
 from rig.core.errors import ConfigurationError, InstrumentError
 from rig.files.runfile.reader import RunFile
+from rig.run.job import RunJob
 
 REGISTERED = "[rig.procedures]\nrelaxation = lab.relaxation:Relaxation\n"
 MODULE = '''
@@ -128,6 +129,13 @@ def test_forces_that_cannot_be_are_refused_when_the_run_is_planned(
     monkeypatch.setattr(Forces, "normal_forces_N", lambda self: forces_N)
     with pytest.raises(ConfigurationError, match=r"normal.force"):
         Forces(PressedSettings()).points()
+
+
+def test_the_title_states_the_forces_that_are_pressed_with() -> None:
+    mounted = SimpleNamespace(film=None, fixture=SimpleNamespace(mounted="plate"))
+    bench: Any = SimpleNamespace(settings=mounted)
+    job = RunJob(Forces(PressedSettings()), 0, Path())
+    assert job._title(bench) == "forces on plate, 1 and 3 N normal force"
 
 
 def test_a_normal_force_that_has_no_effect_is_refused() -> None:
