@@ -181,7 +181,7 @@ GOOD = {"x_V": 1.0, "y_mm_s": None, "note": "as it should be"}
             "'y_mms', which its layout does not declare; did you mean 'y_mm_s'?",
         ),
         (GOOD | {"x_V": "1.0"}, "'x_V' = '1.0' (a str), which its layout declares as a number"),
-        (GOOD | {"note": 3}, "'note' = 3 (a int), which its layout declares as text"),
+        (GOOD | {"note": 3}, "'note' = 3 (an int), which its layout declares as text"),
         (GOOD | {"x_V": [1.0]}, "(a list), which its layout declares as a number"),
         (None, "None, not a reading (a dict)"),
     ],
