@@ -90,7 +90,7 @@ def test_a_force_that_is_no_number_while_z_presses_ends_the_run_and_z_is_lifted(
         done = rig.run(*SWEEP, "--bench", str(path))
         assert_named(done)
         assert "Bench is safe: preload released" in done.stderr
-        assert "the force is not known after the way up" in done.stderr
+        assert "it is not known whether the film is still pressed" in done.stderr
         stood = z_at_rest(rig)
         assert max(stood) > CLEAR_mm
         assert stood[-1] < CLEAR_mm

@@ -572,8 +572,8 @@ def _judge_what_remains(run: Run, pressed: str, where: str) -> None:
         run.event(
             "warning",
             "pressed",
-            f"the force is not known after the way up, since force_sensor sends nothing or late: z "
-            f"stands {where}; look whether the {pressed} is still pressed before you go near",
+            f"force_sensor sends nothing, or late, after the way up: z stands {where}, and it is "
+            f"not known whether the {pressed} is still pressed; look before you go near",
         )
         return
     limit_N = run.force.limit_N
