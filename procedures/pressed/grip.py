@@ -144,7 +144,7 @@ class Grip:
         """Return why an alarm raises nothing; "" where it does."""
         record, force = self._record, self._run.force
         if one.time_s < record.motion_from_s:
-            return "the alarm is of before the motion"
+            return "the alarm came before the motion"
         if len(record.squeezes) >= settings.regrip_times:
             return f"all {settings.regrip_times} steps have been made (--regrip-times)"
         age_s = self._run.clock.now() - record.begun_s - one.time_s

@@ -63,7 +63,7 @@ DRIFT_N_s, DRIFT_S, SIGMAS = 0.2, 1.0, 5.0
 """Largest drift of the zero in free air, far above what a warm amplifier shows; the stretch of
 force that confirms one; and the ratio to its standard error above which it is more than noise."""
 DRIFT_PARTS, LASTING_SHARE = 3, 1 / 3
-"""Parts of that stretch, and the share of its slope that each of them has to have: a drift goes on,
+"""Parts of that stretch, and the share of its slope that each of them has to have: a drift lasts,
 while something that pushes on the probe for a moment shows in one or two of them."""
 PUSHED_N = 0.05
 """Difference of mean and median of the force from which something has pushed for a moment."""
@@ -174,7 +174,7 @@ def park(run: Run, name: str, way_back: Callable[[float], None]) -> None:
     something is felt on it.
     """
     stage = run.bench.stage_z
-    arm_from_where_it_stands(run, name, way_back)
+    arm_from_where_it_stands(run, name, way_back)  # again, to end before what was armed since
     stage.stop()
     if not stage.homed():
         stage.home()
@@ -204,7 +204,7 @@ def arm_from_where_it_stands(run: Run, name: str, way_back: Callable[[float], No
     first_mm, _ = contact_range_mm(run.bench)
 
     def end() -> None:
-        stage.stop()
+        _stop_z(run)
         try:
             if not stage.homed():
                 return

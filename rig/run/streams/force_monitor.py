@@ -19,7 +19,7 @@ from rig.instruments.roles import ForceFrames, ForceSensor, axes_of
 from rig.run.holds import Holds
 from rig.run.streams.frame_buffer import FrameBuffer
 from rig.run.streams.frame_delay import FrameDelay
-from rig.run.streams.frame_faults import FrameFault, FrameFaults
+from rig.run.streams.frame_faults import FrameFault, FrameFaults, unknown_force
 from rig.run.streams.stream_reader import StreamReader
 from rig.run.trip import TripError
 
@@ -230,7 +230,7 @@ class ForceMonitor:
         if frames is None:
             self._watch_silence()
             return []
-        if (unknown := self._faults.unknown_force(frames)) is not None:
+        if (unknown := unknown_force(frames)) is not None:
             self._make_safe(unknown)
         now = self._clock.now()
         self._last_frame_s = now

@@ -29,6 +29,19 @@ class FrameFault:
     """True for a force over the limit; otherwise the sensor is not to be believed any more."""
 
 
+def unknown_force(frames: ForceFrames) -> FrameFault | None:
+    """Return the fault of frames of which a force is not a finite number, which no limit judges and
+    nothing may be computed from; else None."""
+    finite = np.isfinite(frames.force_N)
+    if finite.all():
+        return None
+    wrong = int(np.count_nonzero(~finite.all(axis=1)))
+    return FrameFault(
+        f"the force of {wrong} of {len(frames)} frames is not a finite number",
+        "check the amplifier, its cable and its calibration",
+    )
+
+
 class FrameFaults:
     """Looks at every frame of one stream. Used by the reader's thread, except where stated."""
 
@@ -46,18 +59,6 @@ class FrameFaults:
         self._last_raw: list[float] = []
         self._still = 0
         """Number of successive frames up to the latest that repeat the one before them."""
-
-    def unknown_force(self, frames: ForceFrames) -> FrameFault | None:
-        """Return the fault of frames of which a force is not a finite number, which no limit judges
-        and nothing may be computed from; else None."""
-        finite = np.isfinite(frames.force_N)
-        if finite.all():
-            return None
-        wrong = int(np.count_nonzero(~finite.all(axis=1)))
-        return FrameFault(
-            f"the force of {wrong} of {len(frames)} frames is not a finite number",
-            "check the amplifier, its cable and its calibration",
-        )
 
     def in_frames(self, frames: ForceFrames) -> Iterator[FrameFault]:
         """Yield what is wrong with the next frames, the most urgent first."""

@@ -24,6 +24,7 @@ from rig.instruments.roles import (
     ForceSensor,
     InputChannel,
 )
+from rig.run.streams.frame_faults import unknown_force
 from rig.run.streams.stream_reader import StreamReader
 
 FORCE_STREAM = "force_sensor"
@@ -198,7 +199,11 @@ class _Frames:
 
     def read(self) -> Sequence[ForceFrames]:
         frames = self._sensor.read()
-        return () if frames is None else (frames,)
+        if frames is None:
+            return ()
+        if (unknown := unknown_force(frames)) is not None:
+            raise InstrumentError("force_sensor", "stream", unknown.cause, unknown.hint)
+        return (frames,)
 
 
 def _drifted(what: str, trend_N: float, timing: Timing) -> str:

@@ -14,6 +14,7 @@ from rig.instruments.roles import ForceFrames
 from rig.run.holds import Holds
 from rig.run.streams.force_monitor import ForceMonitor
 from rig.run.streams.frame_buffer import FrameBuffer
+from rig.run.streams.scales import _Frames as ForceFramesSource
 
 
 class Sensor:
@@ -266,3 +267,14 @@ def test_a_force_that_is_no_number_makes_the_bench_safe_and_reaches_nobody(
     assert monitor.frames_seen == 10
     with pytest.raises(InstrumentError, match="not a finite number"):
         monitor.check_trip()
+
+
+def test_a_reading_of_a_scale_has_no_frame_without_a_number(sensor: Sensor) -> None:
+    scale = ForceFramesSource(sensor)  # type: ignore[arg-type]
+    wrong = frames(0, 10)
+    wrong.force_N[0, 1] = np.nan
+    sensor.coming += [frames(0, 10), wrong]
+    assert len(scale.read()) == 1
+    with pytest.raises(InstrumentError, match="the force of 1 of 10 frames is not a finite number"):
+        scale.read()
+    assert scale.read() == ()
