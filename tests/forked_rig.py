@@ -38,8 +38,9 @@ from typing import Any
 LONGEST_MESSAGE = 1 << 16
 MODULES = (
     *("h5py", "numpy", "pymodbus.client", "pyvisa_py.highlevel", "serial"),
-    *("rig.cli.procedures", "rig.cli.report", "rig.files.runfile.compile", "rig.run.execute"),
-    *("rig.cli.files", "rig.figures.drawing", "rig.analysis.film.gain_curve", "scipy.special"),
+    *("rig.cli.commands.procedures", "rig.cli.commands.files", "rig.cli.report"),
+    *("rig.files.runfile.compile", "rig.run.execute", "rig.figures.drawing"),
+    *("rig.analysis.film.gain_curve", "scipy.special"),
     *("scipy.ndimage", "procedures.sweep", "procedures.slip_trial.trial"),
     *("procedures.roll_trial.trial", "drivers.festo_cmmt.driver"),
     *("drivers.keysight_33500b.driver", "drivers.keysight_u2300a.driver"),

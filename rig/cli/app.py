@@ -23,31 +23,31 @@ from rig.core.errors import ConfigurationError, RigError
 from rig.core.text import printable
 
 COMMANDS: dict[str, tuple[str, str]] = {
-    "resume": ("rig.cli.files", "resume"),
-    "show": ("rig.cli.files", "show"),
-    "analyse": ("rig.cli.files", "analyse"),
-    "verify": ("rig.cli.files", "verify"),
-    "recover": ("rig.cli.files", "recover"),
-    "import": ("rig.cli.imports", "import_"),
-    "detect": ("rig.cli.detect", "detect"),
-    "detectors": ("rig.cli.detectors", "detectors"),
-    "filter": ("rig.cli.low_pass", "filter_"),
-    "simulate": ("rig.cli.simulate", "simulate"),
-    "jog": ("rig.cli.jog", "jog"),
-    "score": ("rig.cli.score", "score"),
-    "train": ("rig.cli.train", "train"),
-    "regrip-study": ("rig.cli.regrip_study", "regrip_study"),
-    "page": ("rig.cli.page", "page"),
-    "monitor": ("rig.cli.monitor", "monitor"),
-    "make-safe": ("rig.cli.make_safe", "make_safe"),
+    "resume": ("rig.cli.commands.files", "resume"),
+    "show": ("rig.cli.commands.files", "show"),
+    "analyse": ("rig.cli.commands.files", "analyse"),
+    "verify": ("rig.cli.commands.files", "verify"),
+    "recover": ("rig.cli.commands.files", "recover"),
+    "import": ("rig.cli.commands.imports", "import_"),
+    "detect": ("rig.cli.commands.detect", "detect"),
+    "detectors": ("rig.cli.commands.detectors", "detectors"),
+    "filter": ("rig.cli.commands.low_pass", "filter_"),
+    "simulate": ("rig.cli.commands.simulate", "simulate"),
+    "jog": ("rig.cli.commands.jog", "jog"),
+    "score": ("rig.cli.commands.score", "score"),
+    "train": ("rig.cli.commands.train", "train"),
+    "regrip-study": ("rig.cli.commands.regrip_study", "regrip_study"),
+    "page": ("rig.cli.commands.page", "page"),
+    "monitor": ("rig.cli.commands.monitor", "monitor"),
+    "make-safe": ("rig.cli.commands.make_safe", "make_safe"),
 }
 """Commands in the order of the help, each described by the first line of its docstring."""
 
 GROUPS: dict[str, str] = {
-    "batch": "rig.cli.batch",
-    "calibrate": "rig.cli.calibrate",
-    "interlocks": "rig.cli.interlocks",
-    "skin": "rig.cli.skin",
+    "batch": "rig.cli.commands.batch",
+    "calibrate": "rig.cli.commands.calibrate",
+    "interlocks": "rig.cli.commands.interlocks",
+    "skin": "rig.cli.commands.skin",
 }
 """Groups of commands: modules with an ``app``, described by the first line of their docstring."""
 
@@ -103,7 +103,7 @@ def build(arguments: Sequence[str]) -> typer.Typer:
             continue
         function: Callable[..., None] = _not_asked
         if name == asked:
-            from rig.cli.procedures import command
+            from rig.cli.commands.procedures import command
 
             function = command(name)
         _add(app, name, _summary(name) if listed or name == asked else "", function)
@@ -142,7 +142,8 @@ def _summary(name: str) -> str:
 def first_line_in(module: str, function_name: str | None = None) -> str:
     """Return the first line of the docstring of a module of this package, or of a function in it,
     from its source: to import all of them would take most of the time of ``rig --help``."""
-    source = Path(__file__).with_name(module.rsplit(".", 1)[1] + ".py").read_text(encoding="utf-8")
+    path = Path(__file__).parents[2].joinpath(*module.split(".")).with_suffix(".py")
+    source = path.read_text(encoding="utf-8")
     tree = ast.parse(source)
     if function_name is None:
         return _first_line(ast.get_docstring(tree))

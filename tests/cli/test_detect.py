@@ -26,7 +26,7 @@ import recorded_trials as trials
 from distributed import Client
 
 import rig as package
-from rig.cli.detect import literal_remark
+from rig.cli.commands.detect import literal_remark
 from rig.detector.detector import DETECTOR_VERSION
 from rig.detector.registered import chosen_detector
 from rig.detector.settings import named_detectors

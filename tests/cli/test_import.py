@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from rig.cli.imports import channel_map, scale_map
+from rig.cli.commands.imports import channel_map, scale_map
 from rig.core.errors import ConfigurationError
 
 ROWS = "".join(f"{k / 1000:.3f};{k % 13 / 10:.1f};{k % 7 / 10:.1f}\n" for k in range(300))

@@ -8,7 +8,7 @@ from typing import Literal
 import pytest
 from pydantic import Field
 
-from rig.cli.options import option_name, parameters, settings_from, texts_of
+from rig.cli.options.settings import option_name, parameters, settings_from, texts_of
 from rig.core.errors import ConfigurationError, ExitCode
 from rig.core.settings import Settings
 from rig.core.units import parse, quantity

@@ -8,7 +8,7 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from rig.cli.score import score
+from rig.cli.commands.score import score
 from rig.physics.population import PopulationSettings
 from tests.cli.strips_file import slip_file
 

@@ -18,7 +18,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "figures"))
 import recorded
 import recorded_run
 
-from rig.cli.screen import Section, on_a_screen
+from rig.cli.show.screen import Section, on_a_screen
 from rig.files.journal.writer import JournalWriter
 from rig.files.runfile.reader import RunFile
 

@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 
 import rig
 from rig.cli.app import build
-from rig.cli.skin import app
+from rig.cli.commands.skin import app
 from rig.files.definitions import definition_path
 
 SHORT = {

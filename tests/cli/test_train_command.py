@@ -7,8 +7,8 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from rig.cli.detector_settings import detector_with_settings
-from rig.cli.train import train
+from rig.cli.commands.train import train
+from rig.cli.options.detector import detector_with_settings
 from rig.core.errors import ConfigurationError
 from rig.detector.kernel import INPUTS
 from rig.detector.network import Network

@@ -13,8 +13,8 @@ import typer
 from click.testing import Result
 from typer.testing import CliRunner
 
-from rig.cli.regrip_study import lines_of
-from rig.cli.regrip_study import regrip_study as command
+from rig.cli.commands.regrip_study import lines_of
+from rig.cli.commands.regrip_study import regrip_study as command
 from rig.detector.registered import ChosenDetector, chosen_detector
 from rig.evaluation.wire import regrip_study
 from rig.evaluation.wire.kinds import WireTrial

@@ -13,7 +13,7 @@ import recorded_run as run
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rig.cli.results import computed_by
+from rig.cli.show.results import computed_by
 from rig.files.definitions import definition_path
 from rig.files.journal.reader import read_journal
 from rig.files.journal.values import Program, Results

@@ -12,7 +12,7 @@ import pytest
         ("rig.physics", {"numpy", "numba", "scipy", "skfem"}),
         ("rig.physics.skin", {"numpy", "numba", "scipy", "skfem"}),
         ("rig.physics.trials", {"numba", "scipy", "skfem", "matplotlib"}),
-        ("rig.cli.skin", {"numpy", "numba", "scipy", "skfem", "matplotlib"}),
+        ("rig.cli.commands.skin", {"numpy", "numba", "scipy", "skfem", "matplotlib"}),
         pytest.param(
             *("rig.physics.loading_history", {"numba", "scipy", "skfem", "matplotlib"}),
             marks=pytest.mark.thorough,

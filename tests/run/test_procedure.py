@@ -12,8 +12,8 @@ import pytest
 from made_up import LAYOUT, Example, run_of
 from pydantic import Field
 
-from rig.cli.option_groups import group_parameters
-from rig.cli.procedures import ProcedureRequest
+from rig.cli.commands.procedures import ProcedureRequest
+from rig.cli.options.groups import group_parameters
 from rig.core.entry_points import PROCEDURES, names
 from rig.core.errors import ConfigurationError, ExitCode
 from rig.core.settings import Settings

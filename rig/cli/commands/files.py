@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from rig.cli.outcome import reported, say
-from rig.cli.words import in_words
+from rig.cli.show.words import in_words
 from rig.core.errors import ConfigurationError, ExitCode, FoundWrongError
 from rig.core.text import printable
 
@@ -55,7 +55,7 @@ def resume(
     with reported(debug, as_json):
         from pydantic import ValidationError
 
-        from rig.cli.procedures import ProcedureRequest, perform
+        from rig.cli.commands.procedures import ProcedureRequest, perform
         from rig.files.naming import results_of
         from rig.files.runfile.recover import interrupted
         from rig.run.load_procedure import load_procedure
@@ -179,8 +179,8 @@ def _show_run(
     how: _How,
 ) -> None:
     """Show a run, and what this program finds otherwise than is stored."""
-    from rig.cli.digest import of_run
-    from rig.cli.results import compared, compared_in_words, computed_by, computed_now
+    from rig.cli.show.digest import of_run
+    from rig.cli.show.results import compared, compared_in_words, computed_by, computed_now
     from rig.files.describe import describe
 
     said = describe(path, header, outcome)
@@ -225,7 +225,7 @@ def _holds_in_words(
 
 def _show_processed(file: ProcessedFile, how: _How) -> None:
     """Show the events of a detector."""
-    from rig.cli.digest import of_processed
+    from rig.cli.show.digest import of_processed
     from rig.detector.registered import chosen_detector
     from rig.files.describe import describe_processed
 
@@ -241,7 +241,7 @@ def _show_processed(file: ProcessedFile, how: _How) -> None:
 
 def _show_model(file: ModelFile, how: _How) -> None:
     """Show what was computed with the skin model."""
-    from rig.cli.digest import of_model
+    from rig.cli.show.digest import of_model
     from rig.files.describe import describe_model
 
     said = describe_model(file, all_settings=how != "brief")

@@ -71,7 +71,7 @@ def detect(
 ) -> None:
     """Find incipient slips in run files and write the results to processed files."""
     with reported(debug, as_json):
-        from rig.cli.detector_settings import detector_with_settings
+        from rig.cli.options.detector import detector_with_settings
         from rig.processing.parallel import completed, processors
 
         wanted = detector_with_settings(detector, settings)

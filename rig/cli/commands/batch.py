@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from rig.cli import batch_plan
+from rig.cli.commands import batch_plan
 from rig.cli.outcome import reported, say, start_log
 from rig.core.errors import ConfigurationError
 

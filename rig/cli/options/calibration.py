@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from rig.cli.option_groups import AsJson, BenchFile, Debug, Seed, World, WorldLog, option_group
+from rig.cli.options.groups import AsJson, BenchFile, Debug, Seed, World, WorldLog, option_group
 from rig.core.errors import ConfigurationError
 
 if TYPE_CHECKING:

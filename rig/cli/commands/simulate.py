@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from rig.bench.settings import Fixture
-from rig.cli.option_groups import World
-from rig.cli.options import SimulatedStages
+from rig.cli.options.groups import World
+from rig.cli.options.settings import SimulatedStages
 from rig.cli.outcome import reported, say
 from rig.core.atomic import write_text
 from rig.core.errors import ConfigurationError

@@ -13,16 +13,16 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 
-from rig.cli.model_errors import model_errors
-from rig.cli.option_groups import Debug, option_group, with_option_groups
-from rig.cli.outcome import reported
-from rig.cli.skin_files import (
+from rig.cli.commands.model_errors import model_errors
+from rig.cli.commands.skin_files import (
     Model,
     quantities_of_history,
     quantities_of_map,
     quantities_of_trial,
     save_model,
 )
+from rig.cli.options.groups import Debug, option_group, with_option_groups
+from rig.cli.outcome import reported
 from rig.core.errors import ConfigurationError
 from rig.core.toml_files import MAX_JSON_BYTES, read_text
 

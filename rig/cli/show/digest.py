@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rig.cli.outcome import say
-from rig.cli.screen import COLUMNS, LINES, Section, end_of, on_a_screen
-from rig.cli.words import in_words
+from rig.cli.show.screen import COLUMNS, LINES, Section, end_of, on_a_screen
+from rig.cli.show.words import in_words
 from rig.core.errors import ConfigurationError, RigError
 from rig.core.units import counted, time_span
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from rig.bench.settings import Fixture
-from rig.cli.option_groups import (
+from rig.cli.options.groups import (
     BenchFile,
     Debug,
     Fault,
@@ -21,7 +21,7 @@ from rig.cli.option_groups import (
     option_group,
     with_option_groups,
 )
-from rig.cli.options import SimulatedStages
+from rig.cli.options.settings import SimulatedStages
 from rig.cli.outcome import log, reported, say, say_failure, start_log
 from rig.core.errors import STOPPED_BY_SIGNAL, ConfigurationError, RigError
 from rig.run.bench_selector import BenchRequest, bench_file
@@ -72,7 +72,7 @@ class JogOptions:
 
     def settings(self) -> JogSettings:
         """Return the validated settings; ConfigurationError names every option that is wrong."""
-        from rig.cli.options import settings_from
+        from rig.cli.options.settings import settings_from
         from rig.jog.axes import JogSettings
 
         given = {

@@ -102,7 +102,7 @@ def filter_(
 def _specification(name: str, texts: dict[str, str | None]) -> LowPassSettings:
     from pydantic import ValidationError
 
-    from rig.cli.detector_settings import low_pass_values
+    from rig.cli.options.detector import low_pass_values
     from rig.core.settings import unit_of
     from rig.detector.low_pass import NAMED_LOW_PASSES, LowPassSettings
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from rig.cli.calibration_options import (
+from rig.cli.options.calibration import (
     DIRECTIONS,
     RecordOptions,
     WeighingOptions,
@@ -23,7 +23,7 @@ from rig.cli.calibration_options import (
     reading_times,
     weights_of,
 )
-from rig.cli.option_groups import with_option_groups
+from rig.cli.options.groups import with_option_groups
 from rig.cli.outcome import reported, say
 from rig.core.errors import (
     STOPPED_BY_SIGNAL,
@@ -36,7 +36,7 @@ from rig.core.errors import (
 if TYPE_CHECKING:
     from rig.analysis.weighing import CellFit, ForceFit
     from rig.bench.connected import Bench
-    from rig.cli.weigh import WeighingOperator
+    from rig.cli.commands.weigh import WeighingOperator
     from rig.instruments.calibration import CalibrationRecord
     from rig.instruments.roles import Reach
 
@@ -75,7 +75,7 @@ def pvdf(
     Determines level b and corner from the run file.
     """
     with reported(wanted.debug, wanted.as_json):
-        from rig.cli.film_record import analysed, doubts, film_record, sentences
+        from rig.cli.commands.film_record import analysed, doubts, film_record, sentences
         from rig.files.runfile.reader import RunFile
         from rig.instruments.calibration import FOLDER
 
@@ -117,7 +117,7 @@ def force(
     """
     with reported(wanted.debug, wanted.as_json), _stoppable(wanted.as_json):
         from rig.analysis.weighing import fit_force, refuse_outlier, sequence
-        from rig.cli.weigh import weigh
+        from rig.cli.commands.weigh import weigh
         from rig.instruments.calibration import ForceCalibration, make_record
         from rig.run.streams.scales import ForceScale
 
@@ -166,7 +166,7 @@ def load_cell(
     """
     with reported(wanted.debug, wanted.as_json), _stoppable(wanted.as_json):
         from rig.analysis.weighing import fit_load_cell, refuse_outlier, sequence
-        from rig.cli.weigh import weigh
+        from rig.cli.commands.weigh import weigh
         from rig.instruments.calibration import LoadCellCalibration, make_record
         from rig.instruments.roles import Reach
         from rig.run.streams.scales import CellScale
@@ -218,8 +218,8 @@ def _at_the_bench(
 ) -> Iterator[tuple[Bench, WeighingOperator, Path]]:  # fmt: skip
     """Connect these instruments alone; yield the bench, the person who puts the weights on, and
     the folder for the record, in which files can be written."""
+    from rig.cli.commands.weigh import WeighingOperator
     from rig.cli.streams import say_at_once
-    from rig.cli.weigh import WeighingOperator
     from rig.instruments.calibration import require_folder
     from rig.run.bench_selector import BenchRequest, BenchSelector, bench_file
     from rig.run.stopping import StopFlag

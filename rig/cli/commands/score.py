@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 
-from rig.cli.model_errors import model_errors
+from rig.cli.commands.model_errors import model_errors
+from rig.cli.commands.score_report import report, write
 from rig.cli.outcome import reported, say
-from rig.cli.score_report import report, write
 from rig.core.errors import ConfigurationError
 from rig.core.toml_files import MAX_JSON_BYTES, read_text
 from rig.detector import DEFAULT_DETECTOR
@@ -418,7 +418,7 @@ def _with_options(
 
 
 def _detectors(names: Sequence[str], overrides: Path | None) -> list[Contender]:
-    from rig.cli.detector_settings import detector_with_settings
+    from rig.cli.options.detector import detector_with_settings
     from rig.evaluation.scoring.contenders import DetectorContender
 
     if overrides is None:

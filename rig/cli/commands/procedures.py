@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from rig.cli.option_groups import (
+from rig.cli.options.groups import (
     AsJson,
     BenchFile,
     Debug,
@@ -22,7 +22,7 @@ from rig.cli.option_groups import (
     group_parameters,
     option_group,
 )
-from rig.cli.options import SimulatedStages, parameters, settings_from, texts_of
+from rig.cli.options.settings import SimulatedStages, parameters, settings_from, texts_of
 from rig.cli.outcome import reported, say, start_log, turning
 from rig.run.bench_selector import BenchRequest, BenchSelector, bench_file, refuse_seed
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from rig.cli.option_groups import Debug
+from rig.cli.options.groups import Debug
 from rig.cli.outcome import reported, say
 from rig.core.errors import ConfigurationError
 

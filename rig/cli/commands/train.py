@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from rig.cli.model_errors import model_errors
+from rig.cli.commands.model_errors import model_errors
 from rig.cli.outcome import reported, say
 from rig.core.atomic import write_text
 from rig.core.errors import ConfigurationError
@@ -113,7 +113,7 @@ def train(
 ) -> None:
     """Train the network of the detector `rig` on trials whose truth is known."""
     with reported(debug), model_errors("omit its seed"):
-        from rig.cli.score import read_settings
+        from rig.cli.commands.score import read_settings
         from rig.evaluation.lessons import LESSON_FRONT_END, LESSON_POPULATION
 
         if out.exists():
@@ -227,7 +227,7 @@ class Sources:
             yield from lessons
 
     def _of_the_bench(self) -> Iterator[Lesson]:
-        from rig.cli.score import WireProgress
+        from rig.cli.commands.score import WireProgress
         from rig.core.cache import user_cache
         from rig.evaluation.lessons import LESSON_WIRE_KINDS, bench_lessons
         from rig.evaluation.wire.making import make_trials

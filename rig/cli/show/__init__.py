@@ -1,0 +1,1 @@
+"""What `rig show` prints: a file in brief and in full, its results, values in words."""
