@@ -258,6 +258,26 @@ def test_make_safe_clears_the_mark_that_kept_runs_from_starting(rig: Any) -> Non
     assert simulator.finish().code == 0
 
 
+def test_a_make_safe_that_fails_keeps_runs_from_starting(rig: Any) -> None:
+    simulator = rig.start("simulate", "--write", "sim.toml")
+    simulator.wait_for("drive it")
+    path = rig.folder / "sim.toml"
+    text = path.read_text()
+    cut_off = re.sub(r"::\d+::SOCKET", "::1::SOCKET", text)
+    assert cut_off != text
+    path.write_text(cut_off)
+    assert rig.run("make-safe", "--bench", "sim.toml").code == 7
+
+    path.write_text(text)  # the generator's cable is plugged in again
+    refused = rig.run("sweep", *SHORT, "--bench", "sim.toml")
+    assert refused.code == 7
+    assert re.search("left unsafe at 20.*: generator: ", refused.errors[0])
+    assert rig.run("make-safe", "--bench", "sim.toml").code == 0
+    assert rig.marks() == []
+    simulator.send(signal.SIGTERM)
+    assert simulator.finish().code == 0
+
+
 def test_make_safe_on_a_file_without_instruments_says_that_nothing_was_there(rig: Any) -> None:
     (rig.folder / "empty.toml").write_text('name = "b"\n[fixture]\nmounted = "plate"\n')
     nothing = rig.run("make-safe", "--bench", "empty.toml")

@@ -4,7 +4,7 @@ other parts of the program or of the installation are broken."""
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -63,6 +63,8 @@ def make_safe(
         if not safe or described.settings is None:
             for role, why in failures.items():
                 say_failure(UnsafeError(f"{role}: {why}"), debug)
+            with _only_warning():
+                _mark_unsafe(described, name, failures)
             raise UnsafeError(
                 f"NOT SAFE: {', '.join(failures) or name}. Switch the bench off by hand and find "
                 "out why"
@@ -103,6 +105,17 @@ def _report_what_is_known(described: Restable) -> None:
             say(mark.in_words())
     if (user := in_use(described)) is not None:
         say(f"{user}; it is made safe all the same, and what runs on it will fail")
+
+
+def _mark_unsafe(described: Restable, name: str, failures: Mapping[str, str]) -> None:
+    """Refuse the bench to every run until this command has succeeded. The mark of a run that is
+    still at work stays its own: the run fails, and says itself how it leaves the bench."""
+    from rig.run.locks.bench_mark import BenchMarks, read_marks
+    from rig.run.locks.lock import address_names
+
+    names = address_names(described)
+    free = [one for one in names if not any(mark.lives for mark in read_marks([one]))]
+    BenchMarks(free, name, None).unsafe(failures)
 
 
 def _clear_marks(described: Restable) -> None:
