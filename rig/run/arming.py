@@ -18,6 +18,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
+from rig.core.entry_points import cause
 from rig.core.errors import RigError, UnsafeError
 from rig.core.threads import start_thread
 
@@ -57,7 +58,7 @@ class Task:
         except RigError as error:
             self.failure, self.reason = error, error.one_line()
         except Exception as error:  # noqa: BLE001 - a bug in one action must not stop the others
-            self.failure, self.reason = error, f"{type(error).__name__}: {error}"
+            self.failure, self.reason = error, cause(error)
         finally:
             self._done.set()
 
