@@ -10,9 +10,10 @@ import contextlib
 import difflib
 import sys
 import traceback
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from numbers import Real
 from pathlib import Path
+from types import FrameType
 from typing import TYPE_CHECKING, Any
 
 from rig.bench.foreign import foreign
@@ -25,6 +26,7 @@ from rig.core.errors import (
     is_stop,
     shortened,
 )
+from rig.run.passing import KeptBackError
 from rig.run.points import Point, Reading
 
 if TYPE_CHECKING:
@@ -160,6 +162,18 @@ class CheckedProcedure:
             raise self._fault(f"in_brief() returned {_kind(found)}, not a list of lines")
         return [str(line) for line in found]
 
+    def kept_back(self, kept: KeptBackError) -> str:
+        """Return what the procedure has kept back and where, as a sentence for who wrote it. An
+        error that was not raised stands for the place that calls this."""
+        cls = type(self._procedure)
+        top = cls.__module__.split(".")[0]
+        places = _places(top, kept) if kept.__traceback__ else _places_of_this_call(top)
+        where = f" ({_shown(places[-1][0], top)} line {places[-1][1]})" if places else ""
+        return (
+            f"procedure {cls.name} of package {package_of(cls)} kept back what was to end the run"
+            f"{where}: let exceptions of waits pass, or raise them again ({kept.cause.message})"
+        )
+
     def _points(self, hook: str, found: Any) -> tuple[Point, ...]:
         points = tuple(found) if isinstance(found, (tuple, list)) else (found,)
         for point in points:
@@ -262,9 +276,18 @@ def driver_fault(plan: BenchPlan, error: BaseException) -> RigError | None:
 
 def _places(top: str, error: BaseException) -> list[tuple[str, int]]:
     """Return file and line of each call in a package that took part in an exception."""
+    return _within(top, traceback.walk_tb(error.__traceback__))
+
+
+def _places_of_this_call(top: str) -> list[tuple[str, int]]:
+    """Return file and line of each call in a package that has led here."""
+    return _within(top, traceback.walk_stack(None))[::-1]
+
+
+def _within(top: str, frames: Iterable[tuple[FrameType, int]]) -> list[tuple[str, int]]:
     return [
         (frame.f_code.co_filename, line)
-        for frame, line in traceback.walk_tb(error.__traceback__)
+        for frame, line in frames
         if str(frame.f_globals.get("__name__")).split(".")[0] == top
     ]
 

@@ -19,6 +19,7 @@ import logging
 import time
 from collections.abc import Iterator
 from datetime import datetime
+from typing import NoReturn
 
 from rig.bench.apply_calibrations import apply_calibrations
 from rig.bench.connect import by_link, connect
@@ -44,6 +45,7 @@ from rig.run.locks.bench_mark import BenchMarks
 from rig.run.making_safe.guard import GuardLink
 from rig.run.observers import Observers, RunObserver
 from rig.run.outcome import RunOutcome
+from rig.run.passing import KeptBackError
 from rig.run.phases import Phases, RunPhase
 from rig.run.point_loop import PointLoop
 from rig.run.points import Point, check_points, require_roles
@@ -53,6 +55,9 @@ from rig.run.stopping import StopFlag, StopRequestedError
 from rig.run.time_of_day import jump_in_words
 
 log = logging.getLogger("rig")
+
+BARRIER_S = 1.0
+"""Longest wall time in s that the journal may take before a run leaves its bench to the guard."""
 
 
 def execute(
@@ -192,6 +197,9 @@ class _Execution:
             self._stopped_or_too_slow(late)
         except RigError as error:
             _failed(self.outcome, error)
+        except KeptBackError as kept:
+            _failed(self.outcome, kept.cause)
+            self.outcome.warnings.append(self.procedure.kept_back(kept))
         except Exception as error:  # noqa: BLE001 - a bug ends a run as safely as anything else
             _failed(self.outcome, internal(error))
         finally:
@@ -219,8 +227,11 @@ class _Execution:
     def _hand_over(self) -> None:
         """Leave the bench to the guard, and mark the bench as that leaves it."""
         self.bench.hand_over()
-        over_limit = [off.name for off in self.outcome.off_failures if off.over_limit]
-        taken = self.outcome.taken_over = self.guard.take_over(over_limit)
+        failures = self.outcome.off_failures
+        reasons = "; ".join(f"{off.name}: {off.reason}" for off in failures)
+        cause = f"the run could not make the bench safe: {reasons}"
+        over_limit = [off.name for off in failures if off.over_limit]
+        taken = self.outcome.taken_over = self.guard.take_over(over_limit, cause)
         # Between the two the guard's own mark stays: it says what may still be pressed.
         if taken.released or not taken.safe:
             self._mark()
@@ -240,6 +251,9 @@ class _Execution:
         """Raise what ends a wait. It is called before every slice of the wait, which is at most 20
         ms long."""
         now = time.monotonic()
+        passing = self.phases.passing
+        if (kept := passing.given_up) is not None:
+            self._leave_to_guard(kept)
         due = now - self._last_beat >= BEAT_EVERY_S
         if due:
             self._last_beat = now
@@ -252,11 +266,23 @@ class _Execution:
         if due:
             self._miss_guard()
             self._notice_set_clock()
-        self.recorder.check()
-        self.stop.check()
-        self.run.interlocks.check()
-        if self.phases.now is RunPhase.MEASURING:
-            self.run.check_watchers()
+        measuring = self.phases.now is RunPhase.MEASURING
+        with passing.watched() if measuring else contextlib.nullcontext():
+            self.recorder.check()
+            self.stop.check()
+            self.run.interlocks.check()
+            if measuring:
+                self.run.check_watchers()
+
+    def _leave_to_guard(self, kept: RigError) -> NoReturn:
+        """Run the emergency actions, then die, so that the guard makes the bench safe and saves the
+        data: the procedure has kept back everything that was to end the run."""
+        self.run.arming.emergency_stop()
+        text = self.procedure.kept_back(KeptBackError(kept))
+        with contextlib.suppress(RigError):  # the disk may be what ends the run
+            self.run.event("error", "kept-back", text)
+            self.recorder.barrier(BARRIER_S)
+        self.guard.kill(text)
 
     def _miss_guard(self) -> None:
         """Report once that the guard has died or does not react. The run continues: to end it would

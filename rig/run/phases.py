@@ -6,6 +6,8 @@ import contextlib
 from collections.abc import Iterator, Mapping
 from enum import Enum
 
+from rig.run.passing import Passing
+
 
 class RunPhase(Enum):
     """The phase of a run, which decides what may end a wait."""
@@ -43,6 +45,8 @@ class Phases:
 
     def __init__(self) -> None:
         self.now = RunPhase.READY
+        self.passing = Passing()
+        """Whether what ends a wait of the present measurement passes through the procedure."""
 
     def enter(self, phase: RunPhase) -> None:
         """Change the phase. Raises AssertionError for a change that is not in `TRANSITIONS`: a
@@ -57,4 +61,5 @@ class Phases:
         try:
             yield
         finally:
+            self.passing.passed()
             self.enter(RunPhase.READY)

@@ -106,7 +106,7 @@ class Guard:
     def done(self) -> None:
         self._log.append("guard: done")
 
-    def take_over(self, over_limit: Sequence[str] = ()) -> TakenOver:
+    def take_over(self, over_limit: Sequence[str] = (), cause: str = "") -> TakenOver:
         self._log.append(f"guard: take over {', '.join(over_limit)}")
         return self.taken_over
 

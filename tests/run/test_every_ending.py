@@ -224,7 +224,7 @@ class Guard:
     def done(self) -> None:
         self._story.append(("guard", "done"))
 
-    def take_over(self, over_limit: Sequence[str]) -> TakenOver:
+    def take_over(self, over_limit: Sequence[str], cause: str = "") -> TakenOver:
         self._story.append(("guard", "take over"))
         return TakenOver(True, "the guard then made the bench safe")
 

@@ -20,6 +20,7 @@ import fcntl
 import json
 import math
 import os
+import queue
 import select
 import signal
 import struct
@@ -32,7 +33,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn
 
 from rig.core.atomic import write_text
 from rig.core.errors import RigError
@@ -62,6 +63,8 @@ ENDING_S = 5.0
 AGAIN_S, AGAIN_EVERY_S = 5.0, 0.5
 """Time in s for which the guard tries again what did not answer, and the pause before each try: a
 switch that starts anew or an adapter that was unplugged is there again within a few seconds."""
+SHOWN_S = 0.3
+"""Longest time in s that a last word at the terminal of a killed run may take."""
 REST_S = 10.0
 """Longest time in which an axis comes to rest, in addition to the waits for its answers."""
 
@@ -236,6 +239,15 @@ class GuardLink:
         """Report that everything is off, so that a slow compilation does not make the guard act."""
         self._send("safe")
 
+    def kill(self, cause: str) -> NoReturn:
+        """Have the guard kill this run and make the bench safe, for this cause. This process ends
+        as well if the guard does not answer."""
+        self._send_cause(f"{cause}; the run was killed")
+        self._send("kill")
+        time.sleep(ENDING_S)
+        _kill(os.getpid())
+        raise AssertionError("a process that was killed still runs")
+
     def done(self) -> None:
         """Report that the run is done, and wait for the guard to end."""
         self._send("done")
@@ -249,9 +261,12 @@ class GuardLink:
             self._process.kill()
             self._process.wait()
 
-    def take_over(self, over_limit: Sequence[str] = ()) -> TakenOver:
-        """Leave the bench to the guard, and return the result of its try; see `judged`."""
+    def take_over(self, over_limit: Sequence[str] = (), cause: str = "") -> TakenOver:
+        """Leave the bench to the guard for this cause, and return the result of its try; see
+        `judged`."""
         assert self._process.stdin is not None
+        if cause:
+            self._send_cause(cause)
         with contextlib.suppress(OSError):
             self._process.stdin.close()
         self._process.send_signal(signal.SIGCONT)  # one that was stopped is needed now
@@ -279,6 +294,10 @@ class GuardLink:
         count = fcntl.ioctl(self._process.stdin, termios.FIONREAD, struct.pack("i", 0))
         return int(struct.unpack("i", count)[0])
 
+    def _send_cause(self, text: str) -> None:
+        """Send why the guard has to act: a sentence for its report."""
+        self._send(f"cause {json.dumps(text)}")
+
     def _send(self, word: str) -> None:
         assert self._process.stdin is not None
         with contextlib.suppress(OSError):  # A run continues without its guard rather than fail.
@@ -293,31 +312,91 @@ class _Watch:
     order: dict[str, Any]
     safe: bool = False
     done: bool = False
+    kill: bool = False
+    """True if the run has asked to be killed: it cannot end in order."""
+
+    @property
+    def cause(self) -> str:
+        """Why the guard has to act, where the run does not hang."""
+        return str(self.order.get("cause", "the run ended without saying so"))
 
 
 def main() -> None:
     """Listen until the run is done, has died or hangs; act in the latter two cases."""
     for number in (signal.SIGINT, signal.SIGQUIT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
-    pipe = sys.stdin.fileno()
+    watch, lives = _listen(sys.stdin.fileno())
+    if watch is None or watch.done:
+        return
+    if not lives:
+        act(watch.order, watch.cause, already_safe=watch.safe)
+        return
+    terminal = _Terminal(watch.order["run_pid"])
+    terminal.show(f"error: {watch.cause}; its guard makes the bench safe ...")
+    _kill(watch.order["run_pid"])
+    terminal.show(_closing(act(watch.order, watch.cause, already_safe=watch.safe)))
+
+
+def _listen(pipe: int) -> tuple[_Watch | None, bool]:
+    """Follow the run until there is nothing more to hear. Return what is known of it, and whether
+    it lives and has to be killed: it hangs, or has asked for it."""
     buffer = b""
     watch: _Watch | None = None
-    cause = "the run ended without saying so"
-    while True:
+    while watch is None or not watch.kill:
         patience = watch.order["heartbeat_timeout_s"] if watch and not watch.safe else None
         ready, _, _ = select.select([pipe], [], [], patience)
         if not ready and watch:
-            cause = f"no sign of life for {patience:g} s; the run was killed"
-            _kill(watch.order["run_pid"])
-            break
+            watch.order["cause"] = f"no sign of life for {patience:g} s; the run was killed"
+            return watch, True
         chunk = os.read(pipe, 65536)
         if not chunk:
-            break
+            return watch, False
         *lines, buffer = (buffer + chunk).split(b"\n")
         for line in lines:
             watch = _understand(line, watch)
-    if watch is not None and not watch.done:
-        act(watch.order, cause, already_safe=watch.safe)
+    return watch, True
+
+
+class _Terminal:
+    """Where the run that is about to be killed shows its messages, its stderr, for a last word.
+
+    A terminal that is held (Ctrl-S) or a folder on a broken network would make a write wait for
+    ever: nothing here waits longer than `SHOWN_S`.
+    """
+
+    def __init__(self, run_pid: int):
+        self._path = f"/proc/{run_pid}/fd/2"
+        self._lines: queue.SimpleQueue[str] = queue.SimpleQueue()
+        self._shown = threading.Semaphore(0)
+        with contextlib.suppress(RuntimeError):  # no thread can be started: no last word
+            threading.Thread(target=self._run, name="last words", daemon=True).start()
+
+    def show(self, line: str) -> None:
+        """Show a line if that can be done at once."""
+        self._lines.put(line)
+        self._shown.acquire(timeout=SHOWN_S)
+
+    def _run(self) -> None:
+        with contextlib.suppress(OSError):
+            flags = os.O_WRONLY | os.O_APPEND | os.O_NOCTTY | os.O_NONBLOCK
+            stderr = os.open(self._path, flags)
+            start = b"\r" if os.isatty(stderr) else b""
+            while True:
+                os.write(stderr, start + self._lines.get().encode() + b"\n")
+                self._shown.release()
+
+
+def _closing(report: dict[str, Any]) -> str:
+    """Return what a person at the terminal of a killed run has to know, as one line."""
+    if report["safe"]:
+        pressed = f"; {report['pressed']}" if report["pressed"] else ""
+        line = f"Bench was made safe by the guard{pressed}."
+    else:
+        reasons = "; ".join(f"{role}: {why}" for role, why in report["failures"].items())
+        line = f"Bench is NOT safe: {reasons}. Switch it off by hand and find out why."
+    if report["journal"] is not None and "file" in report:
+        line += f" Data: {report['file']}"
+    return line
 
 
 def act(order: dict[str, Any], cause: str, already_safe: bool = False) -> dict[str, Any]:
@@ -469,11 +548,12 @@ def _compile(journal: Path) -> str:
 def _understand(line: bytes, watch: _Watch | None) -> _Watch:
     if watch is None:
         return _Watch(json.loads(line))
-    for word in ("zero", "limit"):
+    for word in ("zero", "limit", "cause"):
         if line.startswith(word.encode() + b" "):
             watch.order[word] = json.loads(line[len(word) :])
     watch.safe = watch.safe or line == b"safe"
     watch.done = watch.done or line == b"done"
+    watch.kill = watch.kill or line == b"kill"
     return watch
 
 

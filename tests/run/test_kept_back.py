@@ -1,0 +1,135 @@
+"""A procedure of another package that keeps back what is to end its run: the bench is made safe.
+
+On a simulated bench of the run's own, whose World logs what really happened.
+"""
+
+from __future__ import annotations
+
+import signal
+from typing import Any
+
+import packages
+import pytest
+
+from rig.core.errors import RigError
+from rig.run import passing
+from rig.run.passing import KeptBackError, Passing
+
+CLEAR_mm = 12.0
+"""Position of z above which it presses nothing."""
+PROCEDURE = """
+import sys
+
+from procedures.pressed import PressedProcedure, PressedSettings
+
+
+class Stubborn(PressedProcedure):
+    '''Hold a force and never give up.'''
+
+    name = "stubborn"
+    fixtures = ("plate",)
+    columns = ()
+
+    class Settings(PressedSettings):
+        '''Nothing of its own.'''
+
+    def motion_s(self):
+        return 1.0
+
+    def under_force(self, trial):
+        print("under force", file=sys.stderr, flush=True)
+        while True:
+            try:
+                trial.hold(1.0)
+            except {caught}:
+                pass
+
+    def reading(self, record):
+        return {{}}
+"""
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> list[float]:
+    now_s = [0.0]
+    monkeypatch.setattr(passing.time, "monotonic", lambda: now_s[0])
+    return now_s
+
+
+def raised(watch: Passing, message: str) -> BaseException:
+    with pytest.raises(BaseException) as caught, watch.watched():  # noqa: PT011
+        raise RigError(message)
+    return caught.value
+
+
+def test_an_error_that_was_kept_back_is_raised_again_in_a_way_that_passes(
+    clock: list[float],
+) -> None:
+    watch = Passing()
+    assert type(raised(watch, "stopped")) is RigError
+    clock[0] = 4.9
+    assert type(raised(watch, "stopped again")) is RigError
+    assert watch.given_up is None
+    clock[0] = 5.1
+    kept = raised(watch, "stopped again")
+    assert isinstance(kept, KeptBackError)
+    assert not isinstance(kept, Exception)
+    assert kept.cause.message == "stopped"
+    clock[0] = 10.1
+    assert watch.given_up is kept.cause
+
+
+def test_an_error_that_has_passed_does_not_count_for_the_next_point(clock: list[float]) -> None:
+    watch = Passing()
+    raised(watch, "on hold")
+    watch.passed()
+    clock[0] = 60.0
+    assert watch.given_up is None
+    assert type(raised(watch, "stopped")) is RigError
+
+
+def start(rig: Any, caught: str) -> Any:
+    """Start a run of the procedure that catches these exceptions around its wait, and send it
+    Ctrl-C while it presses."""
+    entries = "[rig.procedures]\nstubborn = lab_stubborn:Stubborn\n"
+    module = PROCEDURE.format(caught=caught)
+    site = packages.install(rig.folder / "site", "lab", entries, {"lab_stubborn.py": module})
+    packages.on_path(rig, site)
+    log = ("--world-log", str(rig.world_log))
+    running = rig.start("stubborn", "--no-figures", *log)
+    running.wait_for("under force")
+    running.send(signal.SIGINT)
+    return running
+
+
+def last_z_mm(rig: Any) -> float:
+    z = [e for e in rig.log() if e["device"] == "stage_z" and e["what"] == "at-rest"]
+    return float(z[-1]["value"])
+
+
+def test_a_procedure_that_catches_every_exception_is_stopped(rig: Any) -> None:
+    done = start(rig, "Exception").finish()
+    assert done.code == 130, done.stderr
+    assert "Stopped by Ctrl-C" in done.stderr
+    assert "Bench is safe" in done.stderr
+    assert (
+        "warning: procedure stubborn of package lab kept back what was to end the run "
+        "(lab_stubborn.py line 24): let exceptions of waits pass, or raise them again (stopped by "
+        "Ctrl-C)"
+    ) in done.stderr
+    assert last_z_mm(rig) < CLEAR_mm
+
+
+@pytest.mark.thorough
+def test_one_that_catches_whatever_is_raised_is_killed_and_its_guard_lifts_z(rig: Any) -> None:
+    running = start(rig, "BaseException")
+    report = rig.guard_report()
+    done = running.finish()
+    assert done.code == -signal.SIGKILL, done.stderr
+    assert report is not None
+    assert (report["safe"], report["released"]) == (True, True), report
+    assert report["cause"].startswith("procedure stubborn of package lab kept back"), report
+    assert "error: procedure stubborn of package lab kept back" in done.stderr
+    assert "; the run was killed; its guard makes the bench safe ...\n" in done.stderr
+    assert "Bench was made safe by the guard; " in done.stderr
+    assert last_z_mm(rig) < CLEAR_mm
