@@ -7,7 +7,7 @@ import errno
 import fcntl
 import os
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -56,6 +56,10 @@ class BatchFolder:
     def run_file(self, number: int, procedure: str) -> Path:
         """Return the run file that this journal is compiled to."""
         return self.journal(number, procedure).with_suffix(RUN_SUFFIX)
+
+    def not_compiled(self, runs: Iterable[tuple[int, str]]) -> int:
+        """Return how many of these runs, by number and procedure, are without their run file."""
+        return sum(not self.run_file(*run).exists() for run in runs)
 
     def world_log(self, number: int) -> Path:
         """Return a simulated bench's own log of a run, of all its attempts."""

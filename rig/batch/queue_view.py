@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import sqlite3
 from collections.abc import Iterator, Sequence
@@ -38,6 +39,18 @@ class QueueView:
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+    def is_whole(self, schema: str) -> bool:
+        """Return whether SQLite finds nothing wrong with the file, every index and reference
+        included, and its tables and indexes are those that the statements of `schema` make."""
+        found = [row[0] for row in self._sql.execute("PRAGMA integrity_check(1)").fetchall()]
+        if found != ["ok"] or self._sql.execute("PRAGMA foreign_key_check").fetchone() is not None:
+            return False
+        made_by = "SELECT type, name, sql FROM sqlite_master ORDER BY type, name"
+        with contextlib.closing(sqlite3.connect(":memory:")) as empty:
+            empty.executescript(schema)
+            wanted = empty.execute(made_by).fetchall()
+        return [tuple(row) for row in self._sql.execute(made_by).fetchall()] == wanted
 
     # --- the batch as a whole -------------------------------------------------------------------
 
@@ -77,6 +90,11 @@ class QueueView:
         """Return a condition by its id."""
         row = self._sql.execute("SELECT * FROM condition WHERE id = ?", (name,)).fetchone()
         return _condition_of(row)
+
+    def conditions(self) -> dict[str, BatchCondition]:
+        """Return all conditions by id, in the order of the batch file."""
+        rows = self._sql.execute("SELECT * FROM condition ORDER BY place")
+        return {row["id"]: _condition_of(row) for row in rows.fetchall()}
 
     def rows(self, states: Sequence[RunState] = ()) -> Iterator[RunRow]:
         """Yield the runs in the order of the queue, in constant memory."""

@@ -7,8 +7,9 @@ from pathlib import Path
 import pytest
 
 from rig.batch.folder import BatchFolder
-from rig.batch.plan.conditions import BatchPlan
+from rig.batch.plan.conditions import BatchCondition, BatchPlan, PlannedRun
 from rig.batch.queue import Queue
+from rig.batch.queue_records import AttemptResult, RunEstimate
 from rig.batch.report.status import status_of
 from rig.bench.plan import read_bench
 from rig.run.locks.bench_mark import BenchMarks
@@ -54,3 +55,24 @@ def test_the_lock_of_a_batch_can_be_opened_by_its_owner_alone(tmp_path: Path) ->
     with folder.held_by("supervisor", 0.0):
         assert folder.is_held("supervisor")
         assert (tmp_path / "supervisor.lock").stat().st_mode & 0o777 == 0o600
+
+
+def test_only_a_run_without_its_run_file_is_called_not_compiled(tmp_path: Path) -> None:
+    folder = BatchFolder(tmp_path)
+    condition = BatchCondition("sweep-001", 0, "sweep", {}, {})
+    plan = BatchPlan(
+        {"sweep-001": condition}, tuple(PlannedRun(k, "sweep-001", k) for k in (1, 2, 3))
+    )
+    estimates = {"sweep-001": RunEstimate(10.0, 2.0)}
+    (tmp_path / "runs").mkdir()
+    with Queue.create(
+        folder.queue, plan, estimates, {"name": "night", "state": "stopped"}
+    ) as queue:
+        for number in (1, 2, 3):
+            queue.finish(queue.claim(number), AttemptResult("complete"), "done")
+    folder.run_file(1, "sweep").touch()
+    folder.run_file(2, "sweep").touch()
+    lines = status_of(folder).lines()
+    assert "not compiled yet: 1 run file" in lines
+    assert "figures and results still to be made: 2 runs" in lines
+    assert lines[-1].startswith("continue with: rig batch resume")

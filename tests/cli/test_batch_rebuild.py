@@ -69,6 +69,13 @@ def test_another_batch_file_than_that_of_the_runs_is_refused(rig: Any) -> None:
     write_night(rig, TWO.replace("[0.5, 1.0]", "[0.5]").replace("[160, 200, 240]", "[200]"))
     assert rig.run("batch", "run", "night.toml").code == 0
     batch = folder_of(rig.results)
+    sound = (batch / "queue.sqlite").read_bytes()
+    refused = rig.run("batch", "rebuild")
+    assert refused.code == 2
+    assert "is sound; there is nothing to rebuild" in refused.stderr
+    assert (batch / "queue.sqlite").read_bytes() == sound
+    assert not list(batch.glob("queue.*-1*"))
+
     write_night(rig, TWO)
     damage(batch / "queue.sqlite")
     refused = rig.run("batch", "rebuild")
@@ -78,3 +85,5 @@ def test_another_batch_file_than_that_of_the_runs_is_refused(rig: Any) -> None:
     assert rig.run("batch", "rebuild", "--file", "copy.toml").code == 0
     shown = rig.run("batch", "status")
     assert "1 of 1 run done" in shown.stdout
+    assert "not compiled" not in shown.stdout
+    assert "figures and results still to be made: 1 run" in shown.stdout

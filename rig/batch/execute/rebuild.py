@@ -5,21 +5,26 @@ from __future__ import annotations
 
 import contextlib
 import json
-from collections.abc import Callable
-from dataclasses import replace
+import sqlite3
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, replace
 from datetime import datetime
 from pathlib import Path
+from typing import Any
 
 from rig.batch.execute.batch_clock import PASSED_S
 from rig.batch.execute.crash_recovery import outcome_from_journal
 from rig.batch.execute.prepare import prepare
 from rig.batch.execute.start import read_terms, terms_of
 from rig.batch.folder import BatchFolder
-from rig.batch.plan.conditions import BatchCondition, BatchPlan
+from rig.batch.plan.conditions import BatchCondition, BatchPlan, PlannedRun
 from rig.batch.plan.policy import kind_of
 from rig.batch.plan.procedures import installed
-from rig.batch.queue import Queue
+from rig.batch.plan.read import read_batch
+from rig.batch.plan.settings import BatchFile
+from rig.batch.queue import SCHEMA, Queue
 from rig.batch.queue_records import AttemptResult, RunState
+from rig.batch.queue_view import QueueView
 from rig.core.errors import ConfigurationError, RigError
 from rig.files.journal.reader import read_journal
 from rig.files.journal.values import RunHeader
@@ -43,13 +48,19 @@ def rebuild(
     say that it failed has failed (`rig batch resume --retry-failed` queues it again); any other is
     queued, and continues from its journal. Numbers of attempts, holds and events are lost.
 
-    ConfigurationError if the batch is running, or if the batch file is not that of the runs.
+    ConfigurationError if the batch is running, if its queue is sound, or if the batch file is not
+    that of the runs.
     """
     for who in ("supervisor", "worker"):
         if folder.is_held(who):
             raise ConfigurationError(
                 f"{folder.path}: the batch is running", "stop it first: rig batch stop"
             )
+    if is_sound(folder):
+        raise ConfigurationError(
+            f"the queue of {folder.path} is sound; there is nothing to rebuild",
+            f"see: rig batch status {folder.path}",
+        )
     terms = read_terms(folder)
     path = batch_file or Path(terms.get("batch_file", folder.batch_file))
     _require_same(path, folder.batch_file)
@@ -68,6 +79,40 @@ def rebuild(
     _put_away(folder.queue)
     new.rename(folder.queue)
     return counts
+
+
+def is_sound(folder: BatchFolder) -> bool:
+    """Return whether the queue of a batch that is not running is one that a rebuild would not
+    improve: its file is whole, it has the conditions and runs of the batch file, and those are done
+    that are complete in their own files.
+
+    A complete run is settled by `rig batch resume` alone where an attempt at it has begun.
+    """
+    try:
+        with QueueView.open(folder.queue) as queue:
+            if not queue.is_whole(SCHEMA):
+                return False
+            BatchFile.model_validate_json(queue.meta("file"))
+            conditions, rows = queue.conditions(), list(queue.rows())
+        _, plan, _ = read_batch(folder.batch_file)
+    except (RigError, OSError, sqlite3.Error, ValueError):
+        return False
+    if _as_kept(conditions) != _as_kept(plan.conditions):
+        return False
+    if [PlannedRun(row.number, row.condition, row.repeat) for row in rows] != list(plan.runs):
+        return False
+    for row in rows:
+        journal = folder.journal(row.number, conditions[row.condition].procedure)
+        complete = outcome_from_journal(journal).ending == "complete"
+        to_be_settled = row.state in ("queued", "running") and row.attempts > 0
+        if complete != (row.state == "done") and not to_be_settled:
+            return False
+    return True
+
+
+def _as_kept(conditions: Mapping[str, BatchCondition]) -> Any:
+    """Return conditions with the values that JSON makes of them, as the queue has them."""
+    return json.loads(json.dumps([asdict(one) for one in conditions.values()]))
 
 
 def _require_same(path: Path, copy: Path) -> None:

@@ -302,7 +302,7 @@ class Supervisor:
             self._make_files(start=True)
             time.sleep(POLL_EVERY_S)
         self._files.close(CLOSING_S)
-        if missing := len(self._queue.unprocessed()):
+        if missing := self._folder.not_compiled(self._queue.unprocessed()):
             self._say(
                 f"not compiled yet: {counted(missing, 'run file')}; compile with: "
                 f"rig batch resume {self._folder.path}"

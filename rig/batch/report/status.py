@@ -35,7 +35,9 @@ class BatchStatus:
     counts: dict[RunState, int]
     remaining: RemainingWork
     unprocessed: int
-    """Finished runs whose files are still to be made."""
+    """Finished runs whose files are still to be made: run file, detector's results or figures."""
+    not_compiled: int
+    """Those of them that have not even a run file."""
     bench_s: float
     holds: int
     """Holds of all runs so far; a pause by a person is none."""
@@ -104,9 +106,13 @@ class BatchStatus:
                 counted(self.presses, "press", "presses"),
             )
             shown.append(f"so far: {holds}, {presses}")
-        if self.unprocessed:
-            files = counted(self.unprocessed, "run file")
-            shown.append(f"compiling {files}" if self.running else f"not compiled yet: {files}")
+        if self.running and self.unprocessed:
+            shown.append(f"making the files of {counted(self.unprocessed, 'run')}")
+        elif self.unprocessed:
+            if self.not_compiled:
+                shown.append(f"not compiled yet: {counted(self.not_compiled, 'run file')}")
+            if compiled := self.unprocessed - self.not_compiled:
+                shown.append(f"figures and results still to be made: {counted(compiled, 'run')}")
         shown += [f"failed: run {r.number} {r.condition}: {r.reason}" for r in self.failures]
         shown += [f"{time[:19]} {level}: {text}" for time, level, text in self.events]
         if not self.running and (self.remaining.runs or self.unprocessed):
@@ -130,6 +136,7 @@ def status_of(folder: BatchFolder, running: bool | None = None) -> BatchStatus:
     if running is None:
         running = folder.is_held("supervisor")
     with QueueView.open(folder.queue) as queue:
+        unprocessed = queue.unprocessed()
         state = queue.meta("state")
         beat = read_heartbeat(folder.heartbeat) if running else None
         if beat and beat.state == "holding" and not state.startswith(("held", "paus")):
@@ -142,7 +149,8 @@ def status_of(folder: BatchFolder, running: bool | None = None) -> BatchStatus:
             running,
             queue.counts(),
             queue.remaining(),
-            len(queue.unprocessed()),
+            len(unprocessed),
+            folder.not_compiled(unprocessed),
             queue.bench_s(),
             int(queue.meta(HOLDS, "0")),
             int(queue.meta(PRESSES, "0")),
