@@ -163,10 +163,11 @@ def _say_what_stayed_on(outcome: RunOutcome) -> None:
 def _report_summary(outcome: RunOutcome) -> None:
     """Report the results in brief; the file's path goes to stdout for a program that reads it. A
     person at a terminal sees it in the closing lines."""
-    if outcome.in_brief:
-        scattered = any(" ± " in line for line in outcome.in_brief) and "trials" in outcome.summary
+    shown = outcome.in_brief if outcome.points_done else ()
+    if shown:
+        scattered = any(" ± " in line for line in shown) and "trials" in outcome.summary
         say("Results (mean ± standard deviation):" if scattered else "Results:")
-    for line in outcome.in_brief:
+    for line in shown:
         say(f"  {line}")
     if outcome.file is not None and not sys.stdout.isatty():
         print(outcome.file, flush=True)  # noqa: T201 - stdout carries data
@@ -207,9 +208,13 @@ def closing_lines(
     if not _has_begun(outcome):
         return [f"{ended[0].upper()}{ended[1:]}: the run did not begin, nothing was recorded."]
     lines = [f"{ended[0].upper()}{ended[1:]}: {_done(procedure, outcome)}"]
+    if outcome.points_earlier:
+        lines[0] += f", {outcome.points_earlier} of them earlier"
     if outcome.duration_s:
+        lines[0] += "," if outcome.points_earlier else ""
         lines[0] += f" in {duration(outcome.duration_s)}"
         lines[0] += " of bench time" if outcome.simulated else ""
+        lines[0] += " since the resume" if outcome.points_earlier else ""
     lines[0] += " (simulated)." if outcome.simulated else "."
     if outcome.file is not None:
         pictures = len({path.with_suffix("") for path in drawn})
@@ -217,11 +222,26 @@ def closing_lines(
         lines.append(f"Saved: {outcome.file}{figures}")
     if outcome.made_safe:
         lines.append(f"{_bench_state(outcome)}: {', '.join(outcome.made_safe)}.")
+    elif not outcome.armed and outcome.own_bench:
+        lines.append("Bench is safe: nothing had been switched on.")
+    elif not outcome.armed:  # An earlier run may have left something pressed.
+        lines.append("Bench is as it was before the run: nothing had been switched on.")
     if outcome.journal is not None and outcome.file is None:
         lines.append(f"Recover the run file with: rig recover {outcome.journal}")
-    elif outcome.journal is not None and outcome.points_done < outcome.points_planned:
-        lines.append(f"Resume with: rig resume {outcome.journal}")
+    elif _resumes(outcome):
+        not_safe = outcome.off_failures and not _guard_made_safe(outcome)
+        resume = "Once the bench is safe, resume with" if not_safe else "Resume with"
+        lines.append(f"{resume}: rig resume {outcome.journal}")
     return lines
+
+
+def _resumes(outcome: RunOutcome) -> bool:
+    """Return whether `rig resume` can take the points that are left."""
+    return (
+        outcome.journal is not None
+        and outcome.file is not None
+        and outcome.points_done < outcome.points_planned
+    )
 
 
 def _has_begun(outcome: RunOutcome) -> bool:
@@ -243,13 +263,21 @@ def _done(procedure: type[Procedure], outcome: RunOutcome) -> str:
 
 
 def _bench_state(outcome: RunOutcome) -> str:
-    if outcome.off_failures and outcome.taken_over is not None and outcome.taken_over.safe:
+    if outcome.off_failures and _guard_made_safe(outcome):
         return "Bench was made safe by the guard (see above); before"
     if outcome.off_failures:
         return "Bench is NOT safe (see above); done"
+    if outcome.left:
+        found = " and ".join(outcome.left)
+        then = "you resume" if _resumes(outcome) else "the next run"
+        return f"Bench is stopped, but {found} (see above): check stage_z before {then}; done"
     if not outcome.safe:
         return "Bench is stopped, but check it (see above)"
     return "Bench is safe"
+
+
+def _guard_made_safe(outcome: RunOutcome) -> bool:
+    return outcome.taken_over is not None and outcome.taken_over.safe
 
 
 def as_object(outcome: RunOutcome, figures: list[str]) -> dict[str, Any]:

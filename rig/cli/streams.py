@@ -13,6 +13,8 @@ import os
 import sys
 
 STANDARD_FILES = (0, 1, 2)
+ERASE_LINE = "\x1b[2K"
+"""What erases a terminal's line."""
 
 
 class LastingStream(io.TextIOWrapper):
@@ -82,6 +84,8 @@ def code_after_output(code: str | int | None) -> str | int | None:
 
 
 def say_at_once(text: str) -> None:
-    """Write a line to stderr from a signal's handler, which may have interrupted another line."""
+    """Write a line to stderr from a signal's handler, which may have interrupted another line; on a
+    terminal a progress bar, which is erased."""
     with contextlib.suppress(OSError):
-        os.write(2, f"\r{text}\n".encode() if os.isatty(2) else f"{text}\n".encode())
+        erased = f"\r{ERASE_LINE}" if os.isatty(2) else ""
+        os.write(2, f"{erased}{text}\n".encode())

@@ -61,6 +61,8 @@ class Run:
         self.silent: frozenset[str] = frozenset()
         """Roles of these instruments, and of those that share a link with one of them."""
         self._not_safe_said = False
+        self.left: list[str] = []
+        """How z was left where it could not be moved clear, as parts of a sentence."""
         self.made_safe: list[str] = []
         """Effects of the shutdown actions since the bench was last made safe, in their order, as
         parts of a sentence: "generator off". An action that failed in part is not included."""
@@ -324,10 +326,14 @@ class Run:
         except Exception:  # noqa: BLE001 - a failed recorder is reported when it is closed
             pass
 
-    def fail(self, error: RigError) -> None:
+    def fail(self, error: RigError, left: str = "") -> None:
         """Report a failure without raising it: for a shutdown action that could be done only in
-        part. The run has failed; the error is reported at the end, after what failed before."""
+        part. The run has failed; the error is reported at the end, after what failed before. `left`
+        says for the closing lines how z stands there, as part of a sentence: "the skin may still be
+        pressed"."""
         self.failures.append(error)
+        if left and left not in self.left:
+            self.left.append(left)
         self.event("error", type(error).__name__, error.one_line())
 
     def check_stop(self) -> None:

@@ -79,7 +79,7 @@ def execute(
         plan = plan.require_fixture(*job.procedure.fixtures)
         points = procedure.points()
         recorded = job.recorded
-        outcome.points_done = len(recorded)
+        outcome.points_done = outcome.points_earlier = len(recorded)
         outcome.points_planned = len({point.id for point in points} | recorded.keys())
         require_roles(points, plan)
         if job.lock is not None:
@@ -326,6 +326,9 @@ class _Execution:
         found = self.run.disturbances
         self.outcome.holds, self.outcome.presses = found.holds, found.presses
         self.outcome.made_safe = tuple(self.run.made_safe)
+        self.outcome.armed = self.run.arming.begun
+        self.outcome.own_bench = self.job.lock is None
+        self.outcome.left = tuple(self.run.left)
         self.outcome.off_failures = [failure for failure in failures if failure.drives]
         for failure in failures:
             if not failure.drives:

@@ -21,6 +21,8 @@ class RunOutcome:
     code: ExitCode
     points_planned: int = 0
     points_done: int = 0
+    points_earlier: int = 0
+    """Those of them that an earlier attempt recorded."""
     simulated: bool = False
     file: Path | None = None
     journal: Path | None = None
@@ -43,4 +45,11 @@ class RunOutcome:
     """Effects of the shutdown actions at the end, as parts of a sentence: "generator off"."""
     safe: bool = False
     """True if the bench is known to be safe: every shutdown action worked completely."""
+    armed: bool = True
+    """False if this attempt has switched nothing on and moved nothing."""
+    own_bench: bool = False
+    """True if the bench was started for this run alone: no earlier run can have left it pressed."""
+    left: tuple[str, ...] = ()
+    """How z was left where it could not be moved clear, as parts of a sentence: "the skin may still
+    be pressed"."""
     warnings: list[str] = field(default_factory=list)

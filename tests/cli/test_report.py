@@ -15,6 +15,7 @@ from rig.cli.report import ConsoleObserver, closing_lines
 from rig.core.errors import ExitCode
 from rig.figures.drawing import DrawingProcess, Drawn
 from rig.run.arming import ShutdownFailure
+from rig.run.making_safe.guard import TakenOver
 from rig.run.outcome import RunOutcome
 from rig.run.points import Point
 from rig.run.stopping import StopRequestedError
@@ -78,6 +79,59 @@ def test_a_bench_that_is_not_safe_is_not_called_safe() -> None:
     assert closing_lines(SlipTrial, outcome, [])[1] == (
         "Bench is stopped, but check it (see above): x stage stopped."
     )
+
+
+def test_a_resumed_run_says_which_points_are_of_an_earlier_attempt_and_what_its_time_is() -> None:
+    outcome = RunOutcome("complete", ExitCode.DONE, 175, 175, simulated=True, file=FILE)
+    outcome.duration_s, outcome.points_earlier = 30.0, 39
+    assert closing_lines(Sweep, outcome, [])[0] == (
+        "Finished: 175 of 175 points, 39 of them earlier, in 30.0 s of bench time since the resume "
+        "(simulated)."
+    )
+    refused = RunOutcome("failed", ExitCode.INSTRUMENT, 175, 39, points_earlier=39)
+    assert closing_lines(Sweep, refused, []) == ["Failed: 39 of 175 points, 39 of them earlier."]
+
+
+def test_a_run_that_is_stopped_before_anything_was_armed_says_so_and_shows_no_results(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    outcome = RunOutcome("stopped", ExitCode.SIGINT, 3, 0, file=FILE, journal=JOURNAL)
+    outcome.failures, outcome.in_brief = [StopRequestedError(signal.SIGINT)], ["valid: 0 of 0"]
+    outcome.safe, outcome.armed, outcome.own_bench = True, False, True
+    report.finish(SlipTrial, outcome, as_json=False, drawing=None, debug=False)
+    assert capsys.readouterr().err.splitlines() == [
+        "Stopped by Ctrl-C: 0 of 3 trials.",
+        "Saved: results/a.h5",
+        "Bench is safe: nothing had been switched on.",
+        "Resume with: rig resume results/a.rigj",
+    ]
+    outcome.own_bench = False
+    assert closing_lines(SlipTrial, outcome, [])[2] == (
+        "Bench is as it was before the run: nothing had been switched on."
+    ), "an earlier run may have left something pressed"
+
+
+def test_what_may_still_be_pressed_is_named_before_it_is_said_how_to_resume() -> None:
+    outcome = RunOutcome("failed", ExitCode.INSTRUMENT, 3, 0, file=FILE, journal=JOURNAL)
+    outcome.left = ("the skin may still be pressed",)
+    outcome.made_safe = ("x stage stopped", "acquisition off")
+    assert closing_lines(SlipTrial, outcome, [])[2:] == [
+        "Bench is stopped, but the skin may still be pressed (see above): check stage_z before you "
+        "resume; done: x stage stopped, acquisition off.",
+        "Resume with: rig resume results/a.rigj",
+    ]
+    outcome.points_done = 3
+    (line,) = closing_lines(SlipTrial, outcome, [])[2:]
+    assert "check stage_z before the next run; done: " in line
+
+
+def test_a_run_that_left_its_bench_unsafe_is_resumed_once_that_is_safe() -> None:
+    outcome = RunOutcome("failed", ExitCode.UNSAFE, 3, 1, file=FILE, journal=JOURNAL)
+    outcome.off_failures = [ShutdownFailure("normal force", "no answer")]
+    last = "resume with: rig resume results/a.rigj"
+    assert closing_lines(SlipTrial, outcome, [])[-1] == f"Once the bench is safe, {last}"
+    outcome.taken_over = TakenOver(True, "the guard has stopped it")
+    assert closing_lines(SlipTrial, outcome, [])[-1] == f"R{last[1:]}"
 
 
 def test_plans_pauses_and_points_are_one_line_each(capsys: pytest.CaptureFixture[str]) -> None:

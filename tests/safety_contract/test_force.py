@@ -254,7 +254,7 @@ def test_a_run_does_not_continue_after_a_hold_that_left_the_film_pressed(rig):
     (reported,) = [line for line in ended.stderr.splitlines() if "is still pressed with" in line]
     assert reported.startswith("error: stage_z: unload: the film is still pressed with ")
     assert "Resumed." not in ended.stderr
-    assert "Bench is stopped, but check it (see above)" in ended.stderr
+    assert "Bench is stopped, but the film is still pressed with" in ended.stderr
     assert rig.outputs() == [True, False], "not switched on again"
     assert [round(mm) for mm in moves(rig)].count(5) == 2, "parked, and up for the hold"
     with RunFile.open(rig.only("*.h5")) as run:

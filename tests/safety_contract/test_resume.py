@@ -32,6 +32,9 @@ def test_a_resumed_sweep_equals_an_uninterrupted_one(rig):
 
     assert resumed.code == 0, resumed.stderr
     assert resumed.object["points_done"] == 40
+    finished = f"Finished: 40 of 40 points, {resumed_from} of them earlier, in "
+    assert finished in resumed.stderr
+    assert " of bench time since the resume (simulated)." in resumed.stderr
     assert not list(rig.results.rglob("*.rigj")), "a complete run needs its journal no more"
     with (
         RunFile.open(rig.folder / whole.object["file"]) as expected,

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 from tiers import mostly_nightly
+from typist import Typist
 
 from rig.files.runfile.reader import RunFile
 from rig.files.verify import verify
@@ -217,6 +218,21 @@ def test_a_stop_is_acknowledged_and_the_last_line_says_how_to_resume(rig):
     lines = ended.stderr.splitlines()
     assert "stopping: making the bench safe, then saving the data ..." in lines
     assert f"Resume with: rig resume {ended.object['journal']}" in lines[-1]
+
+
+@pytest.mark.thorough
+def test_a_stop_before_the_first_point_leaves_no_progress_bar_on_a_terminal(rig):
+    person = Typist(rig, "sweep", "--no-figures", *SIXTY_POINTS)
+    try:
+        person.types_after("ETA", b"\x03")
+        code, shown = person.ends()
+    finally:
+        person.close()
+    assert code == 130
+    assert "\r\x1b[2Kstopping: making the bench safe" in shown, "the bar is erased first"
+    bars, ending = shown.rindex("ETA"), shown.index("Stopped by Ctrl-C: 0 of 60 points")
+    assert bars < shown.rindex("\x1b[2K") < ending
+    assert "\x1b[?25h" in shown[bars:ending], "the cursor is shown again"
 
 
 def test_a_usage_error_gives_an_object_too(rig):

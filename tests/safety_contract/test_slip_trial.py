@@ -254,8 +254,10 @@ def test_a_drive_that_fails_in_a_slide_leaves_the_skin_pressed_and_says_so(rig):
     assert error.startswith("error: stage_z: ")
     assert STANDS not in error
     assert STANDS in "\n".join(ended.object["warnings"])
-    stopped = "x stage stopped, acquisition off, force stream stopped."
-    assert f"Bench is stopped, but check it (see above): {stopped}" in ended.stderr
+    assert (
+        "Bench is stopped, but the skin may still be pressed (see above): check stage_z before you "
+        "resume; done: x stage stopped, acquisition off, force stream stopped." in ended.stderr
+    )
     for stage in ("stage_z", "stage_x"):
         motion = [e["what"] for e in moves(rig, stage) if e["what"] in ("move", "at-rest")]
         assert motion[-1] == "at-rest", stage

@@ -210,7 +210,8 @@ def arm_from_where_it_stands(run: Run, name: str, way_back: Callable[[float], No
                 return
             stands_mm = stage.position_mm()
         except InstrumentError as error:
-            run.fail(error)  # it has stopped, and was not moved
+            # It has stopped, and was not moved.
+            run.fail(error, "it is not known where stage_z stands")
             return
         if stands_mm > first_mm - CLEAR_mm + BOTTOM_mm:
             way_back(stands_mm)
@@ -439,7 +440,8 @@ def unload(run: Run, pressed: str, came_from_mm: float) -> None:
         hint = "check the stage; then start again, or move it away by hand"
         if force_N is not None and force_N > run.force.limit_N:
             raise UnsafeError(f"stage_z: unload: {what}, over the limit", hint) from error
-        run.fail(InstrumentError("stage_z", "unload", what, hint))
+        failure = InstrumentError("stage_z", "unload", what, hint)
+        run.fail(failure, f"the {pressed} may still be pressed")
         return
     _judge_what_remains(run, pressed, where)
 
@@ -449,7 +451,7 @@ def _where(run: Run) -> str:
     try:
         return f"at {run.bench.stage_z.position_mm():.3f} mm"
     except WrongPositionError as error:
-        run.fail(error)
+        run.fail(error, "it is not known where stage_z stands")
         return f"where its driver does not say ({error.cause})"
 
 
@@ -586,4 +588,5 @@ def _judge_what_remains(run: Run, pressed: str, where: str) -> None:
     )
     if force_N > limit_N:
         raise UnsafeError(f"stage_z: unload: {finding}, over the limit of {limit_N:g} N", hint)
-    run.fail(InstrumentError("stage_z", "unload", finding, hint))
+    failure = InstrumentError("stage_z", "unload", finding, hint)
+    run.fail(failure, f"the {pressed} is still pressed with {force_N:.3g} N")

@@ -138,11 +138,11 @@ def perform(
             lock=bench.lock,
         )
         simulated = bench.plan.settings.simulation is not None
-        console = stack.enter_context(ConsoleObserver(type(procedure), simulated=simulated))
         drawing = None
         if request.figures and not request.dry_run:
             drawing = stack.enter_context(DrawingProcess())
-        outcome = execute(job, bench.plan, bench.clock, stop, console)
+        with ConsoleObserver(type(procedure), simulated=simulated) as console:
+            outcome = execute(job, bench.plan, bench.clock, stop, console)
         if bench.started is not None:
             bench.started.wait()
         if request.dry_run:

@@ -1,0 +1,62 @@
+"""What the outcome of a run says of the bench that it leaves."""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Sequence, Set
+from pathlib import Path
+
+import pytest
+from made_up import Example, run_of
+
+from rig.core.errors import ExitCode, InstrumentError
+from rig.core.settings import Settings
+from rig.run.context import Run
+from rig.run.observers import RunObserver
+from rig.run.points import Point
+from rig.run.stopping import StopFlag
+
+
+class Impatient(RunObserver):
+    """A person who stops the run as soon as its plan is shown."""
+
+    def __init__(self, stop: StopFlag):
+        self._stop = stop
+
+    def planned(self, points: Sequence[Point], recorded: Set[str], overhead_s: float) -> None:
+        self._stop.requested = signal.SIGINT
+
+
+class Waiting(Example):
+    """It waits before it switches anything on."""
+
+    def arm(self, run: Run) -> None:
+        run.check_stop()
+        super().arm(run)
+
+
+@pytest.mark.parametrize(("procedure", "armed"), [(Waiting, False), (Example, True)])
+def test_a_run_knows_whether_it_has_switched_anything_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, procedure: type[Example], armed: bool
+) -> None:
+    stop = StopFlag()
+    outcome = run_of(procedure(Settings()), tmp_path, monkeypatch, Impatient(stop), stop=stop)
+    assert outcome.code == ExitCode.SIGINT
+    assert (outcome.armed, outcome.safe, outcome.own_bench) == (armed, True, True)
+    assert bool(outcome.made_safe) == armed
+
+
+class LeavesItPressed(Example):
+    """What presses cannot be lifted."""
+
+    def arm(self, run: Run) -> None:
+        stuck = InstrumentError("stage_z", "unload", "it stands", "check the stage")
+        run.arm("preload", lambda: run.fail(stuck, "the film may still be pressed"))
+
+
+def test_a_run_knows_what_it_has_left_pressed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    outcome = run_of(LeavesItPressed(Settings()), tmp_path, monkeypatch)
+    assert outcome.left == ("the film may still be pressed",)
+    assert (outcome.safe, outcome.code) == (False, ExitCode.INSTRUMENT)
