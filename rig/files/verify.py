@@ -33,6 +33,7 @@ from rig.files.runfile.sample_walk import SampleWalk
 if TYPE_CHECKING:
     import h5py
 
+    from rig.files.journal.values import RunHeader
     from rig.files.model_file import ModelFile
     from rig.files.processed.reader import ProcessedFile
 
@@ -44,6 +45,14 @@ REQUIRED = (
     *("outcome", "events", "instrument", "attempts", "points", "blocks"),
 )
 """Paths that every run file has in ``/entry``."""
+
+
+Noun = tuple[str, str]
+"""What a procedure calls a point, and several: ``("trial", "trials")``."""
+
+
+def _as_points(_: RunHeader) -> Noun:
+    return "point", "points"
 
 
 @dataclass(frozen=True)
@@ -72,9 +81,9 @@ def verify(file: Path | str) -> list[str]:
     return list(verdict(file).findings)
 
 
-def verdict(file: Path | str) -> FileVerdict:
+def verdict(file: Path | str, noun_of: Callable[[RunHeader], Noun] = _as_points) -> FileVerdict:
     """Check a run file, a processed file or a journal; raises nothing for a bad file, however
-    damaged.
+    damaged. `noun_of` returns what the procedure of a run calls its points.
 
     Of a run file: the SHA-256 beside it, every dataset's checksum, the structure, the points, the
     lengths, the outcome, the simulated marks, and its journal if that is still there. Of a journal:
@@ -83,7 +92,7 @@ def verdict(file: Path | str) -> FileVerdict:
     file = Path(file)
     kind = kind_of(file)
     if kind == "journal":
-        return _verdict_on_journal(file)
+        return _verdict_on_journal(file, noun_of)
     if kind != "hdf5":
         return FileVerdict((IN_WORDS[kind],), "")
     from rig.files.model_file import is_model
@@ -98,19 +107,19 @@ def verdict(file: Path | str) -> FileVerdict:
         with RunFile.open(file) as run:
             for check in _CHECKS:
                 findings += _guarded(check, run)
-            extent = run.outcome.extent()
+            extent = run.outcome.extent(noun_of(run.header))
     except RunFileError as error:
         findings.append(error.reason)
     findings += _journal(file)
     return FileVerdict(tuple(findings), extent)
 
 
-def _verdict_on_journal(file: Path) -> FileVerdict:
+def _verdict_on_journal(file: Path, noun_of: Callable[[RunHeader], Noun]) -> FileVerdict:
     try:
         contents = read_journal(file)
     except JournalError as error:
         return FileVerdict((error.reason,), "")
-    extent = ending_of(contents).extent()
+    extent = ending_of(contents).extent(noun_of(contents.header))
     if contents.end is None:
         extent += ", never closed: `rig recover` makes its run file"
     if contents.problem is None:
@@ -152,14 +161,17 @@ BYTES_PER_S = 1e6
 """Slower than any disk and computer that runs this."""
 
 
-def safe_verdict(file: Path | str) -> FileVerdict:
+def safe_verdict(
+    file: Path | str, noun_of: Callable[[RunHeader], Noun] = _as_points
+) -> FileVerdict:
     """Check any file (see `verdict`), in a child process unless its checksum shows it is intact.
+    The child, which reads a file that may be damaged, calls points points.
 
     Raises nothing for a bad file: a crash or an endless loop of HDF5 is a finding.
     """
     file = Path(file)
     if kind_of(file) != "hdf5" or not list(checksum_findings(file)):
-        return verdict(file)
+        return verdict(file, noun_of)
     try:
         return verdict_in_child(file)
     except RunFileError as error:

@@ -76,7 +76,7 @@ def test_a_sound_file_is_shown_and_verified(rig: Any, run_file: Path) -> None:
     assert data["results"]
     verified = rig.run("verify", run_file.name)
     assert verified.code == 0
-    assert verified.stdout == f"{run_file.name}: sound (complete, 1 of 1 points)\n"
+    assert verified.stdout == f"{run_file.name}: sound (complete, 1 of 1 point)\n"
 
 
 def of_another_program(path: Path) -> None:
@@ -156,7 +156,7 @@ def test_verify_tells_every_file_and_counts_the_wrong_ones(rig: Any, run_file: P
     ended = rig.run("verify", "bad.h5", run_file.name)
 
     assert ended.code == 8
-    assert ended.stdout.splitlines()[-1] == f"{run_file.name}: sound (complete, 1 of 1 points)"
+    assert ended.stdout.splitlines()[-1] == f"{run_file.name}: sound (complete, 1 of 1 point)"
     assert ended.errors == ["error: 1 of 2 files failed verification"]
 
 

@@ -45,7 +45,7 @@ def test_an_import_can_be_verified_and_shown_like_any_run(rig: Any) -> None:
 
     verified = rig.run("verify", str(file))
     assert verified.code == 0
-    assert verified.stdout.endswith(": sound (complete, 1 of 1 points)\n")
+    assert verified.stdout.endswith(": sound (complete, 1 of 1 point)\n")
     file.with_suffix(".svg").unlink()
     shown = rig.run("show", str(file), "--figures", "--all")
     assert shown.code == 0, shown.stderr

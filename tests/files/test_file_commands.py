@@ -2,12 +2,30 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import pytest
 import recorded_run as run
 
+from rig.files.journal.values import RunHeader
 from rig.files.journal.writer import JournalWriter
+from rig.files.runfile.compile import compile_run
+from rig.files.verify import safe_verdict, verdict
+
+
+def test_a_verdict_calls_points_what_the_procedure_of_the_run_calls_them(tmp_path: Path) -> None:
+    with JournalWriter.create(tmp_path / "run.rigj", run.header()) as writer:
+        run.take_point(writer, 0)
+        writer.end(run.end("stopped", 1))
+
+    def noun_of(header: RunHeader) -> tuple[str, str]:
+        return {"sweep": ("trial", "trials")}[header.procedure]
+
+    assert str(verdict(tmp_path / "run.rigj")) == "sound (stopped, 1 of 5 points)"
+    assert str(verdict(tmp_path / "run.rigj", noun_of)) == "sound (stopped, 1 of 5 trials)"
+    file = compile_run(tmp_path / "run.rigj")
+    assert str(safe_verdict(file, noun_of)) == "sound (stopped, 1 of 5 trials)"
 
 
 @pytest.mark.thorough

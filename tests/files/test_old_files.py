@@ -41,7 +41,7 @@ def old(tmp_path: Path) -> Path:
     [
         ("sweep.rigj", "complete, 5 of 5 points"),
         ("sweep.h5", "complete, 5 of 5 points"),
-        (f"{IMPORT}.h5", "complete, 1 of 1 points"),
+        (f"{IMPORT}.h5", "complete, 1 of 1 point"),
         (f"processed/{IMPORT}.rig-1-31e5fc930dbe.h5", "rig 1, 4 events in 1 trial"),
     ],
 )

@@ -289,11 +289,12 @@ def verify(files: Files, debug: Debug = False) -> None:
     Checksums, structure, and how complete they are.
     """
     with reported(debug):
+        from rig.cli.show.digest import noun_of
         from rig.files.verify import safe_verdict
 
         wrong = 0
         for path in files:
-            found = safe_verdict(path)
+            found = safe_verdict(path, noun_of)
             wrong += not found.sound
             print(printable(f"{path}: {found}"))  # noqa: T201 - stdout carries data
         if wrong:

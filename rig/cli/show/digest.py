@@ -120,7 +120,7 @@ def _readable(time: str) -> str:
 
 
 def _status(description: Mapping[str, Any], procedure: type[Procedure] | None) -> str:
-    noun = ("point", "points") if procedure is None else procedure.point_name
+    noun = _noun(procedure)
     reason = f" ({description['reason']})" if "reason" in description else ""
     done = f"{description['points_done']} of {counted(description['points_planned'], *noun)}"
     again = f", attempt {description['attempt']}" if description["attempt"] > 1 else ""
@@ -134,6 +134,15 @@ def _can_be_resumed(description: Mapping[str, Any]) -> bool:
 def _settings(other: Any, rank: int) -> Section:
     text = other if isinstance(other, str) else _pairs(_flat(other))
     return Section("settings", [text or AT_DEFAULTS], rank)
+
+
+def noun_of(header: RunHeader) -> tuple[str, str]:
+    """Return what the procedure of a run calls a point, and several."""
+    return _noun(_procedure(header))
+
+
+def _noun(procedure: type[Procedure] | None) -> tuple[str, str]:
+    return ("point", "points") if procedure is None else procedure.point_name
 
 
 def _procedure(header: RunHeader) -> type[Procedure] | None:

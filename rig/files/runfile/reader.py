@@ -12,6 +12,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
+from rig.core.units import counted
 from rig.files.errors import RunFileError
 from rig.files.file_kind import kind_of
 from rig.files.hdf5.open_file import OpenFile
@@ -44,9 +45,10 @@ class RecordedOutcome:
     imported: bool = False
     """Made of another program's file, which the header's origin describes."""
 
-    def extent(self) -> str:
-        """Return how far the run came: ``stopped, 2 of 81 points``."""
-        return f"{self.status}, {self.points_done} of {self.points_planned} points"
+    def extent(self, noun: tuple[str, str] = ("point", "points")) -> str:
+        """Return how far the run came: ``stopped, 2 of 81 points``. `noun` is what its procedure
+        calls a point, and several."""
+        return f"{self.status}, {self.points_done} of {counted(self.points_planned, *noun)}"
 
 
 @dataclass(frozen=True)
