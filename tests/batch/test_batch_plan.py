@@ -41,9 +41,16 @@ def write(rig: Any, text: str) -> str:
 
 @pytest.mark.thorough
 def test_a_plan_lists_every_run_and_foretells_the_night(rig: Any) -> None:
-    ended = rig.run("batch", "plan", write(rig, SWEEPS))
+    until = SWEEPS.replace('"nights"', '"nights"\nstop_by = 2099-01-01T07:00:00')
+    ended = rig.run("batch", "plan", write(rig, until))
     assert ended.code == 0, ended.stderr
-    lines = ended.stdout.splitlines()
+    assert "stop_by 2099-01-01 07:00:00: 7 of 7 runs will have ended by then" in ended.stderr
+    assert "warning" not in ended.stderr
+    heading, *lines = ended.stdout.splitlines()
+    assert heading.split() == ["run", "begins", "condition", "repeat", "duration", "varied"]
+    for word in ("begins", "condition"):
+        place = heading.index(word)
+        assert all(line[place - 1] == " " != line[place] for line in lines), word
     assert [line.split()[0] for line in lines] == ["1", "2", "3", "4", "5", "6", "7"]
     assert [line.split()[3] for line in lines] == [
         *("reference-001", "sweep-001", "sweep-002", "reference-001"),

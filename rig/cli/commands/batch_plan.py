@@ -105,9 +105,11 @@ def as_object(prepared: PreparedBatch, free_B: int) -> dict[str, Any]:
 
 
 def _table(prepared: PreparedBatch) -> Iterator[str]:
-    """One line a run: number, begin, condition, repeat, expected duration, what is varied."""
-    width = max((len(name) for name in prepared.plan.conditions), default=0)
-    digits = len(str(len(prepared.plan.runs)))
+    """Yield a heading, then one line a run: number, begin, condition, repeat, expected duration,
+    what is varied."""
+    width = max(map(len, ("condition", *prepared.plan.conditions)))
+    digits = max(len("run"), len(str(len(prepared.plan.runs))))
+    yield f"{'run':>{digits}} {'begins':14} {'condition':{width}} repeat  duration  varied"
     for placed in prepared.forecast.runs:
         yield _line(prepared, placed, digits, width)
 
@@ -121,7 +123,7 @@ def _line(prepared: PreparedBatch, placed: PlacedRun, digits: int, width: int) -
     duration_s = prepared.expected[run.condition].duration_s
     return (
         f"{run.number:>{digits}} {_local(placed.begins)[5:]} {run.condition:{width}} "
-        f"{run.repeat:>3} {duration_s:7.1f} s  {varied}"
+        f"{run.repeat:>6} {duration_s:7.1f} s  {varied}"
     ).rstrip()
 
 
@@ -142,11 +144,15 @@ def _summary(prepared: PreparedBatch, free_B: int) -> Iterator[str]:
     yield f"disk: about {_size(forecast.size_B)} of run files, {_size(free_B)} free"
     if forecast.size_B > free_B:
         yield "warning: the disk is too small: free space, or choose another folder for results"
-    if forecast.stop_by is not None and forecast.in_time < runs:
-        yield (
-            f"warning: stop_by {_local(forecast.stop_by)}: {forecast.in_time} of "
-            f"{counted(runs, 'run')} will have ended by then; continue with `rig batch resume`"
-        )
+    if forecast.stop_by is not None:
+        stop_by = f"stop_by {_local(forecast.stop_by)}"
+        if forecast.in_time < runs:
+            yield (
+                f"warning: {stop_by}: {forecast.in_time} of {counted(runs, 'run')} will have ended "
+                "by then; continue with `rig batch resume`"
+            )
+        else:
+            yield f"{stop_by}: {runs} of {counted(runs, 'run')} will have ended by then"
     for one in forecast.expiring:
         allowed = prepared.batch.batch.allow_expired
         then = "it will be used all the same" if allowed else "later runs will be held"
