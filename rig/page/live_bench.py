@@ -21,7 +21,8 @@ from rig.page.terminal import DRAWN_EVERY_S, add_value, plain, value_table
 
 
 def show_bench(plan: BenchPlan, console: Console, go_on: Callable[[], bool]) -> None:
-    """Read the instruments of a bench and show their values until `go_on` returns False.
+    """Read the instruments of a bench and show their values, at least once, until `go_on` returns
+    False.
 
     The caller holds the bench's lock. An instrument that cannot be read says so in a line of its
     own and is tried again. Raises ConfigurationError if the bench has nothing to read.
@@ -33,6 +34,7 @@ def show_bench(plan: BenchPlan, console: Console, go_on: Callable[[], bool]) -> 
             "name another bench file with --bench",
         )
     with reading(links), Live(console=console, auto_refresh=False) as live:
+        live.update(panel(plan, links, unreadable), refresh=True)
         while go_on():
             time.sleep(DRAWN_EVERY_S)
             live.update(panel(plan, links, unreadable), refresh=True)

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 from rich.console import Console, ConsoleOptions, Group, RenderResult
 from rich.live import Live
@@ -13,6 +14,7 @@ from rich.table import Table
 from rich.text import Text
 
 from rig.core.text import printable
+from rig.core.units import counted
 from rig.page.watch import BenchWatch
 
 DRAWN_EVERY_S = 0.25
@@ -33,8 +35,9 @@ OLD_S = 2.0
 
 
 def show_run(watch: BenchWatch, console: Console, go_on: Callable[[], bool]) -> None:
-    """Show what the watch sees until `go_on` returns False."""
+    """Show what the watch sees, at least once, until `go_on` returns False."""
     with Live(console=console, auto_refresh=False, transient=False) as live:
+        live.update(run_panel(watch), refresh=True)
         while go_on():
             watch.poll()
             live.update(run_panel(watch), refresh=True)
@@ -56,25 +59,36 @@ def run_panel(watch: BenchWatch) -> Group:
         line.append(printable(f" {word.reason}"), "default")
         parts.append(line)
         if shown:
-            left_s = shown["left_s"]
-            left = "not known yet" if left_s is None else f"about {left_s:.0f} s"
+            sample = f"sample {shown['sample'] or 'not named'}"
             parts.append(
                 plain(
-                    f"{shown['procedure']}: point {shown['n']} of {shown['planned']} "
-                    f"({shown['point'] or 'none open'}), {left} left; sample "
-                    f"{shown['sample'] or 'not named'}; {shown['last_s']:.1f} s"
+                    f"{shown['procedure']}: {_progress(watch, shown)}; {sample}; "
+                    f"{shown['last_s']:.1f} s"
                 )
             )
         if latest:
             text = f"latest run: {latest['file']}, {latest['status']}, exit {latest['exit']}"
             parts.append(plain(text))
-        if view.rings:
-            parts.append(_values(watch))
+        if (values := _values(watch)).row_count:
+            parts.append(values)
         parts += [
             plain(f"{event['t']:.2f} s {event['code']}: {event['text']}")
             for event in list(view.events)[-SHOWN_EVENTS:]
         ]
     return Group(*parts)
+
+
+def _progress(watch: BenchWatch, shown: Mapping[str, Any]) -> str:
+    """Return how far a run is, or has come."""
+    done = f"{shown['done']} of {counted(shown['planned'], 'point')}"
+    if shown["end"] is not None:
+        return f"{shown['end']['status']}, {done}"
+    if watch.holder is None:
+        return f"interrupted, {done}"
+    left_s = shown["left_s"]
+    left = "time left not known yet" if left_s is None else f"about {left_s:.0f} s left"
+    point = shown["point"] or "none open"
+    return f"point {shown['n']} of {shown['planned']} ({point}), {left}"
 
 
 def plain(text: str) -> Text:
@@ -93,7 +107,8 @@ def _values(watch: BenchWatch) -> Table:
             if ring.latest:
                 highs = history["high"][number]
                 units = f"{ring.units} (old)" if old else ring.units
-                add_value(table, f"{name} {channel}", ring.latest[number], units, highs)
+                label = name if channel == name else f"{name} {channel}"
+                add_value(table, label, ring.latest[number], units, highs)
     return table
 
 

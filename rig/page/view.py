@@ -32,6 +32,8 @@ SERVO_ERROR = "servo_error"
 CHANGING = ("regrip", "force_shares")
 """Settings under which a trial's set point changes: an error against the one in the settings would
 be wrong, so none is shown."""
+STOPS = frozenset({"StopRequestedError", "TimeOverError"})
+"""Names of the classes that end a run as it was asked for."""
 SHOWN_FIRST = ("signals", "force", "position", "waveform", "load_rate")
 """Streams of the procedures of this program, in the order in which channels are given to them."""
 LEFT_OUT = frozenset({"strips", "bridges", "ticks", "ages"})
@@ -190,7 +192,7 @@ class RunView:
         if event.code in SHOWN_CODES:
             self.note_slip(event.time, SHOWN_CODES[event.code], event.message)
         elif event.code not in UNSHOWN_CODES:
-            self.note(event.level, event.code, event.message, event.time)
+            self.note(event.level, _in_words(event), event.message, event.time)
 
     def note(self, level: str, code: str, text: str, time_s: float | None = None) -> None:
         """Add an event, at the latest time of the journal unless another is given."""
@@ -352,6 +354,14 @@ class RunView:
                 "points": len(self.curve),
             },
         }
+
+
+def _in_words(event: JournalEvent) -> str:
+    """Return what an event is called. The failure that has ended a run has the name of its class in
+    the journal, which says nothing to a person who watches."""
+    if event.code in STOPS:
+        return "stop"
+    return "failure" if event.code.endswith("Error") else event.code
 
 
 def _in_order(streams: tuple[Stream, ...]) -> list[int]:

@@ -4,11 +4,16 @@ from __future__ import annotations
 
 from io import StringIO
 
+import numpy as np
 import recorded_run as run
 from rich.console import Console
 
-from rig.files.journal.values import RunHeader
+from rig.bench.plan import BenchPlan
+from rig.bench.settings import BenchSettings, FixtureSettings
+from rig.files.journal.values import End, JournalEvent, RunHeader
 from rig.files.runfile.compile import compile_run
+from rig.page import live_bench
+from rig.page.ring import Ring
 from rig.page.terminal import add_value, bars, run_panel, value_table
 from rig.page.watch import BenchWatch
 from rig.page.word import BenchWord
@@ -56,6 +61,55 @@ def test_a_file_cannot_control_the_terminal(tmp_path):
     assert "\x07" not in shown.getvalue()
 
 
+def panel_of(watch: BenchWatch) -> str:
+    shown = StringIO()
+    Console(file=shown, width=200).print(run_panel(watch))
+    return shown.getvalue()
+
+
+def test_a_run_that_was_stopped_or_has_died_is_not_at_a_point(tmp_path):
+    watch = BenchWatch(tmp_path)
+    watch.view.take(RunHeader.model_validate(run.header()))
+    assert "sweep: interrupted, 0 of 5 points; sample" in panel_of(watch)
+    watch.view.take(End.model_validate(run.end("stopped", 0)))
+    assert "sweep: stopped, 0 of 5 points; sample" in panel_of(watch)
+
+
+def test_the_failure_that_ended_a_run_is_not_called_by_the_name_of_its_class(tmp_path):
+    watch = BenchWatch(tmp_path)
+    watch.view.take(RunHeader.model_validate(run.header()))
+    for code, message in (
+        ("StopRequestedError", "stopped by Ctrl-C"),
+        ("RecordError", "daq: it sends nothing"),
+        ("hold", "the door is open"),
+    ):
+        event = {"time": 1.0, "level": "error", "code": code, "message": message}
+        watch.view.take(JournalEvent.model_validate(event))
+    shown = panel_of(watch)
+    assert "1.00 s stop: stopped by Ctrl-C" in shown
+    assert "1.00 s failure: daq: it sends nothing" in shown
+    assert "1.00 s hold: the door is open" in shown
+
+
+def test_a_channel_with_the_name_of_its_stream_is_named_once_and_no_empty_table_is_shown(tmp_path):
+    watch = BenchWatch(tmp_path)
+    watch.view.rings["servo_error"] = Ring(("servo_error",), "N")
+    assert "last seconds" not in panel_of(watch)
+    watch.view.rings["servo_error"].add(np.array([0.1]), np.array([[-0.2]]))
+    shown = panel_of(watch)
+    assert "servo_error -0.2" in " ".join(shown.split())
+    assert shown.count("servo_error") == 1
+
+
+def test_a_bench_is_shown_at_least_once_however_short_the_time(monkeypatch):
+    monkeypatch.setattr(live_bench, "links_of", lambda _: ([], ["stage_z"]))
+    fixture = FixtureSettings(mounted="film-clamp")
+    plan = BenchPlan(BenchSettings(name="b", fixture=fixture), (), "", "b.toml")
+    shown = StringIO()
+    live_bench.show_bench(plan, Console(file=shown, width=200), lambda: False)
+    assert "bench b: no run; nothing is moved or set" in shown.getvalue()
+
+
 def test_a_run_is_shown_by_its_journal(rig):
     day = rig.results / "2026-11-21"
     day.mkdir(parents=True)
@@ -63,5 +117,6 @@ def test_a_run_is_shown_by_its_journal(rig):
     ended = rig.run("monitor", "--seconds", "0.5")
     assert ended.code == 0, ended.stderr
     assert "SIMULATED" in ended.stdout
-    assert "sweep: point 5 of 5" in ended.stdout
+    assert "sweep: complete, 5 of 5 points; sample " in ended.stdout
+    assert " left" not in ended.stdout
     assert "complete, exit 0" in ended.stdout

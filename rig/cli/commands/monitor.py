@@ -44,13 +44,15 @@ def monitor(
         from rig.page.watch import BenchWatch
 
         chosen = existing_bench_file(bench)
-        until_s = None if seconds is None else time.monotonic() + seconds
+        shown_since_s: list[float] = []  # the first showing: what is loaded before takes its time
 
         terminated = threading.Event()
         signal.signal(signal.SIGTERM, lambda *_: terminated.set())
 
         def go_on() -> bool:
-            over = until_s is not None and time.monotonic() >= until_s
+            if not shown_since_s:
+                shown_since_s.append(time.monotonic())
+            over = seconds is not None and time.monotonic() >= shown_since_s[0] + seconds
             return not over and not terminated.is_set()
 
         watch = BenchWatch(results, chosen)
