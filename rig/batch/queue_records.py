@@ -56,6 +56,9 @@ class AttemptResult:
     """Holds of this attempt, which are counted for the batch, not for each run."""
     presses: int = 0
     """Number of presses of the object; counted likewise."""
+    bench: str = ""
+    """How the attempt left the bench, as a sentence; empty where that is not known. It is not
+    kept."""
 
 
 @dataclass(frozen=True)

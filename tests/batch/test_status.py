@@ -6,14 +6,19 @@ from pathlib import Path
 
 import pytest
 
+from rig.batch.execute.worker import _ended
 from rig.batch.folder import BatchFolder
 from rig.batch.plan.conditions import BatchCondition, BatchPlan, PlannedRun
 from rig.batch.queue import Queue
-from rig.batch.queue_records import AttemptResult, RunEstimate
+from rig.batch.queue_records import AttemptResult, RunEstimate, RunState
 from rig.batch.report.status import status_of
 from rig.bench.plan import read_bench
+from rig.core.errors import ExitCode
+from rig.run.arming import ShutdownFailure
 from rig.run.locks.bench_mark import BenchMarks
 from rig.run.locks.lock import address_names
+from rig.run.making_safe.guard import TakenOver
+from rig.run.outcome import RunOutcome
 
 BENCH = """
 name = "bench-3"
@@ -57,13 +62,56 @@ def test_the_lock_of_a_batch_can_be_opened_by_its_owner_alone(tmp_path: Path) ->
         assert (tmp_path / "supervisor.lock").stat().st_mode & 0o777 == 0o600
 
 
+def three_runs() -> tuple[BatchPlan, dict[str, RunEstimate]]:
+    """The plan of three runs of one condition, and what is expected of them."""
+    condition = BatchCondition("sweep-001", 0, "sweep", {}, {})
+    runs = tuple(PlannedRun(k, "sweep-001", k) for k in (1, 2, 3))
+    return BatchPlan({"sweep-001": condition}, runs), {"sweep-001": RunEstimate(10.0, 2.0)}
+
+
+def ended(tmp_path: Path, state: str, *outcomes: RunState, bench: str = "") -> list[str]:
+    """The closing lines of a batch of three runs of a simulated bench, 10 s each."""
+    folder, (plan, estimates) = BatchFolder(tmp_path), three_runs()
+    meta = {"name": "night", "state": state, "simulated": "yes"}
+    with Queue.create(folder.queue, plan, estimates, meta) as queue:
+        for number, outcome in enumerate(outcomes, 1):
+            queue.finish(queue.claim(number), AttemptResult("complete", bench_s=10.0), outcome)
+            queue.set_processed(number, {})
+    return status_of(folder).closing_lines(bench)
+
+
+def test_a_batch_ends_with_the_lines_of_a_run(tmp_path: Path) -> None:
+    assert ended(tmp_path, "complete", "done", "done", "done", bench="Bench is safe.") == [
+        "Finished: 3 of 3 runs in 30 s of bench time (simulated).",
+        f"Saved: {tmp_path}",
+        "Bench is safe.",
+    ]
+
+
+def test_a_batch_that_was_stopped_says_by_what_and_how_it_is_continued(tmp_path: Path) -> None:
+    assert ended(tmp_path, "stopped by Ctrl-C", "done") == [
+        "Stopped by Ctrl-C: 1 of 3 runs in 10 s of bench time (simulated).",
+        f"Saved: {tmp_path}",
+        f"Continue with: rig batch resume {tmp_path}",
+    ], "nothing is said of a bench that is not known"
+
+
+def test_a_batch_that_left_its_bench_unsafe_is_continued_once_that_is_safe(tmp_path: Path) -> None:
+    failure, *lines = ended(
+        tmp_path, "stopped: no answer", "done", "failed", bench="Bench is NOT safe (see above)."
+    )
+    assert failure.startswith("failed: run 2 sweep-001: ")
+    assert lines == [
+        "Stopped: no answer; 1 of 3 runs, 1 failed, in 20 s of bench time (simulated).",
+        f"Saved: {tmp_path}",
+        "Bench is NOT safe (see above).",
+        f"Once the bench is safe, continue with: rig batch resume {tmp_path}",
+    ]
+
+
 def test_only_a_run_without_its_run_file_is_called_not_compiled(tmp_path: Path) -> None:
     folder = BatchFolder(tmp_path)
-    condition = BatchCondition("sweep-001", 0, "sweep", {}, {})
-    plan = BatchPlan(
-        {"sweep-001": condition}, tuple(PlannedRun(k, "sweep-001", k) for k in (1, 2, 3))
-    )
-    estimates = {"sweep-001": RunEstimate(10.0, 2.0)}
+    plan, estimates = three_runs()
     (tmp_path / "runs").mkdir()
     with Queue.create(
         folder.queue, plan, estimates, {"name": "night", "state": "stopped"}
@@ -76,3 +124,19 @@ def test_only_a_run_without_its_run_file_is_called_not_compiled(tmp_path: Path) 
     assert "not compiled yet: 1 run file" in lines
     assert "figures and results still to be made: 2 runs" in lines
     assert lines[-1].startswith("continue with: rig batch resume")
+
+
+def test_the_bench_is_called_safe_only_where_that_is_known() -> None:
+    safe = RunOutcome("complete", ExitCode.DONE, made_safe=("generator off",), safe=True)
+    assert _ended(safe).bench == "Bench is safe."
+    refused = RunOutcome("failed", ExitCode.INSTRUMENT)
+    assert _ended(refused).bench == "", "nothing was connected"
+    untouched = RunOutcome("stopped", ExitCode.SIGINT, safe=True, armed=False)
+    assert _ended(untouched).bench == "", "an earlier run may have left something pressed"
+    left = RunOutcome("failed", ExitCode.INSTRUMENT, left=("the film may still be pressed",))
+    assert _ended(left).bench.startswith("Bench is stopped, but the film may still be pressed")
+    unsafe = RunOutcome("failed", ExitCode.UNSAFE)
+    unsafe.off_failures = [ShutdownFailure("preload", "no answer")]
+    assert _ended(unsafe).bench == "Bench is NOT safe (see above)."
+    unsafe.taken_over = TakenOver(True, "the guard has stopped it")
+    assert _ended(unsafe).bench == "Bench was made safe by the guard (see above)."

@@ -86,6 +86,40 @@ def test_a_worker_that_dies_after_a_request_to_stop_gets_no_successor(
     assert len(workers) == 1
 
 
+def test_a_stop_by_a_key_is_recorded_under_the_name_of_the_key(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    stopping = supervisor(tmp_path, "go")
+    monkeypatch.setattr(stopping, "_requests", list)
+    requested: list[str] = []
+
+    class Worker:
+        exit_code = 130
+
+        def __init__(self, *_: object) -> None:
+            self._rounds = iter([[], None])
+
+        def __enter__(self) -> Worker:
+            return self
+
+        def __exit__(self, *_: object) -> None: ...
+
+        def lines(self, _: float) -> list[bytes] | None:
+            return next(self._rounds)
+
+        pid, beat = 0, staticmethod(lambda: None)
+
+    stopping._stop.requested = signal.SIGINT
+    stopping._log = None  # type: ignore[assignment]
+    monkeypatch.setattr("rig.batch.execute.supervisor.WorkerProcess", Worker)
+    monkeypatch.setattr(stopping, "_record", lambda *_: None)
+    monkeypatch.setattr(stopping, "_poll", lambda: None)
+    monkeypatch.setattr(stopping, "_send", lambda _, command, request: requested.append(request))
+    with Queue.open(BatchFolder(tmp_path).queue) as stopping._queue:
+        stopping._one_worker()
+    assert requested == ["stop by Ctrl-C"]
+
+
 @pytest.mark.parametrize(
     ("command", "sent"),
     [("stop-run", True), ("stop-run 12", True), ("stop-run 11", False), ("stop-run 1", False)],

@@ -148,7 +148,7 @@ def test_ctrl_c_stops_a_batch_safely_and_resume_continues_at_the_point(
     running.send(signal.SIGINT)
     ended = running.finish()
     assert ended.code == 130, ended.stderr
-    assert "continue with: rig batch resume" in ended.stderr
+    assert "Continue with: rig batch resume" in ended.stderr
     journal = folder / "runs" / "r00001_sweep.rigj"
     assert rig.run("resume", str(journal), "--no-figures").code == 0, "a run alone, by hand"
     assert rig.run("batch", "resume").code == 0
@@ -165,7 +165,7 @@ def test_files_that_are_missing_are_shown_and_made_by_resume(
     with closing(sqlite3.connect(folder / "queue.sqlite")) as queue, queue:
         queue.execute("UPDATE run SET processed = NULL WHERE number = 2")
     shown = rig.run("batch", "status", str(folder))
-    assert "not compiled yet: 1 run file" in shown.stdout
+    assert "figures and results still to be made: 1 run" in shown.stdout
     assert f"continue with: rig batch resume {folder}" in shown.stdout
     ended = rig.run("batch", "resume", str(folder))
     assert ended.code == 0, ended.stderr
@@ -181,7 +181,7 @@ def test_ctrl_backslash_stops_a_batch_as_ctrl_c_does(rig) -> None:
     running.send_as_the_terminal_does(signal.SIGQUIT)
     ended = running.finish()
     assert ended.code == 131, ended.stderr
-    assert "continue with: rig batch resume" in ended.stderr
+    assert "Continue with: rig batch resume" in ended.stderr
     assert ask(folder, "SELECT ending, code FROM attempt WHERE run = 1") == [("stopped", 131)]
 
 

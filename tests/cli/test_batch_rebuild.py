@@ -67,8 +67,15 @@ def test_a_damaged_queue_is_one_line_and_is_made_anew_from_the_runs(rig: Any) ->
 
 def test_another_batch_file_than_that_of_the_runs_is_refused(rig: Any) -> None:
     write_night(rig, TWO.replace("[0.5, 1.0]", "[0.5]").replace("[160, 200, 240]", "[200]"))
-    assert rig.run("batch", "run", "night.toml").code == 0
+    ended = rig.run("batch", "run", "night.toml")
+    assert ended.code == 0, ended.stderr
+    assert "\nrun 1: complete, 1 of 1 point\n" in ended.stderr
+    finished, saved, safe = ended.stderr.splitlines()[-3:]
+    assert finished.startswith("Finished: 1 of 1 run in ")
+    assert finished.endswith(" of bench time (simulated).")
     batch = folder_of(rig.results)
+    assert saved == f"Saved: results/{batch.name}"
+    assert safe == "Bench is safe."
     sound = (batch / "queue.sqlite").read_bytes()
     refused = rig.run("batch", "rebuild")
     assert refused.code == 2

@@ -31,7 +31,7 @@ from rig.batch.report.heartbeat import Heartbeat, HeartbeatRecord, HeartbeatStat
 from rig.batch.report.notify import Notifier
 from rig.core.errors import ExitCode
 from rig.core.units import counted
-from rig.run.stopping import StopFlag
+from rig.run.stopping import WORDS, StopFlag
 
 POLL_EVERY_S = 0.1
 """Interval in s at which stop requests, other terminals and background processes are polled."""
@@ -113,6 +113,8 @@ class Supervisor:
         """True if another terminal has asked for the end of the batch."""
         self._held_for = ""
         """Reason why the batch was held last, until a run has ended."""
+        self.bench = ""
+        """How the latest run left its bench, as a sentence; empty where that is not known."""
         self._disk_was_full = False
         """True if files of runs may not have been made for that reason."""
 
@@ -216,7 +218,7 @@ class Supervisor:
                 if self._stop.requested is not None and not stop_sent:
                     stop_sent = True
                     number = self._stop.requested
-                    self._send(worker, f"signal {number.value}", f"stop by {number.name}")
+                    self._send(worker, f"signal {number.value}", f"stop by {WORDS[number]}")
                 for command in self._requests():
                     self._asked_to_end |= _ends_the_batch(command)
                     self._send(worker, command, REQUESTS.get(command.split()[0], command))
@@ -312,6 +314,7 @@ class Supervisor:
 
     def _on_run(self, event: Mapping[str, Any]) -> None:
         self._begun_a_run = True
+        self.bench = ""
         self._record(self._queue.set_meta, "state", "running")
         self._give_up = time.monotonic() + STARTING_S
         number, attempt = event["number"], event["attempt"]
@@ -380,10 +383,11 @@ class Supervisor:
     def _on_finished(self, event: Mapping[str, Any]) -> None:
         self._give_up = None
         self._held_for = ""
+        self.bench = event["bench"]
         self._count(event)
         self._holds.close_attempt()
         self._presses.close_attempt()
-        text = f"run {event['number']}: {event['ending']}, {event['points']} points"
+        text = f"run {event['number']}: {event['ending']}, {event['points']}"
         if event["reason"]:
             text += f": {event['reason']}"
         if event["again"]:

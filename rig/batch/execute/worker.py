@@ -260,6 +260,7 @@ class Worker:
 
     def _finished(self, claim: Claim, ended: AttemptResult, again: bool = False) -> None:
         journal = self._folder.journal(claim.number, claim.condition.procedure)
+        noun = installed(claim.condition.procedure).point_name
         self._send(
             "finished",
             number=claim.number,
@@ -272,9 +273,10 @@ class Worker:
             reason=ended.reason,
             bench_s=ended.bench_s,
             journal=str(journal),
-            points=f"{ended.points_done}/{ended.points_planned}",
+            points=f"{ended.points_done} of {counted(ended.points_planned, *noun)}",
             holds=ended.holds,
             presses=ended.presses,
+            bench=ended.bench,
         )
 
     def _perform(self, claim: Claim, at_the_end: ExitStack) -> RunOutcome:
@@ -351,7 +353,21 @@ def _ended(outcome: RunOutcome) -> AttemptResult:
         dict(outcome.summary),
         outcome.holds,
         outcome.presses,
+        _bench_of(outcome),
     )
+
+
+def _bench_of(outcome: RunOutcome) -> str:
+    """Return how a run left its bench; empty where that is not known."""
+    if outcome.off_failures:
+        guarded = outcome.taken_over is not None and outcome.taken_over.safe
+        return f"Bench {'was made safe by the guard' if guarded else 'is NOT safe'} (see above)."
+    if outcome.left:
+        found = " and ".join(outcome.left)
+        return f"Bench is stopped, but {found} (see above): check stage_z first."
+    if outcome.safe and (outcome.armed or outcome.own_bench):
+        return "Bench is safe."
+    return "Bench is stopped, but check it (see above)." if outcome.made_safe else ""
 
 
 def main(arguments: Sequence[str]) -> int:

@@ -101,22 +101,51 @@ class BatchStatus:
             shown.append(f"remaining: {time_span(self.remaining.bench_s)}{spread}{ends}")
         shown.append(f"taken by runs: {time_span(self.bench_s)} of bench time, rests not included")
         if self.presses or self.holds:
-            holds, presses = (
-                counted(self.holds, "hold"),
-                counted(self.presses, "press", "presses"),
-            )
-            shown.append(f"so far: {holds}, {presses}")
-        if self.running and self.unprocessed:
-            shown.append(f"making the files of {counted(self.unprocessed, 'run')}")
-        elif self.unprocessed:
-            if self.not_compiled:
-                shown.append(f"not compiled yet: {counted(self.not_compiled, 'run file')}")
-            if compiled := self.unprocessed - self.not_compiled:
-                shown.append(f"figures and results still to be made: {counted(compiled, 'run')}")
+            shown.append(f"so far: {self._holds_and_presses()}")
+        if self.running:
+            if self.unprocessed:
+                shown.append(f"making the files of {counted(self.unprocessed, 'run')}")
+        else:
+            shown += self._files_to_make()
         shown += [f"failed: run {r.number} {r.condition}: {r.reason}" for r in self.failures]
         shown += [f"{time[:19]} {level}: {text}" for time, level, text in self.events]
         if not self.running and (self.remaining.runs or self.unprocessed):
             shown.append(f"continue with: rig batch resume {self.folder.path}")
+        return shown
+
+    def closing_lines(self, bench: str) -> list[str]:
+        """Return the lines with which the command ends that has run the batch. `bench` says how the
+        latest run left its bench, as a sentence; empty where that is not known."""
+        shown = [f"warning: {text}" for text in self.bench_warnings]
+        shown += [f"failed: run {r.number} {r.condition}: {r.reason}" for r in self.failures]
+        if self.presses or self.holds:
+            shown.append(f"in all runs: {self._holds_and_presses()}")
+        shown += self._files_to_make()
+        ended = "finished" if self.state == "complete" else self.state
+        done = f"{self.counts['done']} of {counted(sum(self.counts.values()), 'run')}"
+        lost = [f"{n} {state}" for state in ("failed", "set-aside") if (n := self.counts[state])]
+        link = "; " if ": " in ended else ": "
+        ending = f"{ended[0].upper()}{ended[1:]}{link}{', '.join([done, *lost])}"
+        takes = f"{',' * bool(lost)} in {time_span(self.bench_s)}" if self.bench_s else ""
+        time = f"{takes} of bench time (simulated)" if self.simulated else takes
+        shown.append(f"{ending}{time}.")
+        shown.append(f"Saved: {self.folder.path}")
+        if bench:
+            shown.append(bench)
+        if self.remaining.runs or self.unprocessed:
+            safe = "Once the bench is safe, continue" if "NOT safe" in bench else "Continue"
+            shown.append(f"{safe} with: rig batch resume {self.folder.path}")
+        return shown
+
+    def _holds_and_presses(self) -> str:
+        return f"{counted(self.holds, 'hold')}, {counted(self.presses, 'press', 'presses')}"
+
+    def _files_to_make(self) -> list[str]:
+        shown = []
+        if self.not_compiled:
+            shown.append(f"not compiled yet: {counted(self.not_compiled, 'run file')}")
+        if compiled := self.unprocessed - self.not_compiled:
+            shown.append(f"figures and results still to be made: {counted(compiled, 'run')}")
         return shown
 
     @property

@@ -252,10 +252,11 @@ def _supervise(folder: BatchFolder, as_json: bool) -> None:
     with ExitStack() as stack:
         stop = stack.enter_context(StopFlag(say_at_once))
         start_log(folder.path)
-        code = Supervisor(folder, stop, say).run()
+        supervisor = Supervisor(folder, stop, say)
+        code = supervisor.run()
     ended = status_of(folder)
     if as_json:
         print(json.dumps(ended.as_object() | {"exit": int(code)}))  # noqa: T201 - data
-    for line in ended.lines():
+    for line in ended.closing_lines(supervisor.bench):
         say(line)
     raise typer.Exit(int(code))
