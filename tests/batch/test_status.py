@@ -102,7 +102,7 @@ def test_a_batch_that_left_its_bench_unsafe_is_continued_once_that_is_safe(tmp_p
     )
     assert failure.startswith("failed: run 2 sweep-001: ")
     assert lines == [
-        "Stopped: no answer; 1 of 3 runs, 1 failed, in 20 s of bench time (simulated).",
+        "Stopped: 1 of 3 runs, 1 failed, in 20 s of bench time (simulated): no answer",
         f"Saved: {tmp_path}",
         "Bench is NOT safe (see above).",
         f"Once the bench is safe, continue with: rig batch resume {tmp_path}",

@@ -51,7 +51,7 @@ settings = {{ speed_mm_s = 2 }}
     status = object_of(ended.stdout)
     assert status["holds"] == 6
     assert status["presses"] == 9, "6 and a rehearsal of the first run, the others of the second"
-    assert "so far: 6 holds, " in ended.stderr
+    assert "in all runs: 6 holds, " in ended.stderr
     beat = json.loads((batch / "heartbeat.json").read_text())
     assert (beat["holds"], beat["presses"]) == (6, status["presses"])
     messages = [json.loads(line) for line in reported.read_text().splitlines()]

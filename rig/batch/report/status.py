@@ -121,14 +121,14 @@ class BatchStatus:
         if self.presses or self.holds:
             shown.append(f"in all runs: {self._holds_and_presses()}")
         shown += self._files_to_make()
-        ended = "finished" if self.state == "complete" else self.state
+        ended, _, why = self.state.partition(": ")
+        ended = "Finished" if ended == "complete" else f"{ended[0].upper()}{ended[1:]}"
         done = f"{self.counts['done']} of {counted(sum(self.counts.values()), 'run')}"
         lost = [f"{n} {state}" for state in ("failed", "set-aside") if (n := self.counts[state])]
-        link = "; " if ": " in ended else ": "
-        ending = f"{ended[0].upper()}{ended[1:]}{link}{', '.join([done, *lost])}"
         takes = f"{',' * bool(lost)} in {time_span(self.bench_s)}" if self.bench_s else ""
         time = f"{takes} of bench time (simulated)" if self.simulated else takes
-        shown.append(f"{ending}{time}.")
+        reason = f": {why}" if why else "."
+        shown.append(f"{ended}: {', '.join([done, *lost])}{time}{reason}")
         shown.append(f"Saved: {self.folder.path}")
         if bench:
             shown.append(bench)
