@@ -96,6 +96,14 @@ def test_a_batch_that_was_stopped_says_by_what_and_how_it_is_continued(tmp_path:
     ], "nothing is said of a bench that is not known"
 
 
+def test_a_batch_that_was_stopped_before_its_first_run_says_nothing_of_its_time(
+    tmp_path: Path,
+) -> None:
+    assert ended(tmp_path, "stopped by SIGTERM")[0] == (
+        "Stopped by SIGTERM: 0 of 3 runs (simulated)."
+    )
+
+
 def test_a_batch_that_left_its_bench_unsafe_is_continued_once_that_is_safe(tmp_path: Path) -> None:
     failure, *lines = ended(
         tmp_path, "stopped: no answer", "done", "failed", bench="Bench is NOT safe (see above)."

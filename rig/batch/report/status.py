@@ -122,11 +122,14 @@ class BatchStatus:
             shown.append(f"in all runs: {self._holds_and_presses()}")
         shown += self._files_to_make()
         ended, _, why = self.state.partition(": ")
-        ended = "Finished" if ended == "complete" else f"{ended[0].upper()}{ended[1:]}"
+        ended = {"complete": "Finished"}.get(ended, f"{ended[:1].upper()}{ended[1:]}")
         done = f"{self.counts['done']} of {counted(sum(self.counts.values()), 'run')}"
         lost = [f"{n} {state}" for state in ("failed", "set-aside") if (n := self.counts[state])]
-        takes = f"{',' * bool(lost)} in {time_span(self.bench_s)}" if self.bench_s else ""
-        time = f"{takes} of bench time (simulated)" if self.simulated else takes
+        time = ""
+        if self.bench_s:
+            time = f"{',' * bool(lost)} in {time_span(self.bench_s)}"
+            time += " of bench time" if self.simulated else ""
+        time += " (simulated)" if self.simulated else ""
         reason = f": {why}" if why else "."
         shown.append(f"{ended}: {', '.join([done, *lost])}{time}{reason}")
         shown.append(f"Saved: {self.folder.path}")
