@@ -111,6 +111,8 @@ class SlipInstants:
     """Whether the forces of such a trial show when it slips; those of a roll do not."""
     later_measured_s: tuple[float, ...] = ()
     """Times of the further slips that the forces show, one for each stroke of x."""
+    why_not_measured: str = ""
+    """Why the forces do not determine a slip, where `measured_s` is None."""
 
     def slips_s(self) -> dict[str, tuple[float, ...]]:
         """Return the times of all slips by account, without those of neighbouring ridges."""
@@ -169,34 +171,31 @@ def later_slips(
     )
 
 
-def measured_slip(series: Mapping[str, Waveform], begin_s: float, end_s: float) -> float | None:
+def measured_slip(series: Mapping[str, Waveform], begin_s: float, end_s: float) -> float:
     """Return the time at which F_t/F_n is largest in a motion of x in one direction, from `begin_s`
-    to `end_s`; None where the motion does not determine it. `series` are the streams of the trial
-    by their names."""
+    to `end_s`. `series` are the streams of the trial by their names. Raises FrictionError with the
+    reason where the motion does not determine it."""
     force, position, ticks = (series.get(name) for name in ("force", "position", "ticks"))
     if force is None or position is None or ticks is None:
-        return None
+        raise FrictionError("force or position is not in the record")
     rate_Hz = force.rate_Hz or 1.0
     t = np.arange(len(force.values("F_n"))) / rate_Hz
     held = (t >= begin_s) & (t <= end_s)
     x_mm = np.interp(t[held], ticks.values("elapsed"), position.values("x"))
     dragging = force.values("F_t")[held]
     if not dragging.size:
-        return None
+        raise FrictionError("the record ends before the motion")
     dragging = np.sign(np.median(dragging[dragging.size // 2 :])) * dragging
     if dragging[0] < -UNLOADED * dragging.max():
         # After a turn F_t still has the sign of the stroke before: loading begins where it is zero.
         held[np.flatnonzero(held)[: np.argmax(dragging >= 0)]] = False
         dragging, x_mm = dragging[-held.sum() :], x_mm[-held.sum() :]
-    try:
-        found = friction(
-            force.values("F_n")[held],
-            dragging,
-            np.abs(x_mm - x_mm[:1]),
-            rate_Hz=rate_Hz,
-        )
-    except FrictionError:
-        return None
+    found = friction(
+        force.values("F_n")[held],
+        dragging,
+        np.abs(x_mm - x_mm[:1]),
+        rate_Hz=rate_Hz,
+    )
     return float(t[held][found.peak])
 
 
@@ -277,10 +276,16 @@ def instants_of(
     true = true_slips(run.readings()[number], record_s)
     if not strokes:
         return SlipInstants(true, None, detected, measurable=False)
-    found_s = [measured_slip(series, *stroke) for stroke in strokes]
-    known_s = [at_s for at_s in found_s if at_s is not None]
+    known_s, why_not = [], ""
+    for stroke in strokes:
+        try:
+            known_s.append(measured_slip(series, *stroke))
+        except FrictionError as error:
+            why_not = why_not or error.message
     first_s = known_s[0] if known_s else None
-    return SlipInstants(true, first_s, detected, later_measured_s=tuple(known_s[1:]))
+    return SlipInstants(
+        true, first_s, detected, later_measured_s=tuple(known_s[1:]), why_not_measured=why_not
+    )
 
 
 def mark(panels: tuple[Axes, ...], instants: SlipInstants, top: float = 1.0) -> None:
@@ -321,7 +326,11 @@ def draw_rows(axes: Axes, instants: SlipInstants, seen: tuple[float, float]) -> 
             axes.plot(slips["measured"], [row] * count, "v", color=MEASURED, markersize=3.5)
             _write_count(axes, row, count, MEASURED)
         else:
-            _instant(axes, row, instants.measured_s, "v", MEASURED, seen)
+            # Not "none": a motion of which this cannot be computed may have slipped all the same.
+            # A row has no room for more than the first clause of the reason.
+            reason = instants.why_not_measured.partition(", ")[0]
+            never = ": ".join(filter(None, ("not evaluated", reason)))
+            _instant(axes, row, instants.measured_s, "v", MEASURED, seen, never)
     rows.append(("detected", DETECTED))
     last = len(rows) - 1
     for kind, filling in MARKS.items():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import json
+import re
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
@@ -15,6 +16,7 @@ from legible import faults, words
 from matplotlib.figure import Figure
 from recorded import FAST_SLIDE, ROLL, unpack
 
+from rig.analysis.trial.friction import FrictionError
 from rig.detector.events import SlipEvent
 from rig.detector.registered import chosen_detector
 from rig.figures import style
@@ -132,6 +134,9 @@ def test_each_account_has_a_row_and_a_real_bench_no_true_ones() -> None:
     assert rows_of(SlipInstants(None, 0.9, Detections(why_not="no strips"))) == [
         "measured", "detected", "← 0.900 s",
     ]  # fmt: skip
+    assert rows_of(SlipInstants(detected=Detections("x"))) == [
+        "measured", "detected", "not evaluated", "none",
+    ]  # fmt: skip
     assert rows_of(SlipInstants(measurable=False, detected=Detections("x"))) == ["detected", "none"]
 
 
@@ -244,6 +249,17 @@ def test_the_forces_show_the_slip_of_each_stroke_to_and_fro() -> None:
     first, second = measured_slip(series, 0.0, 0.599), measured_slip(series, 0.6, 1.199)
     assert first == pytest.approx(0.2, abs=0.03)
     assert second == pytest.approx(0.6 + 1.37 / 4.0, abs=0.03)
+    # Stopped soon after the peak the stroke does not determine it, which is not "no slip".
+    with pytest.raises(FrictionError, match="samples of steady sliding"):
+        measured_slip(series, 0.0, 0.25)
+    run = SimpleNamespace(readings=lambda: [{}])
+    signals = SimpleNamespace(rate_Hz=1000.0, counts={"v_d": t})
+    instants = instants_of(
+        cast("RunFile", run), 0, series | {"signals": cast("Any", signals)}, Detections("x"),
+        (0.0, 0.25),
+    )  # fmt: skip
+    (measured,) = (text for text in rows_of(instants) if text.startswith("not evaluated"))
+    assert re.fullmatch(r"not evaluated: only \d+ samples of steady sliding", measured)
 
 
 def test_the_slip_is_enlarged_with_p_a_the_neighbours_slip_and_p_b(folder: Path) -> None:

@@ -200,7 +200,7 @@ def _steady_from(ratio: Reals, travel: Reals, peak: int) -> int:
     steady = int(np.searchsorted(travel, wanted))
     if ratio.size - steady < STEADY_SAMPLES:
         raise FrictionError(
-            f"only {max(ratio.size - steady, 0)} samples of steady sliding follow the peak at "
+            f"only {max(ratio.size - steady, 0)} samples of steady sliding, after the peak at "
             f"{travel[peak]:.3g} mm",
             f"slide further: {wanted:.3g} mm and {STEADY_SAMPLES} samples more",
         )
