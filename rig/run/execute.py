@@ -449,7 +449,9 @@ class _Execution:
             try:
                 self.outcome.in_brief = self.procedure.in_brief(found.values, found.put_in)
             except RigError as error:  # a bug of the procedure: its values are shown one by one
-                self.outcome.in_brief = single_values(found.values, found.put_in, found.labels)
+                self.outcome.in_brief = single_values(
+                    found.values, found.put_in, found.labels, self.job.procedure.put_in_label
+                )
                 self._warn_of_results("the results are not shown in brief", error)
         except Exception as error:  # noqa: BLE001 - a bug in an analysis does not end what follows
             reported_error = error if isinstance(error, RigError) else internal(error)

@@ -8,6 +8,8 @@ from typing import Any
 from rig.analysis.estimate import with_error
 from rig.core.settings import name_without_unit, unit_of
 
+PUT_IN = "put into the simulation"
+"""What a value of a simulation is called where the procedure, which knows more, is not known."""
 MEAN, DEVIATION = "mean_", "standard_deviation_"
 
 
@@ -15,7 +17,7 @@ def single_values(
     summary: Mapping[str, Any],
     put_in: Mapping[str, Any],
     labels: Mapping[str, str] | None = None,
-    put_in_label: str = "true value",
+    put_in_label: str = PUT_IN,
 ) -> list[str]:
     """Return a line for each number and text of a summary, without its tables: label, value and
     unit; a mean with its standard deviation, and the value of a simulation as `put_in_label`.
@@ -23,7 +25,7 @@ def single_values(
 
     >>> summary = {"mean_creep_um": 3.14159, "standard_deviation_creep_um": 0.012, "table": {}}
     >>> single_values(summary, {"mean_creep_um": 3.0})
-    ['creep: 3.142 ± 0.012 um (true value: 3)']
+    ['creep: 3.142 ± 0.012 um (put into the simulation: 3)']
     """
     lines: list[str] = []
     for name, value in summary.items():

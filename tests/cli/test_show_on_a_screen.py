@@ -20,6 +20,7 @@ import recorded_run
 
 from rig.cli.show.screen import Section, on_a_screen
 from rig.files.journal.writer import JournalWriter
+from rig.files.runfile.compile import compile_run
 from rig.files.runfile.reader import RunFile
 
 LINES, COLUMNS = 23, 80
@@ -160,6 +161,36 @@ def test_values_of_another_procedure_are_shown_one_by_one(rig: Any, tmp_path: Pa
             recorded_run.take_point(writer, number)
         writer.end(recorded_run.end())
     assert "status: complete, 5 of 5 points" in shown(rig, "run.rigj")
+
+
+def test_a_file_of_a_procedure_that_is_not_installed_says_so_and_calls_no_value_true(
+    rig: Any,
+) -> None:
+    header = recorded_run.header(procedure="creep", procedure_package="lab")
+    with JournalWriter.create(rig.folder / "run.rigj", header) as writer:
+        recorded_run.take_point(writer, 0)
+        writer.end(recorded_run.end())
+        writer.results(
+            {
+                "program": header["program"], "values": {"mean_static_friction": 0.6798},
+                "put_in": {"mean_static_friction": 0.8},
+            }
+        )  # fmt: skip
+    compile_run(rig.folder / "run.rigj")
+    said = shown(rig, "run.h5")
+    assert "procedure: creep of lab is not installed here" in said
+    assert "static friction: 0.6798 (put into the simulation: 0.8)" in said
+    drawn = rig.run("show", "--figures", "run.h5")
+    assert drawn.code == 5
+    assert drawn.stdout == said
+    assert drawn.stderr == (
+        "no figure was drawn: run.h5: procedure creep of lab is not installed here\n"
+    )
+    journal = rig.run("show", "--pdf", "run.rigj")
+    assert journal.code == 5
+    assert journal.stderr == (
+        "no figure was drawn: run.rigj: a journal has no figures, its run file has\n"
+    )
 
 
 # --- files that the program writes now ----------------------------------------------------------

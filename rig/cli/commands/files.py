@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from rig.files.journal.values import Results, RunHeader
     from rig.files.model_file import ModelFile
     from rig.files.processed.reader import ProcessedFile
-    from rig.files.runfile.reader import RecordedOutcome
+    from rig.files.runfile.reader import RecordedOutcome, RunFile
     from rig.processing.analyses import Analyses
     from rig.run.points import Reading
 
@@ -132,6 +132,7 @@ def show(
         from rig.processing.analyses import analyse as analyse_run
 
         how: _How = "json" if as_json else "all" if all_settings else "brief"
+        not_drawn: list[str] = []
         for path in files:
             if kind_of(path) == "journal":
                 contents = read_journal(path)
@@ -140,6 +141,8 @@ def show(
                 stored = contents.results
                 holds = describe_contents(contents.header, contents.sampling())
                 _show_run(path, contents.header, outcome, readings, stored, nothing, holds, how)
+                if draws:
+                    not_drawn.append(f"{path}: a journal has no figures, its run file has")
                 continue
             doubts = [f"warning: {path.name}: {found}" for found in checksum_findings(path)]
             if is_model(path):
@@ -150,6 +153,7 @@ def show(
                     say(f"{path}: its figures were drawn when it was computed, beside it")
                 continue
             if is_processed(path):
+                why_nothing = "it has nothing to draw"
                 with ProcessedFile.open(path) as processed:
                     _say_all(doubts)
                     _show_processed(processed, how)
@@ -159,13 +163,33 @@ def show(
                     found = analyse_run(run)
                     readings = run.readings()
                     holds = describe_contents(run.header, run.sampling())
+                    why_nothing = _why_nothing_is_drawn(run)
                     _show_run(
                         path, run.header, run.outcome, readings, run.results, found, holds, how
                     )
-            if draws:
-                _draw(path, figures_to, pdf, say if as_json else _print)
+            if draws and not _draw(path, figures_to, pdf, say if as_json else _print):
+                not_drawn.append(f"{path}: {why_nothing}")
         if draws and len(files) == 2:
             _draw_beside(files, figures_to, pdf, say if as_json else _print)
+        for line in not_drawn:
+            say(f"no figure was drawn: {line}")
+        if not_drawn:
+            raise typer.Exit(int(ExitCode.FINISHED_WITH_FAILURES))
+
+
+def _why_nothing_is_drawn(run: RunFile) -> str:
+    """Return why there may be no figure of a run file."""
+    from rig.cli.show.digest import installed_procedure, not_usable
+    from rig.figures.registry import figures_of
+
+    header = run.header
+    if not run.point_ids():
+        return "the run has no completed point"
+    if header.origin is None and installed_procedure(header) is None:
+        return f"procedure {not_usable(header)}"
+    if not figures_of(header.procedure):
+        return f"no figure of a run of {header.procedure} is installed"
+    return "nothing in this file can be drawn"
 
 
 def _show_run(
@@ -394,12 +418,14 @@ def _analysed(analyses: Analyses) -> dict[str, Any]:
     }
 
 
-def _draw(file: Path, folder: Path | None, pdf: bool, report: Callable[[str], None]) -> None:
-    """Draw the figures of a file and report where they are; one that fails costs a line, not the
-    command."""
+def _draw(file: Path, folder: Path | None, pdf: bool, report: Callable[[str], None]) -> bool:
+    """Draw the figures of a file and report where they are and which one has failed; return whether
+    there is any, or a warning of what has failed."""
     from rig.figures.drawing import draw
 
-    _report_drawn(draw(file, folder, pdf), report)
+    drawn = draw(file, folder, pdf)
+    _report_drawn(drawn, report)
+    return bool(drawn.files or drawn.warnings)
 
 
 def _report_drawn(drawn: Drawn, report: Callable[[str], None]) -> None:

@@ -37,7 +37,9 @@ def of_run(
     """Return the lines for a run, from its whole `description`, its results and who has
     computed them, and the values of analyses by what has computed these."""
     head = [f"file: {end_of(description['file'], COLUMNS - 6)}", f"title: {description['title']}"]
-    procedure = _procedure(header)
+    procedure = installed_procedure(header)
+    if procedure is None and header.origin is None:
+        head.append(f"procedure: {not_usable(header)}")
     head += [_times(description), _status(description, procedure)]
     of = [str(description[name]) for name in ("bench", "fixture") if name in description]
     head += [f"bench: {'; '.join(of)}"] if of else []
@@ -138,14 +140,14 @@ def _settings(other: Any, rank: int) -> Section:
 
 def noun_of(header: RunHeader) -> tuple[str, str]:
     """Return what the procedure of a run calls a point, and several."""
-    return _noun(_procedure(header))
+    return _noun(installed_procedure(header))
 
 
 def _noun(procedure: type[Procedure] | None) -> tuple[str, str]:
     return ("point", "points") if procedure is None else procedure.point_name
 
 
-def _procedure(header: RunHeader) -> type[Procedure] | None:
+def installed_procedure(header: RunHeader) -> type[Procedure] | None:
     """Return the procedure of a run; None where it is not installed, or broken."""
     from rig.core.entry_points import PROCEDURES, names
     from rig.run.load_procedure import load_procedure
@@ -156,6 +158,15 @@ def _procedure(header: RunHeader) -> type[Procedure] | None:
         return load_procedure(header.procedure)
     except ConfigurationError:
         return None
+
+
+def not_usable(header: RunHeader) -> str:
+    """Return in words that the procedure of a run is not installed, or cannot be loaded."""
+    from rig.core.entry_points import PROCEDURES, names
+
+    package = f" of {header.procedure_package}" if header.procedure_package else ""
+    why = "cannot be loaded" if header.procedure in names(PROCEDURES) else "is not installed"
+    return f"{header.procedure}{package} {why} here"
 
 
 def _other_settings(
@@ -189,15 +200,17 @@ def _brief(header: RunHeader, procedure: type[Procedure] | None, results: Result
     from rig.run.checked_procedure import CheckedProcedure
     from rig.run.in_brief import single_values
 
-    if procedure is not None:
-        try:
-            settings = procedure.Settings.model_validate_json(json.dumps(header.settings))
-            return CheckedProcedure(procedure(settings)).in_brief(results.values, results.put_in)
-        except RigError as error:
-            say(f"warning: the results are not shown in brief: {error.one_line()}")
-        except ValueError:  # settings of another version
-            pass
-    return single_values(results.values, results.put_in, results.labels)
+    if procedure is None:
+        return single_values(results.values, results.put_in, results.labels)
+    try:
+        settings = procedure.Settings.model_validate_json(json.dumps(header.settings))
+        return CheckedProcedure(procedure(settings)).in_brief(results.values, results.put_in)
+    except RigError as error:
+        say(f"warning: the results are not shown in brief: {error.one_line()}")
+    except ValueError:  # settings of another version
+        pass
+    label = procedure.put_in_label
+    return single_values(results.values, results.put_in, results.labels, label)
 
 
 def _flat(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
