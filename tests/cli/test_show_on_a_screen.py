@@ -133,6 +133,36 @@ def test_a_journal_has_the_same_columns_and_streams_as_its_run_file(rig: Any) ->
         assert journal[name] == file[name] != {}
 
 
+def test_a_heading_is_whole_where_lines_are_left() -> None:
+    status = "status: failed (" + "1e+308 Hz is not below half the rate, " * 3 + "sample faster)"
+    results = [f"value {number}" for number in range(5)]
+    lines = on_a_screen(["file: a", status], [Section("results", results, 0)], ["the end"])
+    assert lines[0] == "file: a"
+    assert " ".join(line.strip() for line in lines[1:3]) == status
+    full = on_a_screen(["file: a", status], [Section("results", results * 5, 0)], ["the end"])
+    assert full[1].endswith("...")
+    assert len(full) == LINES
+
+
+def test_an_imported_recording_states_units_in_words(rig: Any) -> None:
+    rows = "\n".join(f"{n};{n % 7};{n % 5}" for n in range(300))
+    (rig.folder / "rec.csv").write_text(f"n;left [mV];right [mV]\n{rows}\n")
+    done = rig.run(
+        "import",
+        "rec.csv",
+        "--channels",
+        "v_1=2,v_2=3",
+        "--scale",
+        "v_1=1mV,v_2=1mV",
+        "--rate",
+        "1000",
+    )
+    assert done.code == 0, done.stderr
+    said = shown(rig, rig.only("*.h5"))
+    assert "scale.v_1 0.001 V" in said
+    assert "text written with semicolon, decimal point" in said
+
+
 def test_sections_share_what_is_left_by_their_rank() -> None:
     long = " ".join(["word"] * 40)
     sections = [Section("settings", [long] * 9, 1), Section("results", [long] * 30, 0)]

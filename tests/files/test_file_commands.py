@@ -44,7 +44,7 @@ def test_an_interrupted_run_is_shown_and_verified_from_both_of_its_files(rig: An
         shown = rig.run("show", "--no-figures", name)
         assert shown.code == 0, shown.stderr
         for line in (
-            "start_time: 2026-11-21 22:00:00+01:00, took 7.2 s of bench time",
+            "start: 2026-11-21 22:00:00+01:00, took 7.2 s of bench time",
             "status: stopped (operator), 2 of 5 points",
             "user: A. Person (email a@example.org)",
             "sample: strip A (thickness_um 28.0)",

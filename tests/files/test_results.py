@@ -245,7 +245,7 @@ def test_show_says_beside_the_stored_value_what_this_version_finds(rig: Any) -> 
     file = compile_run(recorded(rig.folder / "a.rigj", values=stored))
     shown = rig.run("show", str(file))
     assert shown.code == 0, shown.stderr
-    assert "results_by: tactile-rig 0.9.1 (abc)" in shown.stdout
+    assert "results computed by: tactile-rig 0.9.1 (abc)" in shown.stdout
     reported = rig.run("show", "--json", str(file)).object
     assert reported["results"] == stored
     assert reported["results_by"]["version"] == "0.9.1"

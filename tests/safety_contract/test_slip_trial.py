@@ -331,7 +331,7 @@ def test_the_film_clamp_is_the_wrong_fixture(rig):
 def test_what_a_stalled_computer_keeps_from_its_ticks_is_left_out_and_nothing_is_lost(rig, tick_Hz):
     """Bench time goes on for 0.1 s without the run, in the slide: the servo takes the force up
     where it is, and the record has every sample, of strips and force, of that time too. The axes
-    were not seen for that long, so the trial does not count."""
+    were not seen for that long, so the trial is invalid."""
     jump = '[[fault]]\ndevice = "clock"\nkind = "clock-jump"\nby_s = 0.1\n'
     fault = jump + "acquisition = 1\nafter_s = 3.5\n"
     asked = ("--tick", f"{tick_Hz}", "--late-ticks", "100percent", "--stages", "festo")

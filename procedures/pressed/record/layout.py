@@ -118,7 +118,7 @@ RECORDED = (
     Column("largest_lateness", "s", "Largest lateness of a tick"),
     Column("misread_positions", "", "Positions that could not be and were asked for again"),
     Column("oldest_look", "s", "Longest time for which a moving axis was not seen"),
-    Column("invalid", "", "Why the trial does not count", "text"),
+    Column("invalid", "", "Why the trial is invalid", "text"),
     Column("filter_delay", "s", "Delay of the anti-alias filter"),
     Column("detector", "", "Detector of slip during the trial", "text"),
     Column("detections", "", "What it found during the trial, as JSON", "text"),

@@ -10,18 +10,22 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from datetime import datetime
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from rig.cli.outcome import say
 from rig.cli.show.screen import COLUMNS, LINES, Section, end_of, on_a_screen
 from rig.cli.show.words import in_words
 from rig.core.errors import ConfigurationError, RigError
+from rig.core.settings import unit_of
 from rig.core.units import counted, time_span
 
 if TYPE_CHECKING:
     from rig.files.journal.values import Results, RunHeader
     from rig.run.procedure import Procedure
 
+LABELS = {"written": "text written with"}
+"""What settings are called whose names say too little."""
 AT_DEFAULTS = "all at their defaults"
 MORE = "--all shows everything"
 MORE_AND_FIGURES = f"{MORE}, --figures draws the figures again"
@@ -51,7 +55,8 @@ def of_run(
     if origin := description.get("origin"):
         options = ", ".join(f"{name} {value}" for name, value in origin["options"].items())
         head.append(f"origin: {origin['file_name']} ({origin['format']}); {options}")
-    sections = [_settings(_other_settings(description.get("settings", {}), procedure), rank=1)]
+    other = _other_settings(description.get("settings", {}), procedure)
+    sections = [_settings(other, rank=1, units=header.setting_units)]
     if results is not None:
         lines = _brief(header, procedure, results)
         scattered = any(" ± " in line for line in lines) and "trials" in results.values
@@ -60,7 +65,7 @@ def of_run(
     for name, found in analyses.items():
         sections.append(Section(name, [f"{k}: {in_words(v)}" for k, v in found.items()], rank=2))
     sections.append(Section("warnings", description.get("warnings", ()), rank=3))
-    foot = [f"results_by: {results_by}"] if results_by else []
+    foot = [f"results computed by: {results_by}"] if results_by else []
     journal = Path(description["file"]).with_suffix(".rigj")
     if not journal.exists() or not _can_be_resumed(description):
         return on_a_screen(head, sections, [*foot, MORE_AND_FIGURES])
@@ -79,7 +84,7 @@ def of_processed(description: Mapping[str, Any], usual: Mapping[str, Any]) -> li
     head = [f"file: {end_of(description['file'], COLUMNS - 6)}", f"title: {description['title']}"]
     head += [f"run: {end_of(description['run'], COLUMNS - 5)}"]
     if "start_time" in description:
-        head.append(f"start_time: {_readable(description['start_time'])}")
+        head.append(f"start: {_readable(description['start_time'])}")
     head.append(f"detector: {', '.join(filter(None, names))}")
     changed = {
         k: v for k, v in description["parameters"].items() if k not in usual or usual[k] != v
@@ -113,7 +118,7 @@ def of_model(description: Mapping[str, Any]) -> list[str]:
 def _times(description: Mapping[str, Any]) -> str:
     begun = _readable(description["start_time"]) if "start_time" in description else "unknown"
     of = "of bench time" if description.get("simulated") else ""
-    return f"start_time: {begun}, took {time_span(description['duration_s'])} {of}".rstrip()
+    return f"start: {begun}, took {time_span(description['duration_s'])} {of}".rstrip()
 
 
 def _readable(time: str) -> str:
@@ -133,8 +138,8 @@ def _can_be_resumed(description: Mapping[str, Any]) -> bool:
     return description["status"] != "complete" and not description.get("imported")
 
 
-def _settings(other: Any, rank: int) -> Section:
-    text = other if isinstance(other, str) else _pairs(_flat(other))
+def _settings(other: Any, rank: int, units: Mapping[str, str] | None = None) -> Section:
+    text = other if isinstance(other, str) else _pairs(_flat(other), units or {})
     return Section("settings", [text or AT_DEFAULTS], rank)
 
 
@@ -224,6 +229,11 @@ def _flat(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
     return found
 
 
-def _pairs(values: Mapping[str, Any]) -> str:
-    """Return names and values in a line: ``trials 20, loads_N 0.5; 2``."""
-    return ", ".join(f"{name} {in_words(value)}" for name, value in _flat(values).items())
+def _pairs(values: Mapping[str, Any], units: Mapping[str, str] = MappingProxyType({})) -> str:
+    """Return names and values in a line: ``trials 20, loads_N 0.5; 2, scale.v_1 0.001 V``. `units`
+    are those of dotted names; one that its name carries is not repeated."""
+    pairs = []
+    for name, value in _flat(values).items():
+        unit = "" if unit_of(name.rpartition(".")[2]) else units.get(name, "")
+        pairs.append(f"{LABELS.get(name, name)} {in_words(value)} {unit}".rstrip())
+    return ", ".join(pairs)

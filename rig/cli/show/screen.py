@@ -61,8 +61,8 @@ def on_a_screen(
 ) -> list[str]:
     """Return at most `most` lines of at most `COLUMNS` characters.
 
-    Each text of `head` is shortened to a line, and each of `foot` to two. They have to leave room
-    for three lines by section.
+    Each text of `head` is shortened to a line, unless lines are left over at the end, and each of
+    `foot` to two. They have to leave room for three lines by section.
     """
     printed = [
         Section(one.name, [printable(text) for text in one.texts], one.rank) for one in sections
@@ -76,6 +76,13 @@ def on_a_screen(
         others = sum(printed[other].least for other in order[place + 1 :])
         found[k] = printed[k].within(max(left - others, printed[k].least))
         left -= len(found[k])
+    for place, line in reversed(list(enumerate(head))):
+        whole = textwrap.wrap(
+            printable(line), COLUMNS, subsequent_indent="  ", break_on_hyphens=False
+        )
+        if 1 < len(whole) <= left + 1:
+            above[place : place + 1] = whole
+            left -= len(whole) - 1
     return [*above, *(line for k in range(len(printed)) for line in found[k]), *below]
 
 

@@ -1,4 +1,4 @@
-"""A position that is answered late: its row says how old it is, and the trial does not count."""
+"""A position that is answered late: its row says how old it is, and the trial is invalid."""
 
 from __future__ import annotations
 
