@@ -9,6 +9,7 @@ new move in the tick after each corner of its path, with the acceleration of its
 from __future__ import annotations
 
 from collections.abc import Mapping
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from procedures.path_trial.path import moves_along
@@ -35,6 +36,14 @@ class PathTrial(PressedProcedure):
         Column("largest_tangential", "N", "Largest tangential force of the motion, in size"),
         Column("smallest_normal", "N", "Smallest normal force of the motion"),
         Column("largest_normal", "N", "Largest normal force of the motion"),
+    )
+    summary_labels = MappingProxyType(
+        {
+            **PressedProcedure.summary_labels,
+            "mean_largest_tangential_N": "largest tangential force",
+            "mean_smallest_normal_N": "smallest normal force",
+            "mean_largest_normal_N": "largest normal force",
+        }
     )
 
     settings: PathTrialSettings

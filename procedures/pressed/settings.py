@@ -77,6 +77,8 @@ SUMMARY_LABELS = {
     "tick_Hz": "servo tick rate; Hz",
     "mean_touch_gain_1_dB": "strip 1, touch-down gain; dB re 1 V s/N",
     "mean_touch_gain_2_dB": "strip 2, touch-down gain; dB re 1 V s/N",
+    "mean_force_error_rms_percent": "error of the normal force, rms",
+    "mean_force_error_peak_percent": "error of the normal force, peak",
     "force_zero_N": ZERO_LABEL,
 }
 """Labels of values that are shown after a run, see `Procedure.summary_labels`."""

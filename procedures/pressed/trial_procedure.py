@@ -23,6 +23,7 @@ from procedures.pressed.settings import (
     truth_of,
 )
 from rig.core.units import counted
+from rig.run.in_brief import single_values
 from rig.run.points import Reading
 from rig.run.procedure import DriftFigure, Procedure, StreamPlan
 
@@ -35,6 +36,8 @@ if TYPE_CHECKING:
 
 FIRST_SLIPS = 5
 """Slips whose times are shown in brief."""
+DIGITS = 3
+"""Significant digits of a value of a single trial, which has no error, in brief."""
 
 
 class TrialProcedure(Procedure):
@@ -145,7 +148,11 @@ class TrialProcedure(Procedure):
             more = f" and {len(found) - FIRST_SLIPS} more" if len(found) > FIRST_SLIPS else ""
             lines.append(f"incipient slips found during the trials at {first}{more}")
         others = {name: one for name, one in summary.items() if name not in self.not_in_brief}
-        return [*lines, *super().in_brief(others, put_in)]
+        values = single_values(
+            others, put_in, self.summary_labels, self.put_in_label,
+            digits=DIGITS, of_one_trial=summary.get("valid_trials") == 1,
+        )  # fmt: skip
+        return [*lines, *values]
 
     def put_in(self, readings: Sequence[Reading], summary: Mapping[str, Any]) -> Mapping[str, Any]:
         """Return the friction of the simulated skin, beside what was recovered of it."""

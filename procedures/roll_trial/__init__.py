@@ -72,6 +72,10 @@ class RollTrial(TrialProcedure):
     summary_labels = MappingProxyType(
         {
             **TrialProcedure.summary_labels,
+            "mean_peak_1_mV": "strip 1, peak in the roll",
+            "mean_peak_2_mV": "strip 2, peak in the roll",
+            "mean_largest_tangential_N": "largest tangential force",
+            "mean_angle_error_deg": "error of the angle at rest",
             "mean_high_roll_rms_mV": "v_d above 100 Hz in the roll, rms, mean",
             "mean_high_rest_rms_mV": "v_d above 100 Hz at rest, rms, mean",
         }

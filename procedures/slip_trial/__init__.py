@@ -12,6 +12,7 @@ requires. Whatever ends a trial, x stops first, then z goes up.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from procedures.pressed.settings import (
@@ -49,6 +50,12 @@ class SlipTrial(TrialProcedure):
         "force_error_rms_percent",
         "force_error_peak_percent",
         "overshoot_percent",
+    )
+    summary_labels = MappingProxyType(
+        {
+            **TrialProcedure.summary_labels,
+            "mean_overshoot_percent": "overshoot of the normal force",
+        }
     )
 
     settings: SlipTrialSettings

@@ -18,10 +18,13 @@ def single_values(
     put_in: Mapping[str, Any],
     labels: Mapping[str, str] | None = None,
     put_in_label: str = PUT_IN,
+    digits: int = 5,
+    of_one_trial: bool = False,
 ) -> list[str]:
     """Return a line for each number and text of a summary, without its tables: label, value and
     unit; a mean with its standard deviation, and the value of a simulation as `put_in_label`.
-    `labels` are those of `Procedure.summary_labels`.
+    `labels` are those of `Procedure.summary_labels`; numbers without a deviation have this many
+    significant `digits`. What is the mean `of_one_trial` is not called a mean.
 
     >>> summary = {"mean_creep_um": 3.14159, "standard_deviation_creep_um": 0.012, "table": {}}
     >>> single_values(summary, {"mean_creep_um": 3.0})
@@ -37,12 +40,13 @@ def single_values(
             continue
         deviation = summary.get(DEVIATION + name.removeprefix(MEAN))
         true = put_in.get(name)
-        shown = _in_words(value) if deviation is None else _scattered(value, deviation)
-        mean_of = name if deviation is None else name.removeprefix(MEAN)
+        shown = _in_words(value, digits) if deviation is None else _scattered(value, deviation)
+        is_mean = deviation is None and not of_one_trial
+        mean_of = name if is_mean else name.removeprefix(MEAN)
         label, unit = _label_and_unit(name, mean_of, labels or {})
         lines.append(
             f"{label}: {shown}{unit}"
-            + ("" if true is None else f" ({put_in_label}: {_in_words(true)})")
+            + ("" if true is None else f" ({put_in_label}: {_in_words(true, digits)})")
         )
     return lines
 
@@ -63,9 +67,10 @@ def _scattered(mean: Any, deviation: Any) -> str:
     return with_error(mean, deviation).removeprefix("+")
 
 
-def _in_words(value: Any) -> str:
+def _in_words(value: Any, digits: int = 5) -> str:
     if isinstance(value, float):
-        return f"{value:.5g}"
+        # Not 1.23e+03 for 1234.
+        return f"{value:.0f}" if 10**digits <= abs(value) < 1e5 else f"{value:.{digits}g}"
     if isinstance(value, list | tuple):
-        return "; ".join(map(_in_words, value)) or "none"
+        return "; ".join(_in_words(one, digits) for one in value) or "none"
     return "none" if value is None else str(value)

@@ -205,8 +205,9 @@ def _brief(header: RunHeader, procedure: type[Procedure] | None, results: Result
     from rig.run.checked_procedure import CheckedProcedure
     from rig.run.in_brief import single_values
 
+    of_one = results.values.get("valid_trials") == 1
     if procedure is None:
-        return single_values(results.values, results.put_in, results.labels)
+        return single_values(results.values, results.put_in, results.labels, of_one_trial=of_one)
     try:
         settings = procedure.Settings.model_validate_json(json.dumps(header.settings))
         return CheckedProcedure(procedure(settings)).in_brief(results.values, results.put_in)
@@ -215,7 +216,7 @@ def _brief(header: RunHeader, procedure: type[Procedure] | None, results: Result
     except ValueError:  # settings of another version
         pass
     label = procedure.put_in_label
-    return single_values(results.values, results.put_in, results.labels, label)
+    return single_values(results.values, results.put_in, results.labels, label, of_one_trial=of_one)
 
 
 def _flat(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:

@@ -6,6 +6,8 @@ from dataclasses import replace
 
 import pytest
 
+from procedures.path_trial import PathTrial
+from procedures.roll_trial import RollTrial
 from procedures.slip_trial import SlipTrial
 from rig.detector.events import SlipEvent
 from rig.files.journal.detections import Detection, detection_of, from_text, to_text
@@ -36,6 +38,35 @@ def test_a_single_trial_has_no_standard_deviation() -> None:
     assert not any(
         "deviation" in name for name in SlipTrial(SlipTrial.Settings()).summarise([reading(0.6)])
     )
+
+
+def test_one_trial_is_shown_without_the_word_mean_and_in_three_digits() -> None:
+    procedure = SlipTrial(SlipTrial.Settings())
+    one = procedure.summarise([reading(0.67984), reading(9.0, invalid="late ticks")])
+    said = list(procedure.in_brief(one, {}))
+    assert said == [
+        "valid: 1 of 2 trials",
+        "static friction: 0.68",
+        "error of the normal force, rms: 0.2 %",
+        "error of the normal force, peak: 1 %",
+        "overshoot of the normal force: 0.3 %",
+    ]
+    two = procedure.summarise([reading(0.6), reading(0.8)])
+    assert "static friction: 0.70 ± 0.14" in procedure.in_brief(two, {})
+
+
+def test_a_roll_and_a_path_name_their_values_in_words() -> None:
+    roll = {"valid_trials": 1, "trials": 1, "mean_peak_1_mV": 5.8949, "mean_angle_error_deg": 0.0}
+    assert list(RollTrial(RollTrial.Settings()).in_brief(roll, {})) == [
+        "valid: 1 of 1 trial",
+        "strip 1, peak in the roll: 5.89 mV",
+        "error of the angle at rest: 0 deg",
+    ]
+    path = {"mean_largest_tangential_N": 0.1547, "mean_smallest_normal_N": 3.9649}
+    assert list(PathTrial(PathTrial.Settings()).in_brief(path, {})) == [
+        "largest tangential force: 0.155 N",
+        "smallest normal force: 3.96 N",
+    ]
 
 
 def test_why_a_trial_has_no_friction_coefficients_is_said() -> None:
