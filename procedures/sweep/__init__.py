@@ -68,6 +68,10 @@ class Sweep(Procedure):
     summary_labels = {  # noqa: RUF012
         "model.level": "level b at 1 Hz, at the mean preload; the World's is at its nominal one",
         "force_zero_N": contact.ZERO_LABEL,
+        "points": "number of points",
+        "median_gain_standard_error_dB": "standard error of the gain, median",
+        "largest_gain_standard_error_dB": "standard error of the gain, largest",
+        "largest_deviation_of_load_percent": "largest deviation of the load from its set value",
         "gain_near_200_Hz_error_dB": "gain near 200 Hz, standard error; dB",
         "gain_near_200_Hz_at_Hz": "gain near 200 Hz, measured at; Hz",
     }

@@ -133,16 +133,24 @@ def in_brief(summary: Mapping[str, Any], put_in: Mapping[str, Any]) -> list[str]
     verdicts = {"first_order": found["first_order"]}
     several = found.get("linearity") or {}
     verdicts["linearity"] = several.get("verdict")
-    lines = [_answer(VERDICTS[name], Verdict(**one)) for name, one in verdicts.items() if one]
-    lines += valued("slope without the pole", found["asymptotic_slope"], "asymptotic_slope")
+    within = _within(found.get("bounds") or {})  # files of older versions have none
+    lines = [
+        _answer(VERDICTS[name], Verdict(**one), within[name])
+        for name, one in verdicts.items()
+        if one
+    ]
+    lines += valued(
+        "slope without the fitted low-pass", found["asymptotic_slope"], "asymptotic_slope"
+    )
     lines += valued("change with the load", several.get("slope"), "linearity.slope")
-    lines += valued("level b at 1 Hz", found["level"], "level")
+    level = {**found["level"], "unit": "dB re 1 V/N"}
+    lines += valued("level b at 1 Hz", level, "level")
     lines += valued("corner", found["corner"], "corner")
     worlds = put_in.get("model.drops.frequency", [None] * len(found["drops"]))
     for drop, world in zip(found["drops"], worlds, strict=True):
         lines.append(
             f"notch: {_valued(drop['frequency'])}{_of_world(world)}, "
-            f"{drop['depth']['value']:.2f} dB, Q {drop['pole_Q']['value']:.2f}"
+            f"{drop['depth']['value']:.2f} dB deep, Q {drop['pole_Q']['value']:.2f}"
         )
     if not found["drops"]:
         lines.append("no notch found")
@@ -153,10 +161,19 @@ def in_brief(summary: Mapping[str, Any], put_in: Mapping[str, Any]) -> list[str]
     return [*lines, f"joint fit: {fit}, {means}"]
 
 
-def _answer(statement: str, verdict: Verdict) -> str:
-    """Return the answer, with its reason unless the statement holds."""
+def _within(bounds: Mapping[str, float]) -> dict[str, str]:
+    """Return for each verdict within which bounds its statement is tested."""
+    slope, gain = bounds.get("slope_dB_decade"), bounds.get("gain_dB")
+    of_slope = "" if slope is None else f" within ±{slope:g} dB/decade"
+    of_gain = "" if slope is None or gain is None else f", ±{gain:g} dB"
+    return {"first_order": of_slope, "linearity": of_slope + of_gain}
+
+
+def _answer(statement: str, verdict: Verdict, within: str) -> str:
+    """Return the answer, with its bounds where the statement holds, else with its reason, which
+    names them."""
     if verdict.answer == "holds":
-        return f"{statement}: holds"
+        return f"{statement}: holds{within}"
     return verdict.sentence(statement)
 
 

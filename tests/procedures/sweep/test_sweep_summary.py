@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from procedures.sweep.summary import figures
+from procedures.sweep import Sweep
+from procedures.sweep.summary import figures, in_brief
 
 
 def reading(frequency_Hz: float) -> dict[str, float]:
@@ -23,3 +24,41 @@ def test_a_gain_near_200_hz_is_reported_with_its_frequency(frequency_Hz: float, 
     found = figures([reading(2000.0), reading(frequency_Hz)])
     assert ("gain_near_200_Hz_dB" in found) is near
     assert found.get("gain_near_200_Hz_at_Hz", frequency_Hz) == frequency_Hz
+
+
+def estimate(value: float, unit: str) -> dict[str, object]:
+    return {"value": value, "standard_error": 0.01, "low": 0.0, "high": 0.0, "unit": unit}
+
+
+def test_a_sweep_in_brief_states_bounds_references_and_what_each_number_is() -> None:
+    model = {
+        "first_order": {"answer": "holds", "reason": "within ±0.05"},
+        "bounds": {"slope_dB_decade": 0.05, "gain_dB": 0.1},
+        "asymptotic_slope": estimate(20.0, "dB/decade"),
+        "level": estimate(-77.19, "dB"),
+        "corner": None,
+        "drops": [
+            {
+                "frequency": estimate(408.0, "Hz"),
+                "depth": estimate(16.13, "dB"),
+                "pole_Q": estimate(5.25, ""),
+            }
+        ],
+        "preload_effect": None,
+        "chi_square": 330.0,
+        "degrees": 337,
+    }
+    assert in_brief({"model": model}, {})[:4] == [
+        "20 dB/decade (stress rate): holds within ±0.05 dB/decade",
+        "slope without the fitted low-pass: 20.000 ± 0.020 dB/decade",
+        "level b at 1 Hz: -77.190 ± 0.020 dB re 1 V/N",
+        "notch: 408.000 ± 0.020 Hz, 16.13 dB deep, Q 5.25",
+    ]
+    del model["bounds"]  # as in a file of an older version
+    assert in_brief({"model": model}, {})[0] == "20 dB/decade (stress rate): holds"
+
+
+def test_a_sweep_of_one_point_is_shown_in_words() -> None:
+    said = Sweep(Sweep.Settings()).in_brief(figures([reading(200.0)]), {})
+    assert said[0] == "number of points: 1"
+    assert "standard error of the gain, median: 0.01 dB" in said
