@@ -5,13 +5,13 @@ from __future__ import annotations
 import contextlib
 import json
 import tomllib
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from rig.figures.style import NO_BREAK
 from rig.files.describe import bench_name, mounted_on
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
 
     from rig.files.runfile.reader import RunFile
 
@@ -38,7 +38,7 @@ def statements(run: RunFile) -> list[str]:
     if (preload := settings.get("preload_N")) is not None:
         parts.append(f"{preload:g} N preload")
     if (speed := settings.get("speed_mm_s")) is not None:
-        parts.append(f"{speed:g} mm/s")
+        parts.append(_ramp(settings, speed) or f"{speed:g} mm/s")
     if (angle := settings.get("angle_deg")) is not None and not settings.get("profile_times_s"):
         parts.append(f"{angle:g} deg")
     if (start := settings.get("start_mm")) is not None:
@@ -49,6 +49,14 @@ def statements(run: RunFile) -> list[str]:
     parts.append(bench_name(header))
     parts.append(str(header.start_time or "")[:16].replace("T", " "))
     return [part for part in parts if part]
+
+
+def _ramp(settings: Mapping[str, Any], most_mm_s: float) -> str:
+    """Return the ramp of F_t of a slip trial, whose speed is an upper bound; "" for a slide."""
+    if settings.get("loading") != "ramp":
+        return ""
+    to_N = settings.get("hold_at_N") or settings["ramp_to_N"]
+    return f"ramp {settings['ramp_N_s']:g} N/s to {to_N:g} N, at most {most_mm_s:g} mm/s"
 
 
 def _courses(run: RunFile) -> list[str]:

@@ -50,6 +50,8 @@ DROP_LABEL_SHARE = 0.28
 """Height of a notch's lowered label with its line, as a fraction of the axes' height."""
 LABEL_PT, LOWERED_PT = 10.0, 30.0
 """Distances of labels from the bottoms of notches; the lower one clears a label of two lines."""
+CORNER_LABEL_SHARE = 0.15
+"""Width of the label of a corner, as a share of the axis of frequency."""
 LABEL_RATIO = 6.0
 """Ratio of the frequencies of two notches below which their labels would touch."""
 _EXPLAINED = {
@@ -109,8 +111,8 @@ def draw_readings(
             plain.plot(f, computed, dashes, color=colour, label=_EXPLAINED[name])
             label = f"{READING_NAMES[name]}, {_signed(-offset, 1)} dB"
             shifted.plot(f, computed - offset, dashes, color=colour, label=label)
-        _mark_corners(shifted, analysis)
-        plain.set_title("predictions from eq. (4), absolute", loc="left")
+        _mark_corners(shifted, curve.frequencies, analysis)
+        plain.set_title("predictions from the paper's eq. (4), absolute", loc="left")
         shifted.set_title("the same, shifted to match the measurement", loc="left")
         # Below the lowest curve there is nothing, above the shifted ones to the left neither.
         low, high = plain.get_ylim()
@@ -188,7 +190,7 @@ def _first_order_line(axes: Axes, curve: ResponseCurve, analysis: SweepAnalysis)
         "--",
         color=BLACK,
         linewidth=0.8,
-        label=f"eq. (2): 20 dB/decade, b = {_signed(level_dB, 2)} dB",
+        label=f"paper, eq. (2): 20 dB/decade, b = {_signed(level_dB, 2)} dB",
         zorder=4,
     )
 
@@ -238,12 +240,16 @@ def _residuals(axes: Axes, curve: ResponseCurve, analysis: SweepAnalysis) -> Non
     axes.set_ylabel("Residual (s.e.)")
 
 
-def _mark_corners(axes: Axes, analysis: SweepAnalysis) -> None:
+def _mark_corners(axes: Axes, frequencies: Reals, analysis: SweepAnalysis) -> None:
     """Mark the measured corner and the one that R_PV C_PV predicts."""
     bottom, top = axes.get_ylim()
+    first_Hz, last_Hz = float(frequencies[0]), float(frequencies[-1])
+    # A label on the right of a line near the right end would run over the frame.
+    end_Hz = last_Hz * (first_Hz / last_Hz) ** CORNER_LABEL_SHARE
+    film_Hz = analysis.circuit.film_corner_Hz
     for value, name, place in (
         (analysis.corner.value, "corner, measured:", "right"),
-        (analysis.circuit.film_corner_Hz, "$R_{PV}C_{PV}$:", "left"),
+        (film_Hz, "$R_{PV}C_{PV}$:", "right" if film_Hz > end_Hz else "left"),
     ):
         if not np.isfinite(value):
             continue

@@ -80,7 +80,8 @@ def draw_trial(processed: ProcessedFile, trial: DetectedTrial) -> Figure:
         top = set_heading(
             figure,
             f"{mark}slip detection, {trial.id}: {_in_words(trial)}",
-            f"detector {processed.detector.name} {processed.version}, {processed.path.name}",
+            f"detector {processed.detector.name}, version {processed.version}, "
+            f"{processed.path.name}",
         )
         set_margins(figure, top=top + legend, gap_mm=4.0)
         figure.align_ylabels((signal, low, confidence))

@@ -71,7 +71,7 @@ def draw_trial(run: RunFile, number: int, point: str, detected: Detections) -> F
         angle.set_ylabel("Angle (deg)")
         behind = rotation.values("angle") - commanded
         deviation.plot(ticks, behind, linewidth=0.7, color=BLACK, label="measured − commanded")
-        deviation.set_ylabel("Dev. (deg)")
+        deviation.set_ylabel("Deviation (deg)")
         t = seconds(signals)
         draw_strips(strips, t, signals)
         draw_difference(difference, t, signals)

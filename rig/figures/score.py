@@ -1,4 +1,4 @@
-"""The figures of a score: ROC, detection rate by noise, friction drop and speed, and delays."""
+"""The figures of a score: ROC, detection rate by noise, friction ratio and speed, and delays."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from rig.figures.style import (
 COLOURS = (*PALETTE, GREY)
 SHOWN_TRAITS = {
     "noise_mV": "noise, rms (mV)",
-    "friction_ratio": "drop of friction, $μ_k / μ_s$",
+    "friction_ratio": "friction ratio, $μ_k / μ_s$",
     "speed_mm_s": "speed (mm/s)",
 }
 MOST_SHOWN_ALARMS, FEWEST_SHOWN_ALARMS = 0.5, 0.05
@@ -36,6 +36,8 @@ TITLE_PT = 225.0
 DELAYS_MS = (-1e3 * EARLY_WITHIN_S, 1e3 * FOUND_WITHIN_S)
 """Range of the histograms: the time in which a slip is found."""
 BAR_MS = 2.0
+SHARES = (-0.04, 1.04)
+"""Range of an axis of shares, with room for the whole marker at 0 and at 1."""
 
 
 def draw_roc(results: Sequence[ContenderResult], title: str) -> Figure:
@@ -59,7 +61,7 @@ def draw_roc(results: Sequence[ContenderResult], title: str) -> Figure:
                 ends.append(1.5 * float(curve.alarms[own]))
             end = min(MOST_SHOWN_ALARMS, max(ends))
             axes.set_xlim(-0.02 * end, end)
-            axes.set_ylim(0, 1.02)
+            axes.set_ylim(*SHARES)
             axes.set_xlabel(f"false alarms, share of trials: {' and '.join(among)}")
         panels[0].axvline(ROLL_ALARMS, color=GREY, lw=0.8, ls="--")
         panels[0].annotate(f" {100 * ROLL_ALARMS:g} %", (ROLL_ALARMS, 0.01), color=GREY)
@@ -73,11 +75,11 @@ def draw_roc(results: Sequence[ContenderResult], title: str) -> Figure:
 
 
 def draw_found(results: Sequence[ContenderResult], title: str) -> Figure:
-    """Draw the detection rate by noise, friction drop and speed, with 95 % intervals."""
+    """Draw the detection rate by noise, friction ratio and speed, with 95 % intervals."""
     with mpl.rc_context(STYLE):
         figure = _column(
             20 + 44 * len(SHOWN_TRAITS),
-            f"Detection rate by noise, friction drop and speed, 95 % intervals, {title}",
+            f"Detection rate by noise, friction ratio and speed, 95 % intervals, {title}",
         )
         panels = figure.subplots(len(SHOWN_TRAITS), 1, sharey=True)
         for axes, (trait, name) in zip(panels, SHOWN_TRAITS.items(), strict=True):
@@ -97,7 +99,7 @@ def draw_found(results: Sequence[ContenderResult], title: str) -> Figure:
             axes.set_xlabel(name)
             axes.grid(axis="x", visible=False)
             axes.set_ylabel("share of slips found")
-        panels[0].set_ylim(0, 1.02)
+        panels[0].set_ylim(*SHARES)
         handles, labels = panels[0].get_legend_handles_labels()
         if handles:
             figure.legend(handles, labels, loc="outside lower center", ncols=2)

@@ -99,6 +99,8 @@ def draw_trial(run: RunFile, number: int, point: str, detected: Detections) -> F
         draw_strips(strips, t, signals)
         _zoom(zoom, rows, t, 1e3 * signals.values("v_d"), instants, (begin, end))
         mark((difference,), instants)
+        if any(instants.slips_s().values()):
+            difference.set_title("lines: colours of (g)", loc="left")
         t, pressing, sideways = seconds(force), force.values("F_n"), force.values("F_t")
         draw_forces(newtons, t, force)
         _ratio(ratio, t, pressing, sideways, wanted)

@@ -31,6 +31,8 @@ if TYPE_CHECKING:
     from rig.analysis.verdict import Bounds
     from rig.files.runfile.reader import RunFile
 
+PAPER = "paper: Yamada, Maeno et al."
+"""Whose equations the figures name."""
 REFERENCE_SLOPE_DB_DECADE = 20.0
 """First-order (stress-rate) characteristic of the paper's eq. (2), drawn for comparison."""
 REFERENCE_TO_HZ, DRAWN_TO_HZ = 200.0, 1000.0
@@ -51,7 +53,7 @@ def draw_fitted_gain(run: RunFile) -> dict[str, Figure]:
     curve, analysis = _analysed(run)
     if curve is None or analysis is None:
         return {}
-    return {"": draw_gain(curve, analysis, *_heading(run))}
+    return {"": draw_gain(curve, analysis, *_heading(run), PAPER)}
 
 
 def draw_circuit_readings(run: RunFile) -> dict[str, Figure]:
@@ -62,7 +64,7 @@ def draw_circuit_readings(run: RunFile) -> dict[str, Figure]:
     curve, analysis = _analysed(run)
     if curve is None or analysis is None:
         return {}
-    return {"": draw_readings(curve, analysis, SKIN_STRIP, *_heading(run))}
+    return {"": draw_readings(curve, analysis, SKIN_STRIP, *_heading(run), PAPER)}
 
 
 def draw_load_linearity(run: RunFile) -> dict[str, Figure]:
@@ -150,7 +152,7 @@ def draw_measured(run: RunFile) -> Figure:
         _tolerance(load, run, deviation)
         decades(load, frequency.min(), frequency.max())
         letter((gain, phase, load))
-        set_margins(figure, top=set_heading(figure, *_heading(run)) + legend, gap_mm=4.0)
+        set_margins(figure, top=set_heading(figure, *_heading(run), PAPER) + legend, gap_mm=4.0)
         figure.align_ylabels((gain, phase, load))
     return figure
 
@@ -189,5 +191,5 @@ def _reference(axes: mpl.axes.Axes, frequency: np.ndarray, gain: np.ndarray) -> 
         "--",
         color=BLACK,
         linewidth=0.8,
-        label=f"eq. (2), by points up to {REFERENCE_TO_HZ:g} Hz",
+        label=f"paper, eq. (2), fitted up to {REFERENCE_TO_HZ:g} Hz",
     )

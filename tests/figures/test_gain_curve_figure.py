@@ -106,6 +106,16 @@ def test_the_readings_figure_shows_all_three_their_offsets_and_both_corners(film
         assert expected in written
 
 
+def test_the_labels_of_both_corners_are_inside_the_frame(film):
+    figure = draw_readings(*film)
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    shifted = figure.axes[1]
+    ends = [text.get_window_extent(canvas.get_renderer()).x1 for text in shifted.texts]
+    assert len(ends) == 2
+    assert max(ends) <= shifted.bbox.x1
+
+
 def test_a_film_without_corner_and_drops_is_drawn_too():
     curve, analysis = measured(FilmModel(-78.0, 0.0))
     assert "0 notches" in texts(draw_gain(curve, analysis))

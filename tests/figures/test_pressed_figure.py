@@ -46,9 +46,22 @@ def test_an_axis_is_scaled_by_the_values_that_are_given_and_not_by_what_is_drawn
             ["angle 0, 3, 0 deg at 0, 1, 2 s"],
             "3.5 deg",
         ),
+        (
+            {"loading": "ramp", "ramp_N_s": 2.0, "ramp_to_N": 10.0, "hold_at_N": 3.0,
+             "speed_mm_s": 2.0},
+            ["ramp 2 N/s to 3 N, at most 2 mm/s"],
+            "to 10 N",
+        ),
+        (
+            {"loading": "ramp", "ramp_N_s": 2.0, "ramp_to_N": 10.0, "hold_at_N": None,
+             "speed_mm_s": 2.0},
+            ["ramp 2 N/s to 10 N, at most 2 mm/s"],
+            "to 3 N",
+        ),
+        ({"loading": "slide", "ramp_N_s": 2.0, "speed_mm_s": 2.0}, ["2 mm/s"], "ramp"),
     ],
 )  # fmt: skip
-def test_the_heading_says_along_which_path_a_trial_went(tmp_path, settings, said, unsaid):
+def test_the_heading_says_which_way_and_how_fast_a_trial_went(tmp_path, settings, said, unsaid):
     file = trials.write_trials(
         tmp_path / "one.rigj", {"trial-1": trials.slipping()}, settings=settings
     )

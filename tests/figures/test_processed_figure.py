@@ -48,6 +48,7 @@ def test_events_are_marked_where_they_were_decided_and_counted():
     reported = figure.get_suptitle()
     assert reported.startswith("SIMULATED")
     assert "first slip at 1.300 s" in reported
+    assert f", version {PROCESSED.version}, " in " ".join(one.get_text() for one in figure.texts)
 
 
 def test_a_trial_without_events_is_shown_whole():

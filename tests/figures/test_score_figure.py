@@ -51,6 +51,17 @@ def test_the_axis_of_false_alarms_fits_the_detectors_own_thresholds(
         assert axes.get_xlim()[1] == pytest.approx(end)
 
 
+def test_the_markers_of_none_and_of_all_are_whole_and_the_ratio_is_called_one() -> None:
+    for figure in (
+        draw(cast("Any", contenders(0.05, 2)), TITLE) for draw in (draw_roc, draw_found)
+    ):
+        low, high = figure.axes[0].get_ylim()
+        assert low < -0.03
+        assert high > 1.03
+    labels = [axes.get_xlabel() for axes in figure.axes]
+    assert "friction ratio, $μ_k / μ_s$" in labels
+
+
 @pytest.mark.parametrize("draw", [draw_roc, draw_found, draw_delays])
 def test_a_score_is_legible_at_84_mm(draw: Any) -> None:
     figure = draw(contenders(0.05), TITLE)

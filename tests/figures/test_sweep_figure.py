@@ -9,7 +9,7 @@ import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from tiers import mostly_thorough
 
-from rig.figures.sweep import draw_measured
+from rig.figures.sweep import PAPER, draw_measured
 
 
 def run_of(frequencies, loads=(1.0,), deviation=0.002):
@@ -99,7 +99,9 @@ def test_the_title_names_the_film_and_the_load_and_the_lines_below_it_the_rest()
     figure = draw_measured(run_of((100, 1000)))
     assert figure.get_suptitle() == "SIMULATED sweep of film f1, 1 N peak load"
     (below,) = figure.texts[1:] if figure.texts[0] is figure._suptitle else figure.texts
-    assert below.get_text() == "25 N preload, sample s1, bench b, 2026-11-25 10:00\nrun.h5"
+    assert (
+        below.get_text() == f"25 N preload, sample s1, bench b, 2026-11-25 10:00\nrun.h5\n{PAPER}"
+    )
 
 
 def test_the_line_of_eq_2_lies_on_the_points_where_it_holds():
@@ -110,6 +112,7 @@ def test_the_line_of_eq_2_lies_on_the_points_where_it_holds():
     gain -= 10 * np.log10(1 + (f / 1454) ** 2) + 15 * np.exp(-(np.log(f / 400) ** 2) / 0.02)
     axes = draw_measured(run).axes[0]
     line = next(line for line in axes.get_lines() if "eq. (2)" in str(line.get_label()))
+    assert line.get_label() == "paper, eq. (2), fitted up to 200 Hz"
     hertz, drawn = line.get_data()
     assert hertz[-1] <= 1000
     slow = f < 100
