@@ -37,14 +37,15 @@ LABELS = {
     "lag_Hz": ("frequency of the specified lag", "Hz"),
     "lag_deg": ("phase lag at that frequency", "deg"),
     "delay_ms": ("group delay at that frequency", "ms"),
-    "stop_Hz": ("attenuation reached for good from", "Hz"),
-    "largest_lobe_dB": ("largest lobe of the stop band", "dB"),
-    "lobes_from_Hz": ("gain first as low as that lobe at", "Hz"),
-    "step_half_ms": ("step response passes one half after", "ms"),
+    "stop_Hz": ("stop band ({stop_dB:.4g} dB) from", "Hz"),
+    "largest_lobe_dB": ("largest side lobe of the stop band", "dB"),
+    "lobes_from_Hz": ("gain first below the largest side lobe at", "Hz"),
+    "step_half_ms": ("step response reaches 50 % after", "ms"),
     "overshoot_percent": ("overshoot of the step response", "%"),
     "settled_ms": ("step response within 1 % after", "ms"),
 }
-"""Label and unit of each printed number; --json prints the keys."""
+"""Label and unit of each printed number; --json prints the keys. `stop_dB` is the gain that the
+filter was designed for."""
 
 
 def filter_(
@@ -206,6 +207,6 @@ def _print_summary(
     for key, value in summary.items():
         label, unit = LABELS[key]
         shown = "never" if value is None else f"{value:.6g} {unit}".rstrip()
-        typer.echo(f"{label}: {shown}")
+        typer.echo(f"{label.format(stop_dB=-low_pass.settings.stop_dB)}: {shown}")
     for file in files:
         typer.echo(f"saved {file}")
