@@ -86,7 +86,8 @@ def test_the_default_detector_is_paper_hp_and_the_help_says_why(rig: Any, runs: 
     assert named.stdout == default.stdout.replace("Saved ", "Saved before as ")
     shown = " ".join(re.sub(r"[│╭╮╰╯─]", " ", rig.run("detect", "--help").stdout).split())
     assert "[default: paper-hp]" in shown
-    assert "none is shown to be good enough, and the default stays until one is" in shown
+    assert "none is shown to reach it, so the default is the published detector" in shown
+    assert "rig misses 1 of 10 where the commands of x and of the held force are known" in shown
 
 
 @pytest.mark.thorough
@@ -390,6 +391,16 @@ def test_the_filter_is_printed_drawn_and_written_as_data(rig: Any) -> None:
         step = [float(row["step_response"]) for row in csv.DictReader(file)]
     assert len(step) == reported["taps"]
     assert step[-1] == pytest.approx(1.0)
+
+
+def test_each_number_of_a_filter_says_what_it_means(rig: Any) -> None:
+    done = rig.run("filter", "--no-figures", "--attenuation", "50dB", "--lag", "6")
+    assert done.code == 0, done.stderr
+    for label in (
+        "stop band (-50 dB) from: ", "largest side lobe of the stop band: ",
+        "gain first below the largest side lobe at: ", "step response reaches 50 % after: ",
+    ):  # fmt: skip
+        assert f"\n{label}" in done.stdout
 
 
 @pytest.mark.thorough
