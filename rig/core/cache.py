@@ -68,6 +68,10 @@ class DiskCache:
             return None
         return content
 
+    def has_entries(self) -> bool:
+        """Return whether anything was ever stored, without reading it."""
+        return next(self.folder.glob("*.cache"), None) is not None
+
     def put(self, key: str, content: bytes) -> None:
         """Store `content` under `key`; a full or read-only disk leaves the cache as it was."""
         with contextlib.suppress(OSError):

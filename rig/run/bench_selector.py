@@ -28,10 +28,9 @@ NOT_MEASURED = "These are not measurements."
 FIRST_TIME = "the first time on a computer it takes up to two minutes"
 STARTING: dict[Fixture, str] = {
     "film-clamp": "film in its clamp",
-    "plate": f"skin above its plate; {FIRST_TIME}",
-    "semi-spherical-object": f"skin above a head on the rotary stage; {FIRST_TIME}",
+    "plate": "skin above its plate",
+    "semi-spherical-object": "skin above a head on the rotary stage",
 }
-
 
 POPULATION = "population"
 """Stands for a World that the seed draws, in the place of a file."""
@@ -107,6 +106,8 @@ class BenchSelector:
     something happens."""
     check: Callable[[], None] = lambda: None
     """Function that raises what ends a wait for the guard of an earlier run."""
+    rehearsal: str = "dry run"
+    """What a simulated bench is for, where it is not the command's own bench."""
     while_it_boots: Callable[[], None] = lambda: None
     """Function that is called while a simulated bench boots, which takes about a second; nothing is
     connected yet."""
@@ -134,7 +135,7 @@ class BenchSelector:
                 started.abandon()
             raise
         if started is None:
-            self.say(f"starting the simulated bench ({STARTING[fixture]}) ...")
+            self.say(f"starting the simulated bench ({_starting(fixture)}) ...")
             started = start_simulated(request, fixture, real)
         try:
             return self._simulated(request, started, real)
@@ -175,7 +176,7 @@ class BenchSelector:
         _import_drivers(started.drivers)
         with self.waiting():
             ready = started.ready()
-        why = "dry run" if request.dry_run else f"no {BENCH_FILE} found in {Path.cwd()}"
+        why = self.rehearsal if request.dry_run else f"no {BENCH_FILE} found in {Path.cwd()}"
         self.say(f"SIMULATED bench ({why}; seed {request.seed}). {NOT_MEASURED}")
         plan = parse_bench(ready["bench_toml"], "the simulated bench")
         if real is not None:
@@ -195,6 +196,15 @@ class BenchSelector:
 
     def _warn(self, text: str) -> None:
         (self.warn or self.say)(text)
+
+
+def _starting(fixture: Fixture) -> str:
+    """Return what is started, and that it takes long where no skin is in the cache yet."""
+    from rig.core.cache import user_cache
+
+    if fixture == "film-clamp" or user_cache().has_entries():
+        return STARTING[fixture]
+    return f"{STARTING[fixture]}; {FIRST_TIME}"
 
 
 def start_simulated(

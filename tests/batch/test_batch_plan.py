@@ -43,6 +43,7 @@ def write(rig: Any, text: str) -> str:
 def test_a_plan_lists_every_run_and_foretells_the_night(rig: Any) -> None:
     until = SWEEPS.replace('"nights"', '"nights"\nstop_by = 2099-01-01T07:00:00')
     ended = rig.run("batch", "plan", write(rig, until))
+    assert "SIMULATED bench (to check the batch; seed " in ended.stderr
     assert ended.code == 0, ended.stderr
     assert "stop_by 2099-01-01 07:00:00: 7 of 7 runs will have ended by then" in ended.stderr
     assert "warning" not in ended.stderr

@@ -10,8 +10,10 @@ from typing import Any
 
 import pytest
 
-from rig.core.cache import DiskCache
+from rig.bench.settings import Fixture
+from rig.core.cache import DiskCache, user_cache
 from rig.physics.skin.condensed import CondensedSkin
+from rig.run import bench_selector
 from rig.run.bench_selector import BenchRequest, BenchSelector
 
 SMALL = "[skin]\nelements_per_ridge = 6\n"
@@ -38,6 +40,33 @@ def test_the_plates_bench_runs_in_real_time_and_is_made_safe(rig: Any) -> None:
     assert "daq, stage_z, stage_x, force_sensor made safe" in safe.stderr
     simulator.send(signal.SIGINT)
     assert simulator.finish().code == 0
+
+
+def test_only_the_first_start_with_a_skin_says_that_it_takes_long(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class NotStartedError(Exception):
+        """Ends each start before there is a process."""
+
+    def not_started(*_: object) -> None:
+        raise NotStartedError
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(bench_selector, "start_simulated", not_started)
+    monkeypatch.setenv("RIG_CACHE", str(tmp_path / "cache"))
+    said: list[str] = []
+
+    def start(fixture: Fixture) -> str:
+        with ExitStack() as at_the_end, pytest.raises(NotStartedError):
+            BenchSelector(said.append).select(BenchRequest(), at_the_end, fixture)
+        return said.pop()
+
+    first = "(skin above its plate; the first time on a computer it takes up to two minutes)"
+    assert first in start("plate")
+    assert "first time" not in start("film-clamp")
+    user_cache().put("a skin", b"...")
+    assert "(skin above its plate)" in start("plate")
+    assert "(skin above a head on the rotary stage)" in start("semi-spherical-object")
 
 
 @pytest.mark.thorough

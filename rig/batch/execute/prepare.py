@@ -104,7 +104,8 @@ def rehearsed(request: BenchRequest, say: Callable[[str], None]) -> BenchConnect
     @contextlib.contextmanager
     def connected(fixture: Fixture) -> Iterator[Bench]:
         with ExitStack() as at_the_end:
-            chosen = BenchSelector(say).select(request, at_the_end, fixture)
+            selector = BenchSelector(say, rehearsal="to check the batch")
+            chosen = selector.select(request, at_the_end, fixture)
             assert chosen.started is not None, "a rehearsal starts its bench"
             at_the_end.callback(chosen.started.wait)
             try:
