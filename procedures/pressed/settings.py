@@ -89,8 +89,9 @@ class PressedSettings(BaseSettings):
 
     normal_force_N: float = Field(default=4.0, gt=0)
     """Set point of the normal force (paper 2.2: all nine ridges touch at 4 N)."""
-    acceleration_mm_s2: float = Field(default=200.0, gt=0)
-    """Acceleration configured in the stage drives."""
+    acceleration_mm_s2: float = Field(default=200.0, ge=1, le=50_000)
+    """Acceleration that is configured in the stage drives, for the force servo and the expected
+    times. It is only stated here: nothing is set in the drives."""
     rest_s: float = Field(default=0.3, ge=0, le=60)
     """Rest under the held force, before the motion."""
     trials: int = Field(default=1, ge=1, le=10_000, json_schema_extra={"short": "-n"})

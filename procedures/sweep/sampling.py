@@ -71,7 +71,7 @@ class FittedRecord:
 def listen(run: Run, memory: SweepMemory) -> None:
     """Measure the noise of both channels and the mains lines in them, before anything vibrates."""
     settings, daq = run.settings, run.bench.daq
-    rate = settings.slowest_rate_S_s if settings.rate_S_s is None else settings.rate_S_s
+    rate = settings.listen_rate_S_s
     ranges = daq.ranges_V()
     channels = tuple(InputChannel(name, max(ranges)) for name in CHANNELS)
     while True:

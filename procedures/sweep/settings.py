@@ -24,6 +24,8 @@ LISTEN_S = 0.5
 """Length of the record before anything vibrates."""
 LISTEN_RECORDS = 2
 """Expected number of such records: a second one has the ranges that fit the first."""
+LISTEN_SAMPLES = 16
+"""Fewest samples of such a record: those of any record that a tone is fitted in."""
 CYCLE_FRACTION = (math.sqrt(5) - 1) / 2
 """Fraction of a sample, the golden ratio, by which a cycle exceeds a whole number of samples. With
 a whole number the converter would see the same few phases in every cycle: its rounding would then
@@ -102,7 +104,7 @@ class SweepSettings(Settings):
     the load hold."""
     gain_bound_dB: float = Field(default=0.1, gt=0, le=20, json_schema_extra={"needs": "loads_N"})
     """Difference of the gains under two loads up to which the gain does not depend on the load."""
-    mains_Hz: float = Field(default=50.0, gt=0)
+    mains_Hz: float = Field(default=50.0, ge=1 / LISTEN_S, le=1000)
     """Mains frequency, whose lines are fitted together with the tone."""
 
     @field_validator("frequencies_Hz", "loads_N")
@@ -122,13 +124,27 @@ class SweepSettings(Settings):
             raise ValueError(
                 f"lowest_Hz {self.lowest_Hz:g} Hz is not below highest_Hz {self.highest_Hz:g} Hz"
             )
-        for frequency in self.frequencies_Hz or (self.highest_Hz,):
-            if self.rate_at(frequency) < 2.5 * frequency:
-                raise ValueError(
-                    f"a rate of {self.rate_at(frequency):g} S/s cannot carry {frequency:g} Hz; "
-                    f"sample at {2.5 * frequency:g} S/s or more"
-                )
+        highest_Hz = max(self.frequencies_Hz, default=self.highest_Hz)
+        if self.rate_S_s is not None and self.rate_S_s < 2.5 * highest_Hz:
+            of = "" if self.frequencies_Hz else "highest_Hz "
+            raise ValueError(
+                f"rate_S_s {self.rate_S_s:g} 1/s is too slow for {of}{highest_Hz:g} Hz: at least "
+                f"{2.5 * highest_Hz:g} 1/s is needed"
+            )
+        needed_S_s = max(2 * (self.mains_Hz + 1 / LISTEN_S), LISTEN_SAMPLES / LISTEN_S)
+        if self.listen_rate_S_s < needed_S_s:
+            name = "slowest_rate_S_s" if self.rate_S_s is None else "rate_S_s"
+            raise ValueError(
+                f"{name} {self.listen_rate_S_s:g} 1/s is too slow for mains_Hz {self.mains_Hz:g} "
+                f"Hz: at least {needed_S_s:g} 1/s is needed"
+            )
         return self
+
+    @property
+    def listen_rate_S_s(self) -> float:  # noqa: N802 - the unit keeps its capital
+        """Sampling rate of the record before anything vibrates. It has to separate the mains from
+        their image at the rate, which takes a beat within `LISTEN_S`."""
+        return self.slowest_rate_S_s if self.rate_S_s is None else self.rate_S_s
 
     def rate_at(self, frequency_Hz: float) -> float:
         """Return the sampling rate for a frequency, in S/s."""

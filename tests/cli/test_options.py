@@ -5,13 +5,17 @@ from __future__ import annotations
 import math
 from typing import Literal
 
+import numpy as np
 import pytest
-from pydantic import Field
+from pydantic import Field, ValidationError
 
+from procedures.sweep.settings import LISTEN_S, SweepSettings
+from rig.analysis.response.sine_fit import fit_sine, mains_lines
 from rig.cli.options.settings import option_name, parameters, settings_from, texts_of
 from rig.core.errors import ConfigurationError, ExitCode
 from rig.core.settings import Settings
 from rig.core.units import parse, quantity
+from rig.run.load_procedure import load_procedure
 
 
 class Example(Settings):
@@ -222,6 +226,56 @@ def test_what_has_no_effect_in_the_given_mode_is_refused(rig, procedure, given, 
     ended = rig.run(procedure, "--dry-run", *given.split())
     assert ended.code == ExitCode.USAGE
     assert reported in ended.stderr
+
+
+@pytest.mark.parametrize(
+    ("procedure", "given", "reported"),
+    [
+        (
+            "sweep",
+            {"rate_S_s": "80", "frequencies_Hz": "20"},
+            "--rate 80 1/s is too slow for --mains 50 Hz: at least 104 1/s is needed",
+        ),
+        (
+            "sweep",
+            {"slowest_rate_S_s": "100"},
+            "--slowest-rate 100 1/s is too slow for --mains 50 Hz: at least 104 1/s is needed",
+        ),
+        (
+            "sweep",
+            {"rate_S_s": "100", "frequencies_Hz": "20,200"},
+            "--rate 100 1/s is too slow for 200 Hz: at least 500 1/s is needed",
+        ),
+        (
+            "sweep",
+            {"rate_S_s": "100"},
+            "--rate 100 1/s is too slow for --highest 20000 Hz: at least 50000 1/s is needed",
+        ),
+        ("sweep", {"mains_Hz": "1e308"}, "--mains 1e308: must be at most 1000 Hz"),
+        (
+            "slip-trial",
+            {"acceleration_mm_s2": "1e308"},
+            "--acceleration 1e308: must be at most 50000 mm/s^2",
+        ),
+    ],
+)
+def test_settings_that_cannot_work_are_refused_as_they_were_given(
+    procedure: str, given: dict[str, str], reported: str
+) -> None:
+    with pytest.raises(ConfigurationError) as caught:
+        settings_from(load_procedure(procedure).Settings, given)
+    assert caught.value.message == reported
+
+
+@pytest.mark.parametrize("mains_Hz", [2.0, 16.7, 50.0, 60.0, 400.0])
+def test_the_slowest_rate_that_a_sweep_takes_lets_it_fit_the_mains(mains_Hz: float) -> None:
+    rate_S_s = max(32.0, 2 * mains_Hz + 4)
+    settings = SweepSettings(mains_Hz=mains_Hz, rate_S_s=rate_S_s, frequencies_Hz=(5.0,))
+    noise = np.random.default_rng(1).normal(size=round(LISTEN_S * settings.listen_rate_S_s))
+    first, *others = mains_lines(mains_Hz)
+    assert fit_sine(noise, rate_S_s, first, interference=others).n == noise.size
+    with pytest.raises(ValidationError, match="too slow for mains_Hz"):
+        SweepSettings(mains_Hz=mains_Hz, rate_S_s=rate_S_s - 1, frequencies_Hz=(5.0,))
 
 
 def test_a_list_may_be_given_in_parts_and_of_anything_else_the_last_holds() -> None:

@@ -54,7 +54,7 @@ REFUSED = {
     "below zero": (("--frequencies=-5",), 2, "-5 is not above 0"),
     "not a number": (("--frequencies", "twenty"), 2, "--frequencies twenty"),
     "wrong unit": (("--load", "3V"), 2, "--load 3V: 'V' does not convert to N"),
-    "rate too low": (("--rate", "40"), 2, "cannot carry"),
+    "rate too low": (("--rate", "40"), 2, "--rate 40 1/s is too slow for 20 Hz"),
 }
 REFUSED_BY_DEFAULT = (
     "load and preload beyond the force sensor",
