@@ -49,8 +49,14 @@ class JournalMovedError(RecordingError):
 class RunFileError(FoundWrongError):
     """A file that is not a sound run file or processed file. Names the file and the reason."""
 
-    def __init__(self, path: Path | str, reason: str, hint: str | None = None) -> None:
-        super().__init__(f"{path}: {reason}", hint)
+    def __init__(
+        self,
+        path: Path | str,
+        reason: str,
+        hint: str | None = None,
+        code: ExitCode | None = None,
+    ) -> None:
+        super().__init__(f"{path}: {reason}", hint, code)
         self.path = Path(path)
         self.reason = reason
 

@@ -9,6 +9,7 @@ from pathlib import Path
 
 RUN_SUFFIX = ".h5"
 JOURNAL_SUFFIX = ".rigj"
+CHECKSUM_SUFFIX = ".sha256"
 
 _DAY = re.compile(r"\d{4}-\d{2}-\d{2}\Z")
 _RUN = re.compile(r"_r(\d+)\.(?:h5|rigj)\Z")
@@ -46,4 +47,4 @@ def journal_path(run_file: Path | str) -> Path:
 def checksum_path(run_file: Path | str) -> Path:
     """Return the path of the checksum beside a file: ``<run>.h5.sha256``."""
     run_file = Path(run_file)
-    return run_file.with_name(run_file.name + ".sha256")
+    return run_file.with_name(run_file.name + CHECKSUM_SUFFIX)

@@ -19,6 +19,7 @@ from rig.detector.events import EVENT_KINDS, SlipEvent, unjudged_s
 from rig.detector.registered import ChosenDetector
 from rig.files.checksum import checksum_findings, sha256_of
 from rig.files.errors import RunFileError
+from rig.files.file_kind import require_hdf5
 from rig.files.journal.strips import STRIPS, stream_of_strips
 from rig.files.naming import checksum_path
 from rig.files.processed.reader import ProcessedFile, is_processed
@@ -123,9 +124,10 @@ def detect_trials(run: RunFile, detector: ChosenDetector) -> list[DetectedTrial]
     for waveform in run.waveforms(stream=stream):
         pieces.setdefault(waveform.point, []).append(waveform)
     if not pieces:
+        complete = run.outcome.status == "complete"
         raise ConfigurationError(
             f"{run.path}: no trial was recorded ({run.outcome.extent()})",
-            "record the run again, or name another file",
+            "name another file" if complete else f"`rig resume {run.path}` continues the run",
         )
     trials = []
     readings = _readings_with_commands(run)
@@ -195,8 +197,7 @@ def other_code(run_file: Path) -> ConfigurationError:
 def _refuse_damaged(run_file: Path) -> list[str]:
     """Raise RunFileError if the file is not the one that was written; return a warning if that is
     not known."""
-    if not run_file.is_file():
-        return []  # RunFile.open says what it is instead
+    require_hdf5(run_file)
     doubts = list(checksum_findings(run_file))
     if doubts and checksum_path(run_file).exists():
         raise RunFileError(run_file, "; ".join(doubts), "`rig verify` says more")
@@ -309,7 +310,7 @@ def _stream_of_strips(run: RunFile) -> str:
     if stream is None:
         raise ConfigurationError(
             f"{run.path}: a {run.header.procedure}, which records no strips v_1 and v_2",
-            "slips can be detected in slip trials, roll trials and imported recordings",
+            "slips are found in runs with the strips' signals: trials and imported recordings",
         )
     return stream
 

@@ -182,8 +182,11 @@ def test_a_run_that_makes_no_record_is_refused_in_one_line(
 
 def test_a_file_that_is_no_run_is_refused(rig: Any) -> None:
     ended = rig.run("calibrate", "pvdf", "none.h5")
+    assert (ended.code, ended.errors) == (2, ["error: none.h5: no such file"])
+    (rig.folder / "README.md").write_text("hello\n")
+    ended = rig.run("calibrate", "pvdf", "README.md")
     assert ended.code == 8
-    assert "none.h5" in ended.errors[0]
+    assert ended.errors == ["error: README.md: not a journal and not a run file"]
 
 
 def test_a_file_with_a_changed_byte_makes_no_record(rig: Any) -> None:

@@ -180,7 +180,7 @@ def test_files_that_are_no_recordings_are_refused(tmp_path: Path) -> None:
         read(binary, tmp_path)
     with refused("not a regular file"):
         read_foreign(tmp_path)
-    with refused("No such file"):
+    with refused("no such file"):
         read_foreign(tmp_path / "missing")
     huge = tmp_path / "huge"
     with huge.open("wb") as file:

@@ -272,6 +272,8 @@ def test_files_of_other_kinds_are_refused_by_name(own_run: Path, tmp_path: Path)
     sweep = compile_run(recorded_run.write_run(tmp_path / "sweep.rigj"))
     answer = refused(sweep)
     assert "a sweep, which records no strips" in answer.message
+    assert answer.hint is not None
+    assert "trials and imported recordings" in answer.hint
     assert answer.code is ExitCode.USAGE
     assert "a journal, not a run file" in refused(tmp_path / "sweep.rigj").message
     assert "no such file" in refused(tmp_path / "none.h5").message
@@ -303,7 +305,16 @@ def test_a_value_that_is_no_number_is_named(tmp_path: Path) -> None:
 
 def test_a_run_of_which_nothing_was_kept_is_refused(tmp_path: Path) -> None:
     run_file = trials.write_trials(tmp_path / "a.rigj", {})
-    assert "no trial was recorded (complete, 0 of 0 points)" in refused(run_file).message
+    answer = refused(run_file)
+    assert "no trial was recorded (complete, 0 of 0 points)" in answer.message
+    assert answer.hint == "name another file"
+
+
+def test_a_run_that_was_interrupted_before_its_first_trial_is_to_be_resumed(
+    tmp_path: Path,
+) -> None:
+    run_file = trials.write_trials(tmp_path / "a.rigj", {}, complete=False)
+    assert refused(run_file).hint == f"`rig resume {run_file}` continues the run"
 
 
 def test_a_run_file_that_has_changed_is_refused_and_one_without_checksum_reported(

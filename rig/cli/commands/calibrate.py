@@ -199,9 +199,12 @@ def load_cell(
 
 
 def _refuse_changed(file: Path) -> None:
-    """Raise FoundWrongError if the run file is not, byte by byte, the one that was written."""
+    """Raise FoundWrongError if the run file is not, byte by byte, the one that was written, or not
+    a run file at all."""
     from rig.files.checksum import checksum_findings
+    from rig.files.file_kind import require_hdf5
 
+    require_hdf5(file)
     if findings := list(checksum_findings(file)):
         raise FoundWrongError(
             f"{file}: {'; '.join(findings)}",

@@ -123,7 +123,7 @@ def show(
         draws = figures or pdf or figures_to is not None
         from rig.files.checksum import checksum_findings
         from rig.files.describe import describe_contents, ending_of
-        from rig.files.file_kind import kind_of
+        from rig.files.file_kind import kind_of, require_hdf5
         from rig.files.journal.reader import read_journal
         from rig.files.model_file import ModelFile, is_model
         from rig.files.processed.reader import ProcessedFile, is_processed
@@ -144,6 +144,7 @@ def show(
                 if draws:
                     not_drawn.append(f"{path}: a journal has no figures, its run file has")
                 continue
+            require_hdf5(path)
             doubts = [f"warning: {path.name}: {found}" for found in checksum_findings(path)]
             if is_model(path):
                 with ModelFile.open(path) as model:

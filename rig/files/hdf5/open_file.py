@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, Self
 
 from rig.files.errors import RunFileError, in_words
-from rig.files.file_kind import IN_WORDS, kind_of
+from rig.files.file_kind import kind_of, require_hdf5
 from rig.files.hdf5.safe_reading import DAMAGE, refuse_links, text_of
 
 if TYPE_CHECKING:
@@ -48,8 +48,7 @@ class OpenFile:
         import h5py
 
         path = Path(path)
-        if (kind := kind_of(path)) != "hdf5":
-            raise RunFileError(path, IN_WORDS[kind])
+        require_hdf5(path)
         with cls._naming_damage(path):
             file = h5py.File(path, "r")
         opened = cls(path, file)

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 from rig.core.settings import fingerprint
 from rig.files.errors import ForeignFileError, RecordingError
+from rig.files.file_kind import IN_WORDS
 from rig.files.hdf5.nexus import CHUNK_ROWS, plain_text
 from rig.files.imported import lvm, matlab, matlab_variables
 from rig.files.imported.dialect import Decimal, Delimiter
@@ -85,6 +86,8 @@ def read_foreign(
             raise ForeignFileError(str(path), "not a regular file")
         with path.open("rb") as file:
             content = file.read(MAX_BYTES + 1)
+    except FileNotFoundError as error:
+        raise ForeignFileError(str(path), IN_WORDS["missing"]) from error
     except OSError as error:
         raise ForeignFileError(str(path), error.strerror or str(error)) from error
     except ValueError as error:  # a NUL in the path

@@ -9,12 +9,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any
 
 from rig.core.units import counted
 from rig.files.errors import RunFileError
-from rig.files.file_kind import kind_of
 from rig.files.hdf5.open_file import OpenFile
 from rig.files.hdf5.safe_reading import text_of, texts_of, whole
 from rig.files.journal.format import from_json
@@ -81,13 +79,6 @@ class RunFile(OpenFile):
 
     KIND = "run file"
     REMEDY = "`rig recover` compiles it again if its journal is still there"
-
-    @classmethod
-    def open(cls, path: Path | str) -> Self:
-        """Open a run file. RunFileError if it cannot be read or is another kind of file."""
-        if kind_of(Path(path)) == "journal":
-            raise RunFileError(Path(path), "a journal, not a run file", "`rig recover` compiles it")
-        return super().open(path)
 
     def _check(self) -> None:
         if "entry/journal_header" not in self._file:

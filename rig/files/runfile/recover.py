@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from rig.files.errors import JournalError, RunFileError
-from rig.files.file_kind import IN_WORDS, kind_of
+from rig.files.file_kind import described, kind_of
 from rig.files.journal.reader import JournalContents, read_journal
 from rig.files.naming import RUN_SUFFIX, journal_path
 from rig.files.runfile.compile import compile_run
@@ -42,15 +42,19 @@ def interrupted(file: Path | str) -> JournalContents:
 def _journal_of(file: Path, purpose: str) -> Path:
     """Return the path of the journal: this file, or the one beside it. Raises JournalError, which
     says what the file is instead."""
-    beside, run_file = journal_path(file), file.with_suffix(RUN_SUFFIX)
     kind = kind_of(file)
     if kind == "journal":
         return file
-    if file.suffix == RUN_SUFFIX and kind != "folder" and kind_of(beside) == "journal":
+    if kind == "folder":
+        raise JournalError(file, None, *described(file, kind))
+    beside, run_file = journal_path(file), file.with_suffix(RUN_SUFFIX)
+    if file.suffix == RUN_SUFFIX and kind_of(beside) == "journal":
         return beside
     if kind == "missing" and kind_of(run_file) == "hdf5":
         file, kind = run_file, "hdf5"
-    raise JournalError(file, None, _why_not(file, purpose) if kind == "hdf5" else IN_WORDS[kind])
+    if kind == "hdf5":
+        raise JournalError(file, None, _why_not(file, purpose))
+    raise JournalError(file, None, *described(file, kind))
 
 
 def _why_not(file: Path, purpose: str) -> str:

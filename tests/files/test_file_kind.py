@@ -1,0 +1,53 @@
+"""Files of other kinds: what they are, and which command or file helps."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from rig.batch.folder import QUEUE
+from rig.core.errors import ExitCode
+from rig.files.errors import RunFileError
+from rig.files.file_kind import BATCH_QUEUE, require_hdf5
+
+
+def refused(path: Path) -> RunFileError:
+    with pytest.raises(RunFileError) as caught:
+        require_hdf5(path)
+    return caught.value
+
+
+def test_a_batch_is_recognised_by_the_name_of_its_queue() -> None:
+    assert BATCH_QUEUE == QUEUE
+
+
+def test_the_folder_and_the_queue_of_a_batch_name_the_command_that_shows_them(
+    tmp_path: Path,
+) -> None:
+    queue = tmp_path / QUEUE
+    queue.write_bytes(b"SQLite format 3\0")
+    hint = f"`rig batch status {tmp_path}` shows the batch"
+    folder, file = refused(tmp_path), refused(queue)
+    assert (folder.reason, folder.hint) == ("the folder of a batch, not a file", hint)
+    assert (file.reason, file.hint) == ("the queue of a batch", hint)
+
+
+def test_a_checksum_names_its_file(tmp_path: Path) -> None:
+    path = tmp_path / "x.h5.sha256"
+    path.write_text("0" * 64 + "  x.h5\n")
+    error = refused(path)
+    assert (error.reason, error.hint) == ("a checksum, not the file itself", "name x.h5")
+
+
+def test_a_folder_of_runs_says_how_to_name_them(tmp_path: Path) -> None:
+    assert refused(tmp_path).hint is None
+    (tmp_path / "x.h5").touch()
+    assert refused(tmp_path).hint == f"name the files in it: {tmp_path}/*.h5"
+
+
+def test_only_a_path_without_a_file_is_a_usage_error(tmp_path: Path) -> None:
+    (tmp_path / "empty.h5").touch()
+    assert refused(tmp_path / "none.h5").code is ExitCode.USAGE
+    assert refused(tmp_path).code is ExitCode.USAGE
+    assert refused(tmp_path / "empty.h5").code is ExitCode.FOUND_WRONG
