@@ -196,8 +196,8 @@ class U2300ADaq:
             )
         if acquisition.samples < 1 or acquisition.samples * count > MOST_SAMPLES:
             raise LimitError(
-                f"{device}: {acquisition.samples} samples of {count} channels are outside "
-                f"1 to {MOST_SAMPLES} in all",
+                f"{device}: {acquisition.samples} samples of each of {count} channels are "
+                f"{acquisition.samples * count} in all, which is outside 1 to {MOST_SAMPLES}",
                 "choose a shorter record or a lower rate",
             )
 

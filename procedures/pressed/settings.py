@@ -218,6 +218,7 @@ def trial_points(
             condition=number,
             moves=(*held, *moves),
             acquisitions=(settings.acquisition,),
+            acquisitions_given=("range_V", "rate_S_s"),
             duration_s=trial_s + (first_s if number == 1 else 0.0),
         )
         for number in range(1, settings.trials * places + 1)

@@ -40,7 +40,9 @@ class SlipTrialSettings(GripSettings):
     """Length of the slide; for a ramp, the largest length."""
     ramp_N_s: float = Field(default=2.0, gt=0, json_schema_extra=RAMPS_ONLY)
     """Rate of the tangential force in a ramp."""
-    ramp_to_N: float = Field(default=10.0, gt=0, json_schema_extra=RAMPS_ONLY)
+    ramp_to_N: float = Field(
+        default=10.0, gt=0, json_schema_extra={**RAMPS_ONLY, "not_with": "hold_at_N"}
+    )
     """Tangential force at which a ramp ends if nothing has slipped."""
     hold_at_N: float | None = Field(default=None, gt=0, json_schema_extra=RAMPS_ONLY)
     """Tangential force that a ramp holds from there on, as a weight does; by default it ends
@@ -69,7 +71,7 @@ class SlipTrialSettings(GripSettings):
                 raise ValueError(
                     f"lost_mm {self.lost_mm:g} mm is not below distance_mm {self.distance_mm:g} mm"
                 )
-        if self.loading == "ramp" and self.ramp_to_N >= self.largest_force_N:
+        elif self.loading == "ramp" and self.ramp_to_N >= self.largest_force_N:
             raise ValueError(
                 f"ramp_to_N {self.ramp_to_N:g} N is not below largest_force_N "
                 f"{self.largest_force_N:g} N"

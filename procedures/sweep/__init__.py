@@ -102,9 +102,7 @@ class Sweep(Procedure):
     def points(self) -> tuple[Point, ...]:
         """Return the first plan: the grid, or the given frequencies, each at every load."""
         settings = self.settings
-        preload.refuse_impossible(
-            settings.preload_N, max(settings.levels_N), LARGEST_SHARE_OF_PRELOAD
-        )
+        preload.refuse_impossible(settings, LARGEST_SHARE_OF_PRELOAD)
         frequencies = settings.frequencies_Hz
         if not frequencies:
             from rig.analysis.film.frequency_plan import scan_frequencies_Hz
@@ -292,8 +290,17 @@ def _point(
             Move("force_sensor.force", settings.preload_N + condition.load_N, ("preload_N", load)),
         ),
         acquisitions=(Acquisition(channels, rate, samples),),
+        acquisitions_given=(_rate_setting(settings, frequency), *frequencies),
         duration_s=settings.settling_s + _expected_s(settings, condition, last, samples / rate),
     )
+
+
+def _rate_setting(settings: SweepSettings, frequency_Hz: float) -> str:
+    """Return the setting that decides the sampling rate at a frequency."""
+    if settings.rate_S_s is not None:
+        return "rate_S_s"
+    is_slow = settings.slowest_rate_S_s > settings.samples_per_cycle * frequency_Hz
+    return "slowest_rate_S_s" if is_slow else "samples_per_cycle"
 
 
 def _expected_s(

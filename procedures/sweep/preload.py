@@ -44,6 +44,7 @@ from rig.core.errors import InstrumentError, LimitError
 from rig.run.trip import TripError
 
 if TYPE_CHECKING:
+    from procedures.sweep.settings import SweepSettings
     from rig.run.context import Run
 
 TICK_S = 0.01
@@ -173,12 +174,14 @@ class Preload:
             self.stiffness_N_mm = max(self.stiffness_N_mm, min(shown_N_mm, FIRST_STIFFNESS_N_mm))
 
 
-def refuse_impossible(preload_N: float, load_N: float, share: float) -> None:
+def refuse_impossible(settings: SweepSettings, share: float) -> None:
     """Raise LimitError if the largest load could lift the indentor off the film."""
+    preload_N, load_N = settings.preload_N, max(settings.levels_N)
     if load_N >= share * preload_N:
+        option = "--loads" if settings.loads_N else "--load"
         raise LimitError(
-            f"a load of {load_N:g} N peak is not below {share:g} of the preload of {preload_N:g} N:"
-            " the indentor could lift off the film",
+            f"{option} {load_N:g} N (peak) is not below {share:g} of --preload {preload_N:g} N: "
+            "the indentor could lift off the film",
             f"ask for less than {share * preload_N:g} N, or for more preload",
         )
 

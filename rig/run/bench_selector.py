@@ -86,7 +86,7 @@ def existing_bench_file(given: Path | None) -> Path | None:
     if chosen is not None and not chosen.is_file():
         raise ConfigurationError(
             f"the bench file {chosen} does not exist",
-            "give the file with --bench, or leave it out for the simulated bench",
+            "name a bench file with --bench, or leave it out to follow the runs alone",
         )
     return chosen
 

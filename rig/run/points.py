@@ -45,6 +45,8 @@ class Point:
     """Every value that it requires of an instrument; all are checked before the first motion."""
     acquisitions: tuple[Acquisition, ...] = ()
     """Every acquisition that it requires of the DAQ; all are checked before the first motion."""
+    acquisitions_given: tuple[str, ...] = ()
+    """Settings that the acquisitions are computed from, for the message that refuses one."""
     duration_s: float = 0.0
     """Bench time that it is expected to take."""
 
@@ -115,13 +117,14 @@ def refusals(
             try:
                 require(name, move.value, reach[move.quantity], f"point {point.id}")
             except LimitError as error:
-                origin = _origin(move, settings) if settings is not None else ""
+                origin = _origin(move.given, settings)
                 yield LimitError(error.message + origin, remedy(error, bench))
         for acquisition in point.acquisitions:
             try:
                 bench.daq.check(acquisition)
             except LimitError as error:
-                yield LimitError(f"point {point.id}: {error.message}", remedy(error, bench))
+                message = error.message + _origin(point.acquisitions_given, settings)
+                yield LimitError(f"point {point.id}: {message}", remedy(error, bench))
 
 
 def remedy(error: LimitError, bench: Bench) -> str | None:
@@ -141,9 +144,9 @@ def as_option(settings: Settings, field: str) -> str:
     return f"{option_name(field)} {shown}" + (f" {unit}" if unit else "")
 
 
-def _origin(move: Move, settings: Settings) -> str:
-    """Return the settings that a move is computed from, as the end of a message."""
-    options = [as_option(settings, field) for field in move.given]
+def _origin(given: tuple[str, ...], settings: Settings | None) -> str:
+    """Return the settings that a value is computed from, as the end of a message."""
+    options = [as_option(settings, field) for field in given] if settings is not None else []
     if len(options) > 1:
         options[-1] = f"and {options[-1]}"
     return f" (from {(', ' if len(options) > 2 else ' ').join(options)})" if options else ""

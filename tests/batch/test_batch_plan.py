@@ -83,7 +83,7 @@ def test_what_a_limit_refuses_is_reported_with_its_line_and_exit_4(rig: Any) -> 
     assert ended.code == 4, ended.stderr
     assert len(ended.errors) == 2
     lift, press = ended.errors
-    assert "night.toml:6: experiment 1: sweep-002: a load of 30 N peak is not below 0.8" in lift
+    assert "night.toml:6: experiment 1: sweep-002: --load 30 N (peak) is not below 0.8" in lift
     assert "night.toml:6: experiment 1: sweep-003: point 200Hz-19N: force_sensor force 44" in press
 
 

@@ -181,7 +181,7 @@ def test_a_limit_that_only_the_points_know_is_reported_too() -> None:
         {"procedure": "sweep", "settings": {"preload_N": 5}, "matrix": {"load_N": [3, 4]}}
     )
     (finding,) = check(plan, None)[0].findings
-    assert "sweep-002: a load of 4 N peak is not below 0.8 of the preload" in finding.message
+    assert "sweep-002: --load 4 N (peak) is not below 0.8 of --preload" in finding.message
 
 
 def test_a_roll_beyond_the_stage_is_refused_before_anything_begins() -> None:

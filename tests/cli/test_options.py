@@ -205,6 +205,11 @@ def test_an_option_without_effect_is_refused_with_what_it_needs() -> None:
         ),
         ("slip-trial", "--loading ramp --lost 0.1", "--lost 0.1 has an effect only with --hold-at"),
         (
+            "slip-trial",
+            "--loading ramp --ramp-to 5 --hold-at 3N",
+            "--ramp-to 5 cannot be combined with --hold-at",
+        ),
+        (
             "roll-trial",
             "--profile-times 0,1,2 --profile-angles 0,1,0 --angle 3",
             "--angle 3 cannot be combined with --profile-times",

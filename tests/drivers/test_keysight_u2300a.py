@@ -299,7 +299,10 @@ def change(**values: object) -> Callable[[], Acquisition]:
         (change(channels=CHANNELS[:1] * 2), "film, film"),
         (change(channels=()), "no channel"),
         (change(samples=0), "0 samples"),
-        (change(samples=4_000_001), "4000001 samples"),
+        (
+            change(samples=4_000_001),
+            "4000001 samples of each of 2 channels are 8000002 in all, which is outside 1 to 8000",
+        ),
     ],
 )
 def test_what_the_unit_cannot_do_is_refused_before_anything_is_sent(

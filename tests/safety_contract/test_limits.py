@@ -28,7 +28,7 @@ REFUSED = {
     "load that could lift the indentor off": (
         ("--load", "8N", "--preload", "10N"),
         4,
-        "a load of 8 N peak is not below 0.8 of the preload of 10 N",
+        "--load 8 N (peak) is not below 0.8 of --preload 10 N",
     ),
     "frequency beyond the generator": (
         ("--frequencies", "3e7"),
@@ -43,7 +43,7 @@ REFUSED = {
     "rate beyond the DAQ": (
         ("--rate", "800e3"),
         4,
-        "800000 S/s a channel for 2 channels is outside 3 to 500000 S/s",
+        "800000 S/s a channel for 2 channels is outside 3 to 500000 S/s .from --rate 800000 1/s",
     ),
     "not ascending": (("--frequencies", "200,20"), 2, "20 follows 200"),
     "none": (("--frequencies", ""), 2, "--frequencies '': the list is empty"),

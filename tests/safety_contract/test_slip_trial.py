@@ -305,6 +305,7 @@ def test_invalid_trials_are_repeated_recorded_and_reported(rig):
                 (("--speed", "90mm/s"), 4, "stage_x speed 90 mm/s is outside"),
                 (("--rate", "10500"), 2, "not a whole multiple of 1000"),
                 (("--direction", "up"), 2, "direction"),
+                (("--range", "0.5mV"), 4, "does not exist (from --range 0.0005 V"),
             )
         ),
     ],

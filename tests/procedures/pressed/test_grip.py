@@ -151,7 +151,7 @@ def test_the_highest_set_point_has_to_be_below_the_largest_force() -> None:
     course = {"force_times_s": (0.0, 1.0), "force_shares": (1.0, 3.0)}
     with pytest.raises(ValidationError, match="largest_force_N 15 N"):
         PathTrialSettings(regrip=True, **course)
-    with pytest.raises(ValidationError, match="a re-grip needs a detector"):
+    with pytest.raises(ValidationError, match="regrip_on alarm needs a detector"):
         SlipTrialSettings(regrip=True, detector="none")
 
 

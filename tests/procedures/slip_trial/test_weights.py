@@ -5,8 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
+from pydantic import ValidationError
 
 from procedures.pressed.grip_summary import grip_summary
+from procedures.slip_trial.settings import SlipTrialSettings
 from rig.files.runfile.reader import RunFile
 
 
@@ -44,6 +46,17 @@ def test_a_weight_that_slides_slowly_and_without_end_is_lost(rig: Any) -> None:
     with RunFile.open(rig.folder / done.object["file"]) as run:
         (reading,) = run.readings()
     assert reading["outcome"] == "lost"
+
+
+def test_the_end_of_a_ramp_does_not_limit_a_weight_which_replaces_it() -> None:
+    """Files and plans may hold both, the end at its default or not."""
+    weight = SlipTrialSettings(loading="ramp", hold_at_N=3.0, distance_mm=2.0, largest_force_N=8.0)
+    assert weight.ramp_to_N == 10.0
+    assert SlipTrialSettings.model_validate(weight.model_dump()) == weight
+    with pytest.raises(ValidationError, match="ramp_to_N 10 N is not below largest_force_N 8 N"):
+        SlipTrialSettings(loading="ramp", largest_force_N=8.0)
+    with pytest.raises(ValidationError, match="hold_at_N 9 N is not below largest_force_N 8 N"):
+        SlipTrialSettings(loading="ramp", hold_at_N=9.0, largest_force_N=8.0)
 
 
 def trial(outcome: str, used_N: float, shown_N: float, true_N: float | None) -> dict[str, Any]:
