@@ -178,7 +178,7 @@ _WORDS = {
     "bool_parsing": "has to be true or false",
     "bool_type": "has to be true or false",
     "string_type": "has to be text",
-    "string_too_short": "has to have at least {min_length} characters",
+    "string_too_short": "has to have {min_length} or more characters",
     "tuple_type": "has to be a list",
     "list_type": "has to be a list",
     "too_short": "has to have {min_length} or more values, not {actual_length}",

@@ -7,12 +7,13 @@ parsed. The settings classes define what the values mean.
 from __future__ import annotations
 
 import json
+import re
 import stat
 import tomllib
 from pathlib import Path
 from typing import Any
 
-from rig.core.errors import ConfigurationError
+from rig.core.errors import ConfigurationError, shortened
 
 MAX_TOML_BYTES = 64 << 10
 """Largest size of a TOML file; a bench file has two thousand bytes."""
@@ -25,6 +26,8 @@ MAX_DEPTH = 32
 """Deepest nesting of tables and lists."""
 MAX_KEYS = 10_000
 """Largest number of keys in all tables of a document."""
+
+_GIVEN_TWICE = re.compile(r"Cannot overwrite a value \(at line (\d+), column \d+\)")
 
 
 def read_text(path: Path, what: str, most_bytes: int, hint: str | None = None) -> str:
@@ -50,7 +53,7 @@ def read_text(path: Path, what: str, most_bytes: int, hint: str | None = None) -
         return content.decode("utf-8")
     except UnicodeDecodeError as error:
         raise ConfigurationError(
-            f"{path} is not a {what}: not UTF-8 text: {error}", hint
+            f"{path} is not a {what}: not UTF-8 text: byte {error.start} is not part of one", hint
         ) from error
 
 
@@ -77,8 +80,19 @@ def parse_toml(text: str, source: str) -> dict[str, Any]:
     except RecursionError:
         raise ConfigurationError(f"{source}: nested deeper than {MAX_DEPTH}") from None
     except ValueError as error:
-        raise ConfigurationError(f"{source}: {error}", "correct the TOML syntax") from error
+        fault, hint = _in_words(error, text)
+        raise ConfigurationError(f"{source}: {fault}", hint) from error
     return tables
+
+
+def _in_words(error: ValueError, text: str) -> tuple[str, str]:
+    """Return what is wrong with a TOML text and what helps. `tomllib` does not name a key that is
+    given twice, only its line."""
+    found = _GIVEN_TWICE.match(str(error))
+    key, equals, _ = text.split("\n")[int(found[1]) - 1].partition("=") if found else ("", "", "")
+    if found and equals:
+        return f"line {found[1]}: {shortened(key.strip())} is given twice", "remove one of the two"
+    return str(error), "correct the TOML syntax"
 
 
 def check_nesting(value: Any) -> None:
