@@ -38,6 +38,7 @@ from rig.run.holds import HoldError, PauseSwitch
 from rig.run.interlocks.store import InterlockStore
 from rig.run.locks.bench_mark import BenchMarks
 from rig.run.making_safe.guard import GuardLink
+from rig.run.points import remedy
 from rig.run.stopping import StopFlag
 from rig.run.trip import TripError
 
@@ -112,12 +113,17 @@ class JogSession:
         """
         if "force_sensor" in bench.instruments:
             reach = bench.force_sensor.reach()["force"]
-            require("largest force", settings.largest_force_N, reach)
+            try:
+                require("--largest-force", settings.largest_force_N, reach)
+            except LimitError as error:
+                raise LimitError(error.message, remedy(error, bench)) from error
         axes, self._limited = axes_of(bench, settings)
         names = [axis.name for axis in axes]
         if chosen is not None and chosen not in names:
             raise ConfigurationError(
-                f"{bench.plan.source}: the bench has no axis {chosen}", f"it has {', '.join(names)}"
+                f"--axis {chosen}: {bench.plan.source} does not have this axis",
+                f"it has {', '.join(names)}; on a simulated bench --fixture plate adds stage_x, "
+                "and --fixture semi-spherical-object stage_x and rotary",
             )
         self._bench, self._clock = bench, bench.clock
         self._person, self._settings = person, settings

@@ -129,6 +129,29 @@ def test_a_second_trip_on_the_way_off_ends_it(rig, jogs):
 
 
 @pytest.mark.thorough
+@pytest.mark.parametrize(
+    ("given", "code", "said"),
+    [
+        (("--largest-force", "1e9N"), 4, "error: --largest-force 1e+09 N is outside"),
+        (("--axis", "rotary"), 2, "error: --axis rotary: the simulated bench does not have"),
+    ],
+)
+def test_what_the_bench_cannot_do_is_refused_by_its_option(jogs, given, code, said):
+    ended, shown = jogs(*given).ends()
+    assert ended == code, shown
+    assert said in shown
+    assert "bench file" not in shown.partition("error:")[2]
+
+
+def test_an_axis_that_no_bench_has_is_refused_before_anything_is_started(rig):
+    ended = rig.run("jog", "--axis", "foo")
+    assert ended.code == 2
+    assert ended.errors == [
+        "error: --axis foo: not an axis; choose one of stage_z, stage_x, rotary"
+    ]
+
+
+@pytest.mark.thorough
 def test_a_key_stops_homing(rig, jogs):
     fault = rig.fault('[[fault]]\ndevice = "stage_z"\nkind = "slow"\nafter_s = 0.1\nshare = 0.02\n')
     typist = jogs("--fault", fault)

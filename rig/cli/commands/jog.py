@@ -126,7 +126,13 @@ def jog(
     is logged in rig.log in the results folder.
     """
     with reported(debug):
+        from rig.jog.axes import AXES
+
         settings = options.settings()
+        if axis is not None and axis not in AXES:
+            raise ConfigurationError(
+                f"--axis {axis}: not an axis", f"choose one of {', '.join(AXES)}"
+            )
         chosen = replace(request, bench=bench_file(request.bench))
         _perform(chosen, settings, axis, fixture, debug)
 
