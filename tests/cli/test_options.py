@@ -283,6 +283,30 @@ def test_the_slowest_rate_that_a_sweep_takes_lets_it_fit_the_mains(mains_Hz: flo
         SweepSettings(mains_Hz=mains_Hz, rate_S_s=rate_S_s - 1, frequencies_Hz=(5.0,))
 
 
+@pytest.mark.parametrize(
+    ("given", "reported"),
+    [
+        ("sweep --seed 1.5", "'--seed': 1.5: must be a whole number, 0 to 9223372036854775807"),
+        ("sweep --seed -1", "'--seed': -1: must be a whole number, 0 to"),
+        (f"simulate --seed {2**63}", f"'--seed': {2**63}: must be a whole number, 0 to"),
+        ("page --rate 100", "'--rate': 100: must be a number, 1 to 20"),
+        ("monitor --seconds nan", "'--seconds': nan: must be a number, at least 0"),
+        ("train --epochs 0", "'--epochs': 0: must be a whole number, 1 to 1000"),
+    ],
+)
+def test_a_number_outside_its_bounds_is_refused_in_plain_words(rig, given, reported) -> None:
+    ended = rig.run(*given.split())
+    assert ended.code == ExitCode.USAGE
+    assert reported in " ".join(ended.stderr.split())
+
+
+def test_bounds_in_the_help_are_words(rig) -> None:
+    shown = rig.run("train", "--help").stdout
+    assert "x<=" not in shown
+    assert "x>=" not in shown
+    assert "1 to 1000" in shown
+
+
 def test_a_list_may_be_given_in_parts_and_of_anything_else_the_last_holds() -> None:
     given = {"speeds_mm_s": ["1,2", "1cm/s"], "cycles": ["7", "8"], "label": None, "ratio": []}
     assert texts_of(Example, given) == {"speeds_mm_s": "1,2,1cm/s", "cycles": "8"}

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Self
 
 import typer
 
+from rig.cli.options.numbers import whole_number
 from rig.cli.outcome import reported, say, say_failure
 from rig.core.errors import ExitCode, RigError
 from rig.core.text import printable
@@ -56,7 +57,7 @@ def detect(
         int | None,
         typer.Option(
             help="Number of files processed at once.  [default: one per processor]",
-            min=1,
+            parser=whole_number(1),
             metavar="COUNT",
         ),
     ] = None,

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
+from rig.cli.options.numbers import whole_number
 from rig.cli.outcome import reported, say, say_failure, start_log
 from rig.core.errors import ConfigurationError, ExitCode, RigError
 
@@ -76,7 +77,9 @@ def import_(
     header_lines: Annotated[
         int | None,
         typer.Option(
-            help="Lines above the numbers of a text.  [default: recognised]", min=0, metavar="COUNT"
+            help="Lines above the numbers of a text.  [default: recognised]",
+            parser=whole_number(0),
+            metavar="COUNT",
         ),
     ] = None,
     sensor: Annotated[str, typer.Option(help="Sensor that was recorded.", metavar="NAME")] = "",

@@ -11,6 +11,7 @@ from typing import Annotated
 
 import typer
 
+from rig.cli.options.numbers import real_number
 from rig.cli.outcome import reported, say
 from rig.core.errors import ExitCode
 from rig.run.bench_selector import existing_bench_file
@@ -28,7 +29,9 @@ def monitor(
     ] = None,
     seconds: Annotated[
         float | None,
-        typer.Option(help="End after this time.  [default: at Ctrl-C]", metavar="s", min=0),
+        typer.Option(
+            help="End after this time.  [default: at Ctrl-C]", metavar="s", parser=real_number(0)
+        ),
     ] = None,
     debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
 ) -> None:

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from rig.cli.options.numbers import real_number, whole_number
 from rig.cli.outcome import reported, say, start_log
 from rig.core.errors import ConfigurationError
 from rig.run.bench_selector import existing_bench_file
@@ -23,10 +24,18 @@ def page(
         typer.Option(help="Bench file, for making the bench safe without a run.", metavar="FILE"),
     ] = None,
     port: Annotated[
-        int, typer.Option(help="Port on 127.0.0.1; 0 for any.", min=0, max=65535, metavar="NUMBER")
+        int,
+        typer.Option(
+            help="Port on 127.0.0.1, up to 65535; 0 for any.",
+            parser=whole_number(0, 65535),
+            metavar="NUMBER",
+        ),
     ] = PORT,
     rate: Annotated[
-        float, typer.Option(help="Most drawings a second.", metavar="Hz", min=1, max=20)
+        float,
+        typer.Option(
+            help="Most drawings a second, 1 to 20.", metavar="Hz", parser=real_number(1, 20)
+        ),
     ] = 5.0,
     read_only: Annotated[
         bool, typer.Option("--read-only", help="View only: nothing can be stopped from the page.")

@@ -16,6 +16,7 @@ import typer
 
 from rig.cli.commands.model_errors import model_errors
 from rig.cli.commands.score_report import report, write
+from rig.cli.options.numbers import whole_number
 from rig.cli.outcome import reported, say
 from rig.core.errors import ConfigurationError
 from rig.core.toml_files import MAX_JSON_BYTES, read_text
@@ -126,14 +127,16 @@ SkinFile = Annotated[
 Elements = Annotated[
     int | None,
     typer.Option(
-        help="Finite elements along a ridge.  [default: 16]", min=2, max=40, metavar="COUNT"
+        help="Finite elements along a ridge, 2 to 40.  [default: 16]",
+        parser=whole_number(2, 40),
+        metavar="COUNT",
     ),
 ]
 RidgeRead = Annotated[
     int | None,
     typer.Option(
         help="Ridge whose strips are read; 1 is the leftmost.  [default: 3]",
-        min=1,
+        parser=whole_number(1),
         metavar="NUMBER",
     ),
 ]
@@ -148,7 +151,10 @@ SwappedGains = Annotated[
     bool, typer.Option("--swapped-gains", help="Exchange the amplifiers of the two channels.")
 ]
 Jobs = Annotated[
-    int, typer.Option(help="Number of parallel processes.", min=1, max=64, metavar="COUNT")
+    int,
+    typer.Option(
+        help="Number of parallel processes, 1 to 64.", parser=whole_number(1, 64), metavar="COUNT"
+    ),
 ]
 Out = Annotated[
     Path, typer.Option(help="New folder for tables and figures.", file_okay=False, metavar="FOLDER")

@@ -9,6 +9,7 @@ import typer
 
 from rig.bench.settings import Fixture
 from rig.cli.options.groups import World
+from rig.cli.options.numbers import LARGEST_SEED, whole_number
 from rig.cli.options.settings import SimulatedStages
 from rig.cli.outcome import reported, say
 from rig.core.atomic import write_text
@@ -32,7 +33,12 @@ def simulate(
         ),
     ] = None,
     seed: Annotated[
-        int, typer.Option(help="Seed of films and noise.", min=0, metavar="NUMBER")
+        int,
+        typer.Option(
+            help="Seed of films and noise, at least 0.",
+            parser=whole_number(0, LARGEST_SEED),
+            metavar="NUMBER",
+        ),
     ] = 0,
     world: World = None,
     fault: Annotated[Path | None, typer.Option(help="Fault plan (TOML).", metavar="FILE")] = None,

@@ -22,6 +22,7 @@ from rig.cli.commands.skin_files import (
     save_model,
 )
 from rig.cli.options.groups import Debug, option_group, with_option_groups
+from rig.cli.options.numbers import whole_number
 from rig.cli.outcome import reported
 from rig.core.errors import ConfigurationError
 from rig.core.toml_files import MAX_JSON_BYTES, read_text
@@ -94,9 +95,8 @@ class SkinOptions:
     elements: Annotated[
         int,
         typer.Option(
-            help="Finite elements along a ridge; fewer than 6 are fast but coarse.",
-            min=2,
-            max=40,
+            help="Finite elements along a ridge, 2 to 40; fewer than 6 are fast but coarse.",
+            parser=whole_number(2, 40),
             metavar="COUNT",
         ),
     ] = 8

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from rig.cli.commands.model_errors import model_errors
+from rig.cli.options.numbers import LARGEST_SEED, whole_number
 from rig.cli.outcome import reported, say
 from rig.core.atomic import write_text
 from rig.core.errors import ConfigurationError
@@ -83,31 +84,42 @@ def train(
     members: Annotated[
         int,
         typer.Option(
-            help="Number of networks that are trained apart and averaged into one.",
-            min=1,
-            max=16,
+            help="Number of networks that are trained apart and averaged into one, 1 to 16.",
+            parser=whole_number(1, 16),
             metavar="COUNT",
         ),
     ] = 2,
     units: Annotated[
-        int, typer.Option(help="Hidden units of each of them.", min=1, max=256, metavar="COUNT")
+        int,
+        typer.Option(
+            help="Hidden units of each of them, 1 to 256.",
+            parser=whole_number(1, 256),
+            metavar="COUNT",
+        ),
     ] = 64,
     epochs: Annotated[
         int,
         typer.Option(
-            help="Number of passes over all recordings.", min=1, max=1000, metavar="COUNT"
+            help="Number of passes over all recordings, 1 to 1000.",
+            parser=whole_number(1, 1000),
+            metavar="COUNT",
         ),
     ] = 40,
     seed: Annotated[
         int,
         typer.Option(
-            help="Seed of the initial weights and of the order of the recordings.",
-            min=0,
+            help="Seed of the initial weights and of the order of the recordings, at least 0.",
+            parser=whole_number(0, LARGEST_SEED),
             metavar="NUMBER",
         ),
     ] = 0,
     jobs: Annotated[
-        int, typer.Option(help="Number of parallel processes.", min=1, max=64, metavar="COUNT")
+        int,
+        typer.Option(
+            help="Number of parallel processes, 1 to 64.",
+            parser=whole_number(1, 64),
+            metavar="COUNT",
+        ),
     ] = 1,
     debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks of errors.")] = False,
 ) -> None:

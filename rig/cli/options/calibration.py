@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from rig.cli.options.groups import AsJson, BenchFile, Debug, Seed, World, WorldLog, option_group
+from rig.cli.options.numbers import real_number
 from rig.core.errors import ConfigurationError
 
 if TYPE_CHECKING:
@@ -96,7 +97,12 @@ class WeighingOptions:
 
     bench: BenchFile = None
     tolerance: Annotated[
-        float, typer.Option(help="Relative tolerance of the weight set.", min=0, metavar="percent")
+        float,
+        typer.Option(
+            help="Relative tolerance of the weight set, at least 0.",
+            parser=real_number(0),
+            metavar="percent",
+        ),
     ] = 0.02
     duration: Annotated[str, typer.Option(help="Duration of a reading.", metavar="s")] = "2s"
     settling: Annotated[str, typer.Option(help="Wait before a reading.", metavar="s")] = "1s"

@@ -16,6 +16,8 @@ from typing import Annotated, Any, TypeVar, dataclass_transform, get_origin, get
 
 import typer
 
+from rig.cli.options.numbers import LARGEST_SEED, whole_number
+
 BenchFile = Annotated[
     Path | None,
     typer.Option(
@@ -24,7 +26,14 @@ BenchFile = Annotated[
 ]
 AsJson = Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")]
 Debug = Annotated[bool, typer.Option("--debug", help="Show tracebacks.")]
-Seed = Annotated[int, typer.Option(help="Seed of the simulated bench.", min=0, metavar="NUMBER")]
+Seed = Annotated[
+    int,
+    typer.Option(
+        help="Seed of the simulated bench, at least 0.",
+        parser=whole_number(0, LARGEST_SEED),
+        metavar="NUMBER",
+    ),
+]
 World = Annotated[
     Path | None,
     typer.Option(

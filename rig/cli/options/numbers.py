@@ -1,0 +1,46 @@
+"""Numbers of options: parsers that refuse in plain words, where typer's own show a library's."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import typer
+
+LARGEST_SEED = 2**63 - 1
+"""Largest seed that a journal holds."""
+
+
+def whole_number(least: int, most: int | None = None) -> Callable[[object], int]:
+    """Return the parser of an option that takes a whole number from `least` to `most`."""
+
+    def parse(given: object) -> int:
+        try:
+            value = int(str(given))
+        except ValueError:
+            raise _refused(given, "a whole number", least, most) from None
+        if not least <= value <= (math.inf if most is None else most):
+            raise _refused(given, "a whole number", least, most)
+        return value
+
+    return parse
+
+
+def real_number(least: float, most: float | None = None) -> Callable[[object], float]:
+    """Return the parser of an option that takes a number from `least` to `most`."""
+
+    def parse(given: object) -> float:
+        try:
+            value = float(str(given))
+        except ValueError:
+            value = math.nan
+        if not least <= value <= (math.inf if most is None else most):
+            raise _refused(given, "a number", least, most)
+        return value
+
+    return parse
+
+
+def _refused(given: object, what: str, least: float, most: float | None) -> typer.BadParameter:
+    within = f"at least {least}" if most is None else f"{least} to {most}"
+    return typer.BadParameter(f"{given}: must be {what}, {within}")
