@@ -35,6 +35,7 @@ MAKING_SAFE_S = 10.0
 """Bench time kept before a time limit for making the bench safe, which takes 2 to 3 s where nothing
 fails."""
 NOTICE = "stopping: making the bench safe, then saving the data ..."
+NOTICE_WITHOUT_DATA = "stopping: making the bench safe ..."
 NOTHING_CONNECTED = " before anything was connected; nothing was left running"
 NOTICE_AGAIN = "already stopping: first the bench is made safe and the data are saved ..."
 
@@ -82,16 +83,20 @@ class StopFlag:
     """Catches stop signals while it is entered (main thread only).
 
     `say` shows a line to the person who waits. It is called from the signal's handler, at any point
-    of the program.
+    of the program: `notice` for the first signal, `NOTICE_AGAIN` for a further one that follows the
+    usual notice.
     """
 
-    def __init__(self, say: Callable[[str], None] = lambda text: None) -> None:
+    def __init__(
+        self, say: Callable[[str], None] = lambda text: None, notice: str = NOTICE
+    ) -> None:
         self.requested: signal.Signals | None = None
         self.after_point = False
         """True if the run shall end before it begins another point."""
         self.time_limit: TimeLimit | None = None
         """Time by which the run under way has to end, if there is one."""
         self._say = say
+        self._notice = notice
         self._nothing_connected = False
         self._previous: dict[signal.Signals, object] = {}
 
@@ -148,6 +153,6 @@ class StopFlag:
         if not again:
             self.requested = signal.Signals(number)
         if not self._nothing_connected:
-            self._say(NOTICE_AGAIN if again else NOTICE)
+            self._say(NOTICE_AGAIN if again and self._notice == NOTICE else self._notice)
         elif not again:
             raise StopRequestedError(signal.Signals(number), NOTHING_CONNECTED)

@@ -13,7 +13,7 @@ import pytest
 from rig.core import entry_points
 from rig.core.entry_points import BENCHES, BrokenPackageError, load
 from rig.core.errors import ExitCode
-from rig.run.stopping import STOP_SIGNALS, StopFlag, StopRequestedError
+from rig.run.stopping import NOTICE_WITHOUT_DATA, STOP_SIGNALS, StopFlag, StopRequestedError
 
 
 def registered(monkeypatch: pytest.MonkeyPatch, folder: Path, source: str) -> None:
@@ -64,6 +64,14 @@ def test_a_signal_that_the_interrupted_code_catches_ends_the_block_all_the_same(
             if made_of_it != "nothing":
                 raise ImportError("the plug-in does not work") from None
     assert stopped.value.code == ExitCode.SIGTERM
+
+
+def test_a_command_without_data_does_not_say_that_it_saves_any() -> None:
+    said: list[str] = []
+    with StopFlag(said.append, NOTICE_WITHOUT_DATA):
+        signal.raise_signal(signal.SIGINT)
+        signal.raise_signal(signal.SIGINT)
+    assert said == ["stopping: making the bench safe ..."] * 2
 
 
 def test_without_a_signal_a_failure_is_what_it_was() -> None:

@@ -225,7 +225,7 @@ def _at_the_bench(
     from rig.cli.streams import say_at_once
     from rig.instruments.calibration import require_folder
     from rig.run.bench_selector import BenchRequest, BenchSelector, bench_file
-    from rig.run.stopping import StopFlag
+    from rig.run.stopping import NOTICE_WITHOUT_DATA, StopFlag
 
     request = BenchRequest(
         bench=bench_file(options.bench),
@@ -234,7 +234,7 @@ def _at_the_bench(
         world=options.world,
         world_log=options.world_log,
     )
-    with StopFlag(say_at_once) as stop, contextlib.ExitStack() as at_the_end:
+    with StopFlag(say_at_once, NOTICE_WITHOUT_DATA) as stop, contextlib.ExitStack() as at_the_end:
         with stop.nothing_connected():
             bench = BenchSelector(say).select(request, at_the_end)
         plan, clock, started = bench.plan, bench.clock, bench.started

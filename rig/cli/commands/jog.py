@@ -148,11 +148,11 @@ def _perform(
     from rig.cli.streams import say_at_once
     from rig.cli.terminal import Terminal
     from rig.run.bench_selector import BenchSelector
-    from rig.run.stopping import StopFlag
+    from rig.run.stopping import NOTICE_WITHOUT_DATA, StopFlag
 
     terminal = Terminal()
     with ExitStack() as stack:
-        stop = stack.enter_context(StopFlag(say_at_once))
+        stop = stack.enter_context(StopFlag(say_at_once, NOTICE_WITHOUT_DATA))
         start_log(request.results)
         log.setLevel(logging.INFO)
         with stop.nothing_connected():
