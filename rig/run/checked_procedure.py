@@ -26,6 +26,8 @@ from rig.core.errors import (
     is_stop,
     shortened,
 )
+from rig.core.toml_files import check_nesting
+from rig.files.journal.format import unlike_json
 from rig.run.passing import KeptBackError
 from rig.run.points import Point, Reading
 
@@ -37,6 +39,8 @@ if TYPE_CHECKING:
     from rig.run.context import Run
     from rig.run.procedure import Procedure
 
+SIMPLER = "return numbers, texts, truth values or None, or lists and dicts of them"
+"""Remedy for a value that a run file cannot hold."""
 TRUTH = "simulated_truth"
 """Key that every reading may have: the simulated bench's own record of the point."""
 
@@ -132,24 +136,21 @@ class CheckedProcedure:
     def summarise(self, readings: Sequence[Reading]) -> Mapping[str, Any]:
         """Return the results of the whole run.
 
-        Raises ProcedureFaultError if the procedure returns no mapping.
+        Raises ProcedureFaultError if the procedure returns no mapping, or one with a value that a
+        run file cannot hold.
         """
         with self._blamed():
             found: Any = self._procedure.summarise(readings)
-        if not isinstance(found, Mapping):
-            raise self._fault(f"summarise() returned {_kind(found)}, not a mapping")
-        return found
+        return self._values("summarise", found)
 
     def put_in(self, readings: Sequence[Reading], summary: Mapping[str, Any]) -> Mapping[str, Any]:
         """Return what a simulated bench had put in, by the name of the value that recovers it.
 
-        Raises ProcedureFaultError if the procedure returns no mapping.
+        Raises ProcedureFaultError as `summarise`.
         """
         with self._blamed():
             found: Any = self._procedure.put_in(readings, summary)
-        if not isinstance(found, Mapping):
-            raise self._fault(f"put_in() returned {_kind(found)}, not a mapping")
-        return found
+        return self._values("put_in", found)
 
     def in_brief(self, summary: Mapping[str, Any], put_in: Mapping[str, Any]) -> list[str]:
         """Return the summary in a few lines.
@@ -181,6 +182,20 @@ class CheckedProcedure:
                 raise self._fault(f"{hook}() returned {_kind(point)} in place of points")
         return points
 
+    def _values(self, hook: str, found: Any) -> Mapping[str, Any]:
+        """Return a mapping of values that a run file can hold."""
+        if not isinstance(found, Mapping):
+            raise self._fault(f"{hook}() returned {_kind(found)}, not a mapping")
+        try:
+            check_nesting(found)
+        except ValueError as error:
+            raise self._fault(f"{hook}() returned values {error}", SIMPLER) from None
+        if (unlike := unlike_json(found)) is not None:
+            name, value, why = unlike
+            shown = f"{name!r} = {_quoted(value)}" if name else _quoted(value)
+            raise self._fault(f"{hook}() returned {shown} ({_kind(value)}), which {why}", SIMPLER)
+        return found
+
     @contextlib.contextmanager
     def _blamed(self) -> Iterator[None]:
         try:
@@ -192,9 +207,10 @@ class CheckedProcedure:
                 raise
             raise _blame(type(self._procedure), error) from error
 
-    def _fault(self, what: str) -> ProcedureFaultError:
+    def _fault(self, what: str, hint: str = "") -> ProcedureFaultError:
         cls = type(self._procedure)
-        return ProcedureFaultError(f"procedure {cls.name} of package {package_of(cls)}: {what}")
+        named = f"procedure {cls.name} of package {package_of(cls)}"
+        return ProcedureFaultError(f"{named}: {what}", hint)
 
 
 def package_of(procedure: type[Procedure]) -> str:
@@ -250,6 +266,14 @@ def _kind(value: Any) -> str:
     """Return what kind of value this is, with its article."""
     name = type(value).__name__
     return "None" if value is None else f"{'an' if name[0] in 'aeiou' else 'a'} {name}"
+
+
+def _quoted(value: Any) -> str:
+    """Return a value as its package writes it, shortened."""
+    try:
+        return shortened(repr(value))
+    except Exception:  # noqa: BLE001 - a number of 5000 digits, or a fault of the package
+        return "a value"
 
 
 def _blame(procedure: type[Procedure], error: BaseException) -> RigError:

@@ -23,8 +23,7 @@ if TYPE_CHECKING:
 def results_of(procedure: Procedure, readings: Sequence[Reading], simulated: bool) -> Results:
     """Return what this program computes from the readings of a run.
 
-    Raises what the procedure's hooks raise, as `CheckedProcedure` has it, and ValueError or
-    TypeError for a summary that JSON cannot hold.
+    Raises what the procedure's hooks raise, as `CheckedProcedure` has it.
     """
     checked = CheckedProcedure(procedure)
     summary = checked.summarise(readings)
@@ -87,6 +86,9 @@ def _close(one: Any, other: Any, within: float) -> bool:
     """Return whether two values are equal, numbers but for what computers differ by."""
     if not isinstance(one, (int, float)) or not isinstance(other, (int, float)):
         return bool(one == other)
-    if math.isnan(one) or math.isnan(other):
-        return math.isnan(one) and math.isnan(other)
-    return math.isclose(one, other, rel_tol=SAME, abs_tol=within)
+    try:
+        if math.isnan(one) or math.isnan(other):
+            return math.isnan(one) and math.isnan(other)
+        return math.isclose(one, other, rel_tol=SAME, abs_tol=within)
+    except OverflowError:  # a whole number beyond the floats, which older files may hold
+        return one == other

@@ -216,8 +216,19 @@ def test_a_file_of_a_procedure_that_is_broken_now_is_shown_without_its_summary(
     on_path(rig, site)
     done = rig.run("creep", "--frequencies", "200", "--no-figures")
     assert done.code == 0, done.stderr
-    (site / "lab" / "creep.py").write_text("def broken(:\n")
     file = str(rig.only("*.h5"))
+    for hook, words in {
+        "summarise(self, readings): return {'c': object()}": "creep of package lab-creep: summaris",
+        "__init__(self, settings): raise OSError('no licence')": "internal error: OSError: no lic",
+    }.items():
+        (site / "lab" / "creep.py").write_text(f"{COMPLETE}    def {hook}\n")
+        shown = rig.run("show", "--no-figures", "--all", file)
+        assert shown.code == 0, shown.stderr
+        (line,) = shown.stderr.splitlines()
+        assert line.startswith("warning: no summary: ")
+        assert words in line
+        assert "columns:" in shown.stdout, "all else of the file is shown"
+    (site / "lab" / "creep.py").write_text("def broken(:\n")
     shown = rig.run("show", "--no-figures", file)
     assert shown.code == 0, shown.stderr
     assert "creep" in shown.stdout

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from datetime import date
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -20,9 +21,10 @@ from rig.core.settings import Settings
 from rig.files.journal.layout import Column, Layout, Plot, Trace
 from rig.files.journal.reader import read_journal
 from rig.files.runfile.reader import RunFile
-from rig.run.checked_procedure import reading_fault
+from rig.run.checked_procedure import ProcedureFaultError, reading_fault
 from rig.run.load_procedure import COMMON_OPTIONS, fault_of, load_procedure
 from rig.run.procedure import Procedure, StreamPlan
+from rig.run.results import differences, results_of
 
 X = Column("x", "V", "x")
 
@@ -245,11 +247,7 @@ def test_what_a_hook_raises_is_the_fault_of_its_package(
     assert procedure.log.count("off") == procedure.log.count("on") or hook == "arm"
 
 
-def unlike_json(*_: Any) -> dict[str, Any]:
-    return {"file": open}
-
-
-@pytest.mark.parametrize("what", [dividing, leaving, unlike_json])
+@pytest.mark.parametrize("what", [dividing, leaving])
 def test_a_summary_that_fails_costs_the_results_and_is_a_warning(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, what: Callable[..., Any]
 ) -> None:
@@ -259,13 +257,53 @@ def test_a_summary_that_fails_costs_the_results_and_is_a_warning(
     assert outcome.failures == []
     (warning,) = outcome.warnings
     assert warning.startswith("no results in the run file: ")
-    assert what is unlike_json or "a fault in the package test_procedure" in warning
+    assert "a fault in the package test_procedure" in warning
     assert procedure.log[-1] == "guard: done"
     assert outcome.file is not None
     with RunFile.open(outcome.file) as run:
         assert run.outcome.status == "complete"
         assert run.point_ids() == ["first", "second"]
         assert run.results is None
+
+
+def inside_itself() -> dict[str, Any]:
+    values: dict[str, Any] = {}
+    values["again"] = values
+    return values
+
+
+A_RUN_FILE_CANNOT = "which a run file cannot hold; return numbers, texts, truth values or None"
+
+
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        ({"c": {1, 2}}, f"'c' = {{1, 2}} (a set), {A_RUN_FILE_CANNOT}"),
+        ({"c": b"x"}, f"'c' = b'x' (a bytes), {A_RUN_FILE_CANNOT}"),
+        ({"a": {"z": [1.0, 2j]}}, f"'a.z.2' = 2j (a complex), {A_RUN_FILE_CANNOT}"),
+        ({"d": date(2026, 1, 1)}, "'d' = datetime.date(2026, 1, 1) (a date), which a run file"),
+        ({"z": np.array([1j])}, "'z.1' = 1j (a complex), which a run file cannot hold"),
+        ({"z": np.longdouble(1)}, "(a longdouble), which a run file cannot hold"),
+        ({"a": {(1, 2): 3.0}}, "'a' = (1, 2) (a tuple), which is a key, and keys are texts"),
+        ({"n": 10**400}, "(an int), which is beyond 1.8e+308, the largest number of a run file"),
+        ({"n": -(10**5000)}, "'n' = a value (an int), which is beyond 1.8e+308"),
+        (inside_itself(), "values nested deeper than"),
+    ],
+)
+def test_a_result_that_a_run_file_cannot_hold_is_named_with_its_package(
+    values: dict[str, Any], words: str
+) -> None:
+    with pytest.raises(ProcedureFaultError) as raised:
+        results_of(made(summarise=lambda *_: values)(Settings()), [], simulated=False)
+    said = raised.value.one_line()
+    assert said.startswith("procedure example of package test_procedure: summarise() returned ")
+    assert words in said
+    assert "return numbers, texts, truth values or None, or lists and dicts of them" in said
+
+
+def test_results_with_a_number_beyond_the_floats_are_compared_exactly() -> None:
+    assert differences({"n": 10**400}, {"n": 10**400}) == {}
+    assert set(differences({"n": 10**400, "m": 1.0}, {"n": 1.5, "m": 1.0})) == {"n"}
 
 
 def five(*_: Any) -> int:

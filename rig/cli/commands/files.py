@@ -350,7 +350,8 @@ def _recomputed(header: RunHeader, readings: Sequence[Reading]) -> Results | Non
     from pydantic import ValidationError
 
     from rig.core.entry_points import PROCEDURES, names
-    from rig.core.errors import RigError
+    from rig.core.errors import RigError, is_stop
+    from rig.run.checked_procedure import internal
     from rig.run.load_procedure import load_procedure
     from rig.run.results import results_of
 
@@ -370,7 +371,11 @@ def _recomputed(header: RunHeader, readings: Sequence[Reading]) -> Results | Non
     except RigError as error:
         if not isinstance(error.__cause__, KeyError):  # then another version has written the file
             say(f"warning: no summary: {error.one_line()}")
-        return None
+    except Exception as error:
+        if is_stop(error):
+            raise
+        say(f"warning: no summary: {internal(error).one_line()}")
+    return None
 
 
 def analyse(

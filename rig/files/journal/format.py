@@ -11,9 +11,11 @@ are written with ``repr`` and come back bit for bit.
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
 import struct
+import sys
 import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -32,6 +34,8 @@ MAX_JSON = 4 << 20
 
 PREFIX = struct.Struct("<II")
 BLOCK_HEAD = struct.Struct("<BHQd")
+_JSON_KEYS = (str, int, float, type(None))
+"""Types of the names that `json.dumps` takes."""
 
 
 class RecordKind(IntEnum):
@@ -110,6 +114,32 @@ def to_json(value: Any) -> str:
         return json.dumps(value, allow_nan=False, separators=(",", ":"), default=_plain)
     except ValueError:
         return json.dumps(_tagged(value), allow_nan=False, separators=(",", ":"))
+
+
+def unlike_json(value: Any, name: str = "") -> tuple[str, Any, str] | None:
+    """Return the first thing in a nested value that `to_json` does not take, or that no number of a
+    file holds: its dotted name, itself, and why, as the end of "which ..."; None if there is none.
+    """
+    if isinstance(value, Mapping):
+        for key, item in value.items():
+            if not isinstance(key, _JSON_KEYS):
+                return name, key, "is a key, and keys are texts or numbers"
+            inner = f"{name}.{key}" if name else str(key)
+            if (found := unlike_json(item, inner)) is not None:
+                return found
+        return None
+    if isinstance(value, (list, tuple)):
+        inside = (unlike_json(item, f"{name}.{n}") for n, item in enumerate(value, 1))
+        return next((found for found in inside if found is not None), None)
+    if isinstance(value, int) and abs(value) > sys.float_info.max:
+        return name, value, f"is beyond {sys.float_info.max:.1e}, the largest number of a run file"
+    if value is None or isinstance(value, (str, int, float)):
+        return None
+    with contextlib.suppress(TypeError):
+        plain = _plain(value)
+        if type(plain) is not type(value):  # numpy's longdouble has no plain form
+            return unlike_json(plain, name)
+    return name, value, "a run file cannot hold"
 
 
 def from_json(text: str | bytes) -> Any:
