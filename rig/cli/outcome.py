@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import contextlib
-import json
 import logging
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
+from typing import Any
 
 import typer
 
 from rig.core.errors import STOPPED_BY_SIGNAL, ExitCode, RigError, shortened
+from rig.core.json_text import json_text
 from rig.core.text import printable
 
 log = logging.getLogger("rig")
@@ -91,7 +92,7 @@ def report(error: RigError, debug: bool = False, as_json: bool = False) -> int:
             "summary": {},
             "errors": [one.one_line() for one in error.parts()],
         }
-        print(json.dumps(nothing_done))  # noqa: T201 - stdout carries data
+        print_json(nothing_done)
     return int(error.code)
 
 
@@ -116,6 +117,11 @@ def turning(what: str) -> Iterator[None]:
 
     with Console(stderr=True).status(what):
         yield
+
+
+def print_json(value: Mapping[str, Any]) -> None:
+    """Print an object for another program to stdout, on one line and as `json_text` has it."""
+    print(json_text(value), flush=True)  # noqa: T201 - stdout carries data
 
 
 def say(text: str) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import sys
 import traceback
 from collections.abc import Mapping, Sequence, Set
@@ -12,7 +11,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, ProgressColumn, Task, TaskID, TextColumn
 from rich.text import Text
 
-from rig.cli.outcome import log, say, say_failure, turning
+from rig.cli.outcome import log, print_json, say, say_failure, turning
 from rig.core.entry_points import BrokenPackageError
 from rig.core.units import counted, duration
 from rig.figures.drawing import DrawingProcess, Drawn
@@ -148,7 +147,7 @@ def finish(
         log.warning("%s", warning)
         say(f"warning: {warning}")
     if as_json:
-        print(json.dumps(as_object(outcome, [str(path) for path in drawn.files])))  # noqa: T201 - stdout carries data
+        print_json(as_object(outcome, [str(path) for path in drawn.files]))
     else:
         _report_summary(outcome)
     for line in closing_lines(procedure, outcome, drawn.files):
@@ -196,7 +195,7 @@ def finish_dry_run(
     )
     if as_json:
         shown = as_object(outcome, []) | {"file": None, "journal": None, "dry_run": True}
-        print(json.dumps(shown))  # noqa: T201 - stdout carries data
+        print_json(shown)
 
 
 def closing_lines(

@@ -7,11 +7,11 @@ reads gets none and keeps nothing here but its cursor; the frames that it missed
 from __future__ import annotations
 
 import json
-import math
 import time
 from dataclasses import dataclass, field
 from typing import Any
 
+from rig.core.json_text import finite
 from rig.page.watch import BenchWatch
 from rig.page.word import SILENT_S
 from rig.run.locks.lock_holder import LockHolder
@@ -80,18 +80,7 @@ def next_frame(
 
 def as_event(frame: dict[str, Any]) -> bytes:
     """Return a frame as a server-sent event."""
-    return b"data: " + json.dumps(plain(frame), separators=(",", ":")).encode() + b"\n\n"
-
-
-def plain(value: Any) -> Any:
-    """Return a value without NaN and infinities, which JSON cannot express."""
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    if isinstance(value, dict):
-        return {key: plain(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [plain(item) for item in value]
-    return value
+    return b"data: " + json.dumps(finite(frame), separators=(",", ":")).encode() + b"\n\n"
 
 
 def _series(watch: BenchWatch, cursor: Cursor) -> dict[str, Any]:

@@ -41,9 +41,10 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from rig.batch.folder import BatchFolder
 from rig.core.errors import RigError
+from rig.core.json_text import finite
 from rig.core.threads import start_thread
 from rig.page.access import HEADERS, Access, AccessRefusedError
-from rig.page.frames import Cursor, as_event, next_frame, plain
+from rig.page.frames import Cursor, as_event, next_frame
 from rig.page.history import RunIndex
 from rig.page.night import ask_batch, batch_of, is_running, night, running_batch
 from rig.page.slips import SlipFollower
@@ -218,7 +219,7 @@ def _night(state: PageState) -> dict[str, Any]:
     if state.reading_night.acquire(blocking=state.night is None):
         try:
             if state.night is None or time.monotonic() - state.night_s >= NIGHT_EVERY_S:
-                state.night = plain(night(state.watch.results))
+                state.night = finite(night(state.watch.results))
                 state.night_s = time.monotonic()
         finally:
             state.reading_night.release()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import signal
 from pathlib import Path
 
@@ -183,6 +184,17 @@ def test_figures_are_listed_and_one_that_fails_is_a_warning(
     assert answer["warnings"] == ["the figure x of y could not be drawn: z"]
     assert "warning: the figure x of y could not be drawn: z\n" in reported
     assert "Saved: r.h5 and 1 figure (PNG and SVG)\n" in reported
+
+
+def test_a_result_that_is_not_finite_is_null_for_another_program(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    outcome = RunOutcome("complete", ExitCode.DONE, 2, 2, summary={"worst_V": math.nan})
+    report.finish(Sweep, outcome, as_json=True, drawing=None, debug=False)
+    outcome_dry = RunOutcome("complete", ExitCode.DONE, 2, 2, summary={"worst_V": math.inf})
+    report.finish_dry_run(Sweep, outcome_dry, as_json=True, debug=False)
+    for line in capsys.readouterr().out.splitlines():
+        assert json.loads(line)["summary"] == {"worst_V": None}
 
 
 @pytest.mark.parametrize(("done", "drawing"), [(0, Drawing()), (2, None)])

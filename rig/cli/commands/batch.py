@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 from contextlib import ExitStack
 from pathlib import Path
@@ -11,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from rig.cli.commands import batch_plan
-from rig.cli.outcome import reported, say, start_log
+from rig.cli.outcome import print_json, reported, say, start_log
 from rig.core.errors import ConfigurationError
 
 if TYPE_CHECKING:
@@ -216,7 +215,7 @@ def status(
 
 def _show(status: BatchStatus, as_json: bool, again: bool) -> None:
     if as_json:
-        print(json.dumps(status.as_object()), flush=True)  # noqa: T201 - stdout carries data
+        print_json(status.as_object())
         return
     import sys
 
@@ -256,7 +255,7 @@ def _supervise(folder: BatchFolder, as_json: bool) -> None:
         code = supervisor.run()
     ended = status_of(folder)
     if as_json:
-        print(json.dumps(ended.as_object() | {"exit": int(code)}))  # noqa: T201 - data
+        print_json(ended.as_object() | {"exit": int(code)})
     for line in ended.closing_lines(supervisor.bench):
         say(line)
     raise typer.Exit(int(code))

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from rig.cli.outcome import reported, say
+from rig.cli.outcome import print_json, reported, say
 from rig.core.units import counted, time_span
 
 if TYPE_CHECKING:
@@ -42,7 +42,7 @@ def plan(
         prepared = prepare(file, bench, datetime.now().astimezone(), say)
         free_B = shutil.disk_usage(_existing(Path(prepared.batch.batch.results))).free
         if as_json:
-            print(json.dumps(as_object(prepared, free_B)))  # noqa: T201 - stdout carries data
+            print_json(as_object(prepared, free_B))
             return
         for line in _table(prepared):
             print(line)  # noqa: T201 - stdout carries data

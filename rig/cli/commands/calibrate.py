@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import json
 import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -24,7 +23,7 @@ from rig.cli.options.calibration import (
     weights_of,
 )
 from rig.cli.options.groups import with_option_groups
-from rig.cli.outcome import reported, say
+from rig.cli.outcome import print_json, reported, say
 from rig.core.errors import (
     STOPPED_BY_SIGNAL,
     ConfigurationError,
@@ -296,7 +295,7 @@ def _stoppable(as_json: bool) -> Iterator[None]:
                 "exit": int(stopped.code),
                 "summary": {},
             }
-            print(json.dumps(shown))  # noqa: T201 - stdout carries data
+            print_json(shown)
         raise typer.Exit(int(stopped.code)) from None
 
 
@@ -407,7 +406,7 @@ def _finish(
             "summary": record.model_dump(mode="json", exclude={"readings", "covariance"}),
             "warnings": warnings,
         }
-        print(json.dumps(shown))  # noqa: T201 - stdout carries data
+        print_json(shown)
     else:
         print(path)  # noqa: T201 - stdout carries data
 

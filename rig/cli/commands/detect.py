@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Self
@@ -10,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Self
 import typer
 
 from rig.cli.options.numbers import whole_number
-from rig.cli.outcome import reported, say, say_failure
+from rig.cli.outcome import print_json, reported, say, say_failure
 from rig.core.errors import ExitCode, RigError
 from rig.core.text import printable
 from rig.core.units import counted
@@ -116,7 +115,7 @@ def detect(
         code = _code(list(answers.values()))
         if as_json:
             ordered = [answers[number] for number in range(len(files))]
-            print(json.dumps(_as_object(files, ordered, code)))  # noqa: T201 - data
+            print_json(_as_object(files, ordered, code))
         if code is not ExitCode.DONE:
             raise typer.Exit(int(code))
 

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import json
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from rig.cli.outcome import reported, say
+from rig.cli.outcome import print_json, reported, say
 from rig.core.errors import RigError
 from rig.core.text import printable
 from rig.detector import DEFAULT_DETECTOR
@@ -33,7 +32,7 @@ def detectors(
                 broken[name] = error.one_line()
                 say(f"warning: {printable(broken[name])}")
         if as_json:
-            print(json.dumps(_as_object(usable, broken)))  # noqa: T201 - data
+            print_json(_as_object(usable, broken))
             return
         widths = [max(map(len, column)) for column in zip(*map(_cells, usable), strict=True)]
         for one in usable:

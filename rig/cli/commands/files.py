@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from rig.cli.outcome import reported, say
+from rig.cli.outcome import print_json, reported, say
 from rig.cli.show.words import in_words
 from rig.core.errors import ConfigurationError, ExitCode, FoundWrongError
 from rig.core.text import printable
@@ -220,7 +220,7 @@ def _show_run(
         said |= computed_now(now, how == "json")
     said |= _analysed(analyses)
     said |= holds if how == "json" else _holds_in_words(holds)
-    (_shown_as_json if how == "json" else _print_values)(said)
+    (print_json if how == "json" else _print_values)(said)
 
 
 def _holds_in_words(
@@ -261,7 +261,7 @@ def _show_processed(file: ProcessedFile, how: _How) -> None:
             usual = chosen_detector(file.detector.name).settings.model_dump()
         _say_all_of(of_processed(said, usual))
     else:
-        (_shown_as_json if how == "json" else _print_values)(said)
+        (print_json if how == "json" else _print_values)(said)
 
 
 def _show_model(file: ModelFile, how: _How) -> None:
@@ -271,7 +271,7 @@ def _show_model(file: ModelFile, how: _How) -> None:
 
     said = describe_model(file, all_settings=how != "brief")
     if how == "json":
-        _shown_as_json(said)
+        print_json(said)
     elif how == "all":
         _print_values(_with_results_in_words(said))
     else:
@@ -454,10 +454,6 @@ def _say_all_of(lines: Sequence[str]) -> None:
 
 def _print(line: str) -> None:
     print(line)  # noqa: T201 - stdout carries data
-
-
-def _shown_as_json(values: Mapping[str, Any]) -> None:
-    print(json.dumps(values, default=str))  # noqa: T201 - stdout carries data
 
 
 def _print_values(values: Mapping[str, Any], indent: str = "") -> None:

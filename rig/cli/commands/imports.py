@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import re
 from collections.abc import Mapping, Sequence
@@ -13,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from rig.cli.options.numbers import whole_number
-from rig.cli.outcome import reported, say, say_failure, start_log
+from rig.cli.outcome import print_json, reported, say, say_failure, start_log
 from rig.core.errors import ConfigurationError, ExitCode, RigError
 
 if TYPE_CHECKING:
@@ -183,7 +182,7 @@ def import_(
         code = _code(len(answers), failures)
         if as_json:
             whole = answers[0] if len(wanted) == 1 else _of_all(answers, failures, code)
-            print(json.dumps(whole))  # noqa: T201 - data
+            print_json(whole)
         if code is not ExitCode.DONE:
             raise typer.Exit(int(code))
 

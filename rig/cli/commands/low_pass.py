@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import json
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -11,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from rig.cli.outcome import reported
+from rig.cli.outcome import print_json, reported
 from rig.core.errors import ConfigurationError
 
 if TYPE_CHECKING:
@@ -202,7 +201,7 @@ def _print_summary(
             "summary": {"name": name, "specification": specification, **summary},
             "files": [str(file) for file in files],
         }
-        typer.echo(json.dumps(document))
+        print_json(document)
         return
     for key, value in summary.items():
         label, unit = LABELS[key]

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import json
 import math
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from rig.cli.outcome import reported, say
+from rig.cli.outcome import print_json, reported, say
 from rig.core.errors import ConfigurationError
 from rig.detector import DEFAULT_DETECTOR
 
@@ -78,7 +77,7 @@ def regrip_study(
         if as_json:
             drawn_as = {"seeds": str(drawn), "tuning": tuning, "speed_mm_s": speed_mm_s}
             said = drawn_as | as_object(weights)
-            print(json.dumps(said))  # noqa: T201 - data
+            print_json(said)
         else:
             for line in lines_of(table(weights), "TUNING seeds. " if tuning else ""):
                 print(line)  # noqa: T201 - data

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
+from rig.cli.outcome import print_json
 from rig.core.errors import ConfigurationError
 
 if TYPE_CHECKING:
@@ -149,7 +150,7 @@ def report(
     write(out / "score.json", json.dumps(document, indent=1) + "\n")
     if as_json:
         files = [out / name for name in ("score.json", "score.csv", "trials.csv")]
-        typer.echo(json.dumps({**document, "files": [str(file) for file in [*files, *drawn]]}))
+        print_json({**document, "files": [str(file) for file in [*files, *drawn]]})
         return
     heading = f"{'simulated trials, ' if simulated else ''}{use}, {len(judged)} trials"
     for line in _tables(scored, heading):

@@ -6,7 +6,6 @@ stderr only errors. Every figure and every summary states that it is simulated.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
@@ -23,7 +22,7 @@ from rig.cli.commands.skin_files import (
 )
 from rig.cli.options.groups import Debug, option_group, with_option_groups
 from rig.cli.options.numbers import whole_number
-from rig.cli.outcome import reported
+from rig.cli.outcome import print_json, reported
 from rig.core.errors import ConfigurationError
 from rig.core.toml_files import MAX_JSON_BYTES, read_text
 
@@ -448,7 +447,7 @@ def _plain(values: float | NDArray[np.float64]) -> Any:
 def _print_summary(summary: dict[str, Any], files: list[Path], as_json: bool) -> None:
     full = {"simulated": True, **summary, "files": [str(file) for file in files]}
     if as_json:
-        typer.echo(json.dumps(full))
+        print_json(full)
         return
     typer.echo("simulated (model)")
     for key, value in full.items():

@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 
 from rig.core.cache import Cache
+from rig.core.json_text import finite
 from rig.core.settings import fingerprint
 from rig.detector.registered import chosen_detector
 from rig.evaluation.scoring.tables import ScoredNumber, rate
@@ -261,12 +262,7 @@ def _row(name: str, strategy: str, weights: list[Weight]) -> StudyRow:
 def as_object(weights: Sequence[Weight]) -> dict[str, object]:
     """Return the study as values for JSON; numbers that there are not are null."""
 
-    def plain(value: object) -> object:
-        if isinstance(value, dict):
-            return {key: plain(one) for key, one in value.items()}
-        return None if isinstance(value, float) and not math.isfinite(value) else value
-
     return {
-        "weights": [plain(asdict(one)) for one in weights],
-        "table": [plain(asdict(row)) for row in table(weights)],
+        "weights": [finite(asdict(one)) for one in weights],
+        "table": [finite(asdict(row)) for row in table(weights)],
     }
