@@ -98,15 +98,35 @@ def _fault(role: str, instrument: Any) -> str | None:
     identity = getattr(instrument, "identity", None)
     if not isinstance(identity, Identity):
         return f"cannot be used: identity is {_shown(identity)}, not an Identity"
+    for name, text in vars(identity).items():
+        if not isinstance(text, str):
+            return f"cannot be used: identity has {name} = {_shown(text)}, not a text"
     limits = instrument.reach()
     if not isinstance(limits, Mapping):
         return f"cannot be used: reach() returned {_shown(limits)}, not a mapping"
     for quantity, limit in limits.items():
         if not isinstance(limit, Reach):
             return f"cannot be used: reach() has {quantity} = {_shown(limit)}, not a Reach"
+        if (wrong := _wrong_limits(limit)) is not None:
+            return f"cannot be used: reach() has {quantity} with {wrong}"
     lacking = [quantity for quantity in sorted(interface.quantities) if quantity not in limits]
     if lacking:
         return f"cannot be used: reach() lacks {', '.join(lacking)}"
+    return None
+
+
+def _wrong_limits(limit: Reach) -> str | None:
+    """Return what is wrong with the limits of a quantity; None if a value can be compared with
+    them. One side may be infinite."""
+    for name in ("low", "high"):
+        value: Any = getattr(limit, name)
+        if not isinstance(value, Real) or isinstance(value, bool) or math.isnan(value):
+            return f"{name} = {_shown(value)}, not a number"
+    for name in ("unit", "owner"):
+        if not isinstance(text := getattr(limit, name), str):
+            return f"{name} = {_shown(text)}, not a text"
+    if limit.low > limit.high:
+        return f"low = {limit.low:g} {limit.unit}, above high = {limit.high:g} {limit.unit}"
     return None
 
 

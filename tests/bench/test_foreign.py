@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from importlib.metadata import EntryPoint
 from typing import Any
@@ -74,6 +75,30 @@ CONNECTED = {
     ),
     "a missing limit": (lambda: wrong(limits={}), "reach() lacks position, speed, update_rate"),
     "no identity": (lambda: wrong(identity=None), "identity is None, not an Identity"),
+    "an identity of numbers": (
+        lambda: wrong(identity=Identity("Lab", 1, b"x", 2.0)),  # type: ignore[arg-type]
+        "identity has model = 1, not a text",
+    ),
+    "an identity of bytes": (
+        lambda: wrong(identity=Identity("Lab", "Z", b"x", "2")),  # type: ignore[arg-type]
+        "identity has serial_number = a bytes, not a text",
+    ),
+    "a limit that is not known": (
+        lambda: wrong(limits={"position": Reach(math.nan, 40.0, "mm", "stage_x")}),
+        "reach() has position with low = nan, not a number",
+    ),
+    "a limit of texts": (
+        lambda: wrong(limits={"speed": Reach(0.0, "20", "mm/s", "stage_x")}),  # type: ignore[arg-type]
+        "reach() has speed with high = '20', not a number",
+    ),
+    "a limit without a unit": (
+        lambda: wrong(limits={"speed": Reach(0.0, 20.0, None, "stage_x")}),  # type: ignore[arg-type]
+        "reach() has speed with unit = None, not a text",
+    ),
+    "limits the wrong way round": (
+        lambda: wrong(limits={"position": Reach(40.0, 0.0, "mm", "stage_x")}),
+        "reach() has position with low = 40 mm, above high = 0 mm",
+    ),
     "no stop": (lambda: wrong(stop=None), "returned a Stage without stop, which a stage_x needs"),
     "an exception": (lambda: [][0], "cannot connect: "),
 }
@@ -113,6 +138,11 @@ def test_one_that_cannot_be_closed_keeps_no_other_from_it() -> None:
     last = Stage()
     close_all({"stage_x": None, "stage_z": last})  # type: ignore[dict-item]
     assert last.closed
+
+
+def test_a_limit_may_be_infinite_or_a_whole_number() -> None:
+    stage = wrong(limits=Stage().limits | {"update_rate": Reach(0, math.inf, "Hz", "stage_x")})
+    assert connect_foreign(PART, ENTRY, lambda: stage).reach() == stage.limits
 
 
 @pytest.mark.parametrize("at", [float("nan"), float("inf"), "10.0", None, True])
