@@ -124,6 +124,12 @@ def print_json(value: Mapping[str, Any]) -> None:
     print(json_text(value), flush=True)  # noqa: T201 - stdout carries data
 
 
+def say_all(text: str) -> None:
+    """Print several lines, such as a traceback, to stderr."""
+    for line in text.splitlines():
+        say(line)
+
+
 def say(text: str) -> None:
     """Print one line for a person to stderr."""
     print(printable(text), file=sys.stderr, flush=True)  # noqa: T201 - the command line's own voice

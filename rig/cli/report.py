@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import sys
 import traceback
 from collections.abc import Mapping, Sequence, Set
@@ -11,15 +12,17 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, ProgressColumn, Task, TaskID, TextColumn
 from rich.text import Text
 
-from rig.cli.outcome import log, print_json, say, say_failure, turning
+from rig.cli.outcome import log, print_json, say, say_all, say_failure, turning
 from rig.core.entry_points import BrokenPackageError
 from rig.core.units import counted, duration
-from rig.figures.drawing import DrawingProcess, Drawn
+from rig.figures.drawing import DrawingProcess, Drawn, LeaveOutError
 from rig.run.checked_procedure import ProcedureFaultError
 from rig.run.observers import HOLD, PAUSED, RUNNING, RunObserver
+from rig.run.stopping import STOP_SIGNALS, WORDS
 
 if TYPE_CHECKING:
     from pathlib import Path
+    from types import FrameType
 
     from rig.run.outcome import RunOutcome
     from rig.run.points import Point, Reading
@@ -140,18 +143,41 @@ def finish(
         say(outcome.taken_over.summary)
     drawn = Drawn()
     if drawing is not None and outcome.file is not None and outcome.points_done:
-        with turning("drawing the figures"):
-            drawn = drawing.draw(outcome.file)
+        drawn = _drawn(drawing, outcome, outcome.file)
     outcome.warnings.extend(drawn.warnings)
     for warning in outcome.warnings:
         log.warning("%s", warning)
         say(f"warning: {warning}")
+    for trace in drawn.tracebacks:
+        log.warning("%s", trace)
+        if debug:
+            say_all(trace)
     if as_json:
         print_json(as_object(outcome, [str(path) for path in drawn.files]))
     else:
         _report_summary(outcome)
     for line in closing_lines(procedure, outcome, drawn.files):
         say(line)
+
+
+def _drawn(drawing: DrawingProcess, outcome: RunOutcome, file: Path) -> Drawn:
+    """Draw the figures of a run. Where that takes its time, the person learns at once that the
+    bench is safe and the data are saved; a signal ends the wait and not the run, which is over."""
+
+    def slow() -> None:
+        state = f"{_bench_state(outcome)}. " if outcome.made_safe else ""
+        say(f"{state}Saved: {file}. Drawing the figures (Ctrl-C leaves them out) ...")
+
+    def leave_out(number: int, frame: FrameType | None) -> None:
+        raise LeaveOutError(f"stopped by {WORDS[signal.Signals(number)]}")
+
+    before = {number: signal.signal(number, leave_out) for number in STOP_SIGNALS}
+    try:
+        with turning("drawing the figures"):
+            return drawing.draw(file, slow)
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def _say_what_stayed_on(outcome: RunOutcome) -> None:

@@ -17,9 +17,11 @@ import importlib
 import importlib.metadata
 import sys
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
+from pathlib import Path
+from types import FrameType
 from typing import Any
 
 from rig.core.errors import LONGEST_REASON, ConfigurationError, is_stop, shortened
@@ -225,6 +227,34 @@ def cause(error: BaseException, entry: EntryPoint | None = None) -> str:
         place = f"{places[-1][0]} line {places[-1][1]}: " if places else ""
         message = str(error)
     return shortened(f"{place}{type(error).__name__}: {' '.join(message.split())}", LONGEST_REASON)
+
+
+def place_in(module: str, error: BaseException) -> str:
+    """Return where in a module, or in a package with its modules, an exception was raised or passed
+    through last, as ``lab/creep.py line 11: `` relative to the folder that the package is installed
+    in; "" if none of its code took part."""
+    return _last_place(module, traceback.walk_tb(error.__traceback__))
+
+
+def place_of_this_call(module: str) -> str:
+    """Return from where in a module, or in a package with its modules, this was called, in the
+    words of `place_in`."""
+    return _last_place(module, reversed(list(traceback.walk_stack(None))))
+
+
+def _last_place(module: str, calls: Iterable[tuple[FrameType, int]]) -> str:
+    places = [
+        (Path(frame.f_code.co_filename), line)
+        for frame, line in calls
+        if f"{frame.f_globals.get('__name__')}.".startswith(f"{module}.")
+    ]
+    if not places:
+        return ""
+    path, line = places[-1]
+    top = getattr(sys.modules.get(module.split(".")[0]), "__file__", None)
+    base = Path(top).parent if top else path.parent
+    base = base.parent if top and Path(top).name == "__init__.py" else base
+    return f"{path.relative_to(base) if path.is_relative_to(base) else path.name} line {line}: "
 
 
 def _remedy(entry: EntryPoint, error: BaseException) -> str | None:

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any
 
-from rig.core.entry_points import OWN_PACKAGE, PROCEDURES, names
+from rig.core.entry_points import OWN_PACKAGE, PROCEDURES, cause, names, place_in
 from rig.core.errors import ConfigurationError, RigError
 
 FIGURES = "rig.figures"
@@ -70,6 +70,20 @@ class FileEntry:
         found: Callable[[Any], Any] = function
         return found
 
+    def fault(self, error: BaseException) -> str:
+        """Return what its code has raised, in one line, with file and line where they are known."""
+        top = self.entry.module.split(".")[0]
+        # Code of this package, which calls the function, is around everything.
+        module = self.entry.module if top == __name__.split(".")[0] else top
+        if isinstance(error, RigError):
+            words = error.one_line()
+        elif isinstance(error, SyntaxError):
+            return cause(error)
+        else:
+            text = " ".join(str(error).split())
+            words = f"{type(error).__name__}: {text}" if text else type(error).__name__
+        return f"{place_in(module, error)}{words}"
+
 
 def entries_of(group: str, kind: str) -> list[FileEntry]:
     """Return the entry points for files of one kind: a procedure's name, `import` or `processed`.
@@ -90,14 +104,6 @@ def strays(group: str, also: Iterable[str] = ()) -> Iterator[str]:
             near = difflib.get_close_matches(kind, known, 1)
             meant = f"; did you mean {near[0]}?" if near else ""
             yield f"{one} belongs to no installed procedure{meant}"
-
-
-def in_words(error: BaseException) -> str:
-    """Return what a package's code has raised, in one line."""
-    if isinstance(error, RigError):
-        return error.one_line()
-    words = " ".join(str(error).split())
-    return f"{type(error).__name__}: {words}" if words else type(error).__name__
 
 
 def _all(group: str) -> list[FileEntry]:

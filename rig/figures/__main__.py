@@ -1,8 +1,9 @@
 """``python -m rig.figures`` draws the figures of a file, whose path it reads from stdin.
 
 They are written next to the file (`rig.figures.drawing`). The path is a JSON
-string on a line of its own. One JSON object on stdout: ``files``, the
-pictures drawn, and ``warnings``, sentences. Where the input ends without a path nothing is drawn.
+string on a line of its own. A line of JSON on stdout before each figure, and one at the end:
+``files``, the pictures drawn so far, ``warnings``, sentences, ``tracebacks``, and ``drawing``, the
+figure that is drawn next, "" at the end. Where the input ends without a path nothing is drawn.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ import sys
 from pathlib import Path
 
 from rig.core.errors import RigError
-from rig.figures.drawing import draw
+from rig.figures.drawing import Drawn, draw
 
 NICENESS = 5
 """Taking data and recording them have priority over drawing."""
@@ -33,11 +34,16 @@ def main() -> None:
     try:
         # Text that a figure function prints must not mix with the answer.
         with contextlib.redirect_stdout(sys.stderr):
-            drawn = draw(Path(json.loads(asked)))
-        answer = {"files": [str(path) for path in drawn.files], "warnings": list(drawn.warnings)}
+            drawn = draw(Path(json.loads(asked)), begins=_answer)
     except RigError as error:
-        answer = {"files": [], "warnings": [f"no figure was drawn: {error.one_line()}"]}
-    sys.stdout.write(json.dumps(answer) + "\n")
+        drawn = Drawn(warnings=(f"no figure was drawn: {error.one_line()}",))
+    _answer(drawn)
+
+
+def _answer(drawn: Drawn, figure: str = "") -> None:
+    assert sys.__stdout__ is not None
+    sys.__stdout__.write(drawn.as_line(figure))
+    sys.__stdout__.flush()
 
 
 if __name__ == "__main__":

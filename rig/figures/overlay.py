@@ -8,6 +8,7 @@ draws the runs of a procedure is an entry point of the group ``rig.overlays``, n
 
 from __future__ import annotations
 
+import traceback
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from pathlib import Path
@@ -18,10 +19,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.core.errors import ConfigurationError, is_stop
-from rig.core.file_entry_points import OVERLAYS, entries_of, in_words, strays
+from rig.core.file_entry_points import OVERLAYS, entries_of, strays
 from rig.core.settings import name_without_unit, unit_of
+from rig.core.time_limit import time_limit
 from rig.figures.circumstances import film_of, in_one_line, statements
-from rig.figures.drawing import Drawn, figures_by
+from rig.figures.drawing import TIMEOUT_S, Drawn, figures_by
 from rig.figures.pressed import scale_to, seconds
 from rig.figures.slip_instants import SlipInstants, detections_of, instants_of
 from rig.figures.style import (
@@ -71,7 +73,7 @@ def draw_overlay(files: Sequence[Path], folder: Path | None = None, pdf: bool = 
         raise ConfigurationError("--overlay draws several runs in one figure", "name two or more")
     with ExitStack() as stack:
         runs = [_opened(path, stack) for path in files]
-        figures, warnings = _figures_of(runs)
+        figures, warnings, tracebacks = _figures_of(runs)
         if not figures:
             raise ConfigurationError(f"no overlay was drawn: {'; '.join(warnings)}")
         simulated = any(run.outcome.simulated for run in runs)
@@ -83,7 +85,7 @@ def draw_overlay(files: Sequence[Path], folder: Path | None = None, pdf: bool = 
                 for suffix, figure in figures.items()
                 for picture in save(figure, _ending(place, suffix), simulated, pdf)
             ]
-            return Drawn(tuple(saved), tuple(warnings))
+            return Drawn(tuple(saved), tuple(warnings), tuple(tracebacks))
         except OSError as error:
             raise ConfigurationError(
                 f"{place.parent} cannot be written to ({error.strerror or error})",
@@ -116,9 +118,9 @@ def _kind_of(runs: Sequence[RunFile]) -> str:
     return kind
 
 
-def _figures_of(runs: Sequence[RunFile]) -> tuple[dict[str, Figure], list[str]]:
-    """Return the overlays of the runs, by the suffix of each file name, and a sentence for each
-    one that could not be drawn."""
+def _figures_of(runs: Sequence[RunFile]) -> tuple[dict[str, Figure], list[str], list[str]]:
+    """Return the overlays of the runs, by the suffix of each file name, a sentence for each one
+    that could not be drawn, and the tracebacks."""
     kind = _kind_of(runs)
     if not (registered := entries_of(OVERLAYS, kind)):
         raise ConfigurationError(
@@ -126,10 +128,12 @@ def _figures_of(runs: Sequence[RunFile]) -> tuple[dict[str, Figure], list[str]]:
             "a package can add what draws it: docs/add-a-figure.md",
         )
     figures: dict[str, Figure] = {}
-    warnings = list(strays(OVERLAYS, (kind,)))
+    warnings, tracebacks = list(strays(OVERLAYS, (kind,))), list[str]()
     for one in registered:
         try:
-            for suffix, figure in figures_by(one, runs).items():
+            with time_limit(TIMEOUT_S):
+                drawn = figures_by(one, runs)
+            for suffix, figure in drawn.items():
                 if suffix in figures:
                     warnings.append(f"{one} was left out: another one has its file name")
                 else:
@@ -138,8 +142,9 @@ def _figures_of(runs: Sequence[RunFile]) -> tuple[dict[str, Figure], list[str]]:
         except (Exception, SystemExit) as error:
             if is_stop(error):
                 raise
-            warnings.append(f"{one} could not be drawn: {in_words(error)}")
-    return figures, warnings
+            warnings.append(f"{one} could not be drawn: {one.fault(error)}")
+            tracebacks.append("".join(traceback.format_exception(error)))
+    return figures, warnings, tracebacks
 
 
 def _free_place(file: Path, suffixes: Sequence[str]) -> Path:

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import json
 import math
+import traceback
 from collections.abc import Mapping
 from dataclasses import dataclass
 from numbers import Integral, Real
@@ -21,8 +22,9 @@ from typing import TYPE_CHECKING, Any
 
 from rig.core.atomic import write_text
 from rig.core.errors import is_stop
-from rig.core.file_entry_points import ANALYSES, FileEntry, entries_of, in_words, strays
+from rig.core.file_entry_points import ANALYSES, FileEntry, entries_of, strays
 from rig.core.settings import unit_of
+from rig.core.time_limit import time_limit
 from rig.files.checksum import sha256_of
 from rig.files.errors import RecordingError
 from rig.files.processed.values import FOLDER
@@ -31,6 +33,8 @@ if TYPE_CHECKING:
     from rig.files.runfile.reader import RunFile
 
 DEFINITION, VERSION = "tactile-rig analyses", "1"
+LONGEST_S = 120.0
+"""Longest time of one analysis of a file."""
 
 Value = float | int | str | bool | None | list[float | int | str | None]
 
@@ -54,17 +58,20 @@ class Analysis:
 
 @dataclass(frozen=True)
 class Analyses:
-    """Results of all analyses of a run file, and a sentence for each that failed."""
+    """Results of all analyses of a run file, a sentence for each that was left out, and the
+    tracebacks of those that failed."""
 
     found: tuple[Analysis, ...] = ()
     warnings: tuple[str, ...] = ()
+    tracebacks: tuple[str, ...] = ()
 
 
 def analyse(run: RunFile) -> Analyses:
-    """Have every registered analysis of a run file's procedure compute its values. A run without a
-    completed point has none."""
+    """Have every registered analysis of a run file's procedure compute its values, each within
+    `LONGEST_S`. A run without a completed point has none."""
     found: list[Analysis] = []
     warnings: list[str] = list(strays(ANALYSES, (run.header.procedure,)))
+    tracebacks: list[str] = []
     if not run.point_ids():
         return Analyses(warnings=tuple(warnings))
     for registered in entries_of(ANALYSES, run.header.procedure):
@@ -72,13 +79,16 @@ def analyse(run: RunFile) -> Analyses:
             warnings.append(f"{registered} was left out: another one has its name")
             continue
         try:
-            found.append(_analysis(registered, run))
+            with time_limit(LONGEST_S):
+                values = _analysis(registered, run)
+            found.append(values)
         # A package may raise anything, and call sys.exit() where it was meant as a program.
         except (Exception, SystemExit) as error:
             if is_stop(error):
                 raise
-            warnings.append(f"{registered} failed: {in_words(error)}")
-    return Analyses(tuple(found), tuple(warnings))
+            warnings.append(f"{registered} failed: {registered.fault(error)}")
+            tracebacks.append("".join(traceback.format_exception(error)))
+    return Analyses(tuple(found), tuple(warnings), tuple(tracebacks))
 
 
 def analyses_path(run_file: Path, folder: Path | None = None) -> Path:

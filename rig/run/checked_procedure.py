@@ -8,16 +8,19 @@ from __future__ import annotations
 
 import contextlib
 import difflib
-import sys
-import traceback
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from numbers import Real
-from pathlib import Path
-from types import FrameType
 from typing import TYPE_CHECKING, Any
 
 from rig.bench.foreign import foreign
-from rig.core.entry_points import OWN_PACKAGE, PROCEDURES, find, package
+from rig.core.entry_points import (
+    OWN_PACKAGE,
+    PROCEDURES,
+    find,
+    package,
+    place_in,
+    place_of_this_call,
+)
 from rig.core.errors import (
     LONGEST_REASON,
     ConfigurationError,
@@ -168,8 +171,8 @@ class CheckedProcedure:
         error that was not raised stands for the place that calls this."""
         cls = type(self._procedure)
         top = cls.__module__.split(".")[0]
-        places = _places(top, kept) if kept.__traceback__ else _places_of_this_call(top)
-        where = f" ({_shown(places[-1][0], top)} line {places[-1][1]})" if places else ""
+        place = place_in(top, kept) if kept.__traceback__ else place_of_this_call(top)
+        where = f" ({place.removesuffix(': ')})" if place else ""
         return (
             f"procedure {cls.name} of package {package_of(cls)} kept back what was to end the run"
             f"{where}: let exceptions of waits pass, or raise them again ({kept.cause.message})"
@@ -283,7 +286,7 @@ def _blame(procedure: type[Procedure], error: BaseException) -> RigError:
     if name == OWN_PACKAGE:
         return internal(error)
     top = procedure.__module__.split(".")[0]
-    return _package_fault(name, _places(top, error), top, error)
+    return _package_fault(name, place_in(top, error), error)
 
 
 def driver_fault(plan: BenchPlan, error: BaseException) -> RigError | None:
@@ -291,48 +294,17 @@ def driver_fault(plan: BenchPlan, error: BaseException) -> RigError | None:
     exception in which none took part."""
     for part in plan.instruments:
         entry = foreign(part)
-        if entry is not None and (own := _places(top := entry.module.split(".")[0], error)):
-            fault = _package_fault(package(entry), own, top, error)
+        if entry is not None and (place := place_in(entry.module.split(".")[0], error)):
+            fault = _package_fault(package(entry), place, error)
             fault.__cause__ = error
             return fault
     return None
 
 
-def _places(top: str, error: BaseException) -> list[tuple[str, int]]:
-    """Return file and line of each call in a package that took part in an exception."""
-    return _within(top, traceback.walk_tb(error.__traceback__))
-
-
-def _places_of_this_call(top: str) -> list[tuple[str, int]]:
-    """Return file and line of each call in a package that has led here."""
-    return _within(top, traceback.walk_stack(None))[::-1]
-
-
-def _within(top: str, frames: Iterable[tuple[FrameType, int]]) -> list[tuple[str, int]]:
-    return [
-        (frame.f_code.co_filename, line)
-        for frame, line in frames
-        if str(frame.f_globals.get("__name__")).split(".")[0] == top
-    ]
-
-
-def _package_fault(
-    name: str, own: Sequence[tuple[str, int]], top: str, error: BaseException
-) -> ProcedureFaultError:
-    place = f"{_shown(own[-1][0], top)} line {own[-1][1]}: " if own else ""
+def _package_fault(name: str, place: str, error: BaseException) -> ProcedureFaultError:
     message = " ".join(str(error).split())
     text = shortened(f"{place}{type(error).__name__}: {message}", LONGEST_REASON)
     return ProcedureFaultError(
         f"a fault in the package {name}: {text}",
         "the traceback is in rig.log; report it to whoever maintains the package",
     )
-
-
-def _shown(file: str, top: str) -> str:
-    """Return the path of a package's file relative to the folder that the package is
-    installed in."""
-    folder = getattr(sys.modules.get(top), "__file__", None)
-    base = Path(folder).parent if folder else Path(file).parent
-    base = base.parent if folder and Path(folder).name == "__init__.py" else base
-    path = Path(file)
-    return str(path.relative_to(base)) if path.is_relative_to(base) else path.name

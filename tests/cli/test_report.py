@@ -5,7 +5,10 @@ from __future__ import annotations
 import json
 import math
 import signal
+import subprocess
+from collections.abc import Callable
 from pathlib import Path
+from threading import Timer
 
 import pytest
 
@@ -160,7 +163,7 @@ class Drawing(DrawingProcess):
     def __init__(self) -> None:
         self.files: list[Path] = []
 
-    def draw(self, file: Path) -> Drawn:
+    def draw(self, file: Path, slow: Callable[[], None] = lambda: None) -> Drawn:
         self.files.append(file)
         return Drawn((file.with_suffix(".png"),), ("the figure x of y could not be drawn: z",))
 
@@ -184,6 +187,38 @@ def test_figures_are_listed_and_one_that_fails_is_a_warning(
     assert answer["warnings"] == ["the figure x of y could not be drawn: z"]
     assert "warning: the figure x of y could not be drawn: z\n" in reported
     assert "Saved: r.h5 and 1 figure (PNG and SVG)\n" in reported
+
+
+def test_ctrl_c_ends_the_wait_for_figures_and_not_the_run_which_is_over(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    said = Drawn((Path("r.png"),)).as_line("the figure x of y")
+    busy = subprocess.Popen(
+        ["/bin/sh", "-c", 'echo "$1"; sleep 1000', "sh", said],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    drawing = Drawing()
+    drawing._child = busy
+    monkeypatch.setattr(drawing, "draw", lambda *given: DrawingProcess.draw(drawing, *given))
+    monkeypatch.setattr("rig.figures.drawing.SLOW_S", 0.5)
+    Timer(2.0, signal.raise_signal, [signal.SIGINT]).start()
+    outcome = RunOutcome("complete", ExitCode.DONE, 2, 2, file=Path("r.h5"), safe=True)
+    outcome.made_safe = ("generator off",)
+    report.finish(Sweep, outcome, as_json=False, drawing=drawing, debug=False)
+    assert capsys.readouterr().err.splitlines() == [
+        "Bench is safe. Saved: r.h5. Drawing the figures (Ctrl-C leaves them out) ...",
+        "warning: the figure x of y and those after it were not drawn: stopped by Ctrl-C; "
+        "`rig show --figures r.h5` draws them again",
+        "Finished: 2 of 2 points.",
+        "Saved: r.h5 and 1 figure (PNG and SVG)",
+        "Bench is safe: generator off.",
+    ]
+    assert outcome.code is ExitCode.DONE
+    assert busy.poll() is not None
 
 
 def test_a_result_that_is_not_finite_is_null_for_another_program(

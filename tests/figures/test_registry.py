@@ -18,6 +18,9 @@ from rig.figures.drawing import DrawingProcess, Drawn, draw
 from rig.figures.registry import figures_of
 
 MODULE = """
+import os
+import time
+
 from matplotlib.figure import Figure
 
 def plain(run):
@@ -46,6 +49,12 @@ def formula(run):
     figure = Figure()
     figure.suptitle("$\\\\nosuchcommand$")
     return figure
+
+def sleeps(run):
+    time.sleep(1e6)
+
+def exits(run):
+    os._exit(7)
 
 constant = 3
 """
@@ -167,8 +176,8 @@ def test_the_picture_of_the_procedure_is_not_overwritten(lab: Laboratory) -> Non
 @pytest.mark.parametrize(
     ("function", "why"),
     [
-        ("lab_figures:fails", "RuntimeError: no such column: 'speed'"),
-        ("lab_figures:leaves", "SystemExit: 3"),
+        ("lab_figures:fails", "lab_figures.py line 17: RuntimeError: no such column: 'speed'"),
+        ("lab_figures:leaves", "lab_figures.py line 21: SystemExit: 3"),
         ("lab_figures:missing", "AttributeError: module 'lab_figures' has no attribute 'missing'"),
         ("no_such_module:plain", "ModuleNotFoundError: No module named 'no_such_module'"),
         ("lab_figures:constant", "its value is not a function"),
@@ -188,6 +197,8 @@ def test_a_figure_that_is_broken_disables_only_itself(
         f"the figure lab-trial ({function}) of lab-figures could not be drawn: {why}"
     )
     assert "\n" not in warning
+    (traceback,) = drawn.tracebacks
+    assert traceback.startswith("Traceback (most recent call last)")
 
 
 def test_a_name_of_another_form_is_refused(lab: Laboratory) -> None:
@@ -205,7 +216,9 @@ def test_a_folder_that_takes_no_picture_is_reported_once(lab: Laboratory) -> Non
 def test_the_child_draws_the_same_and_hands_on_the_warnings(lab: Laboratory) -> None:
     lab.declare(lab_trial="lab_figures:leaves", lab_trial__good=PLAIN)
     run = lab.run()
-    assert draw_in_child(run) == draw(run)
+    child, here = draw_in_child(run), draw(run)
+    assert (child.files, child.warnings) == (here.files, here.warnings)
+    assert len(child.tracebacks) == 1
     assert lab.pictures == {"lab-trial-good.png"}
 
 
@@ -215,20 +228,57 @@ def test_a_child_that_dies_is_a_warning(lab: Laboratory, monkeypatch: pytest.Mon
     run = lab.run()
     (warning,) = draw_in_child(run).warnings
     assert warning == (
-        "no figure was drawn: the process that draws ended early (exit code 7); "
-        f"`rig show --figures {run}` draws it again"
+        "the figure lab-trial (lab_figures:plain) of lab-figures and those after it were not "
+        "drawn: the process that draws ended early (exit code 7); "
+        f"`rig show --figures {run}` draws them again"
     )
+
+
+def test_the_figures_before_one_that_ends_the_process_are_listed(lab: Laboratory) -> None:
+    lab.declare(lab_trial=PLAIN, lab_trial__exits="lab_figures:exits")
+    drawn = draw_in_child(lab.run())
+    assert [path.name for path in drawn.files] == ["lab-trial.png", "lab-trial.svg"]
+    (warning,) = drawn.warnings
+    assert warning.startswith("the figure lab-trial.exits (lab_figures:exits) of lab-figures and")
 
 
 @pytest.mark.thorough
 def test_a_child_that_does_not_end_is_ended(
     lab: Laboratory, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    (lab.place / "lab_figures.py").write_text("import time; time.sleep(1e6)")
-    lab.declare(lab_trial=PLAIN)
-    monkeypatch.setattr(drawing, "TIMEOUT_S", 3.0)
-    (warning,) = draw_in_child(lab.run()).warnings
-    assert warning.startswith("no figure was drawn: it took longer than 3 s")
+    """The child has limits of its own, which end what is not busy in C."""
+    lab.declare(lab_trial=PLAIN, lab_trial__slow="lab_figures:sleeps")
+    monkeypatch.setattr(drawing, "TIMEOUT_S", 6.0)
+    monkeypatch.setattr(drawing, "GRACE_S", 2.0)
+    waited: list[bool] = []
+    with DrawingProcess() as process:
+        drawn = process.draw(lab.run(), lambda: waited.append(True))
+    assert waited == [True]
+    assert [path.name for path in drawn.files] == ["lab-trial.png", "lab-trial.svg"]
+    (warning,) = drawn.warnings
+    assert warning.startswith(
+        "the figure lab-trial.slow (lab_figures:sleeps) of lab-figures and those after it were "
+        "not drawn: it took longer than 8 s; `rig show --figures "
+    )
+
+
+def test_a_figure_that_never_returns_is_interrupted_and_costs_those_after_it(
+    lab: Laboratory, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    lab.declare(lab_trial=PLAIN, lab_trial__a="lab_figures:sleeps", lab_trial__b=PLAIN)
+    run = lab.run()
+    monkeypatch.setattr(drawing, "TIMEOUT_S", 6.0)
+    drawn = draw(run)
+    assert lab.pictures == {"lab-trial.png"}
+    slow, left_out = drawn.warnings
+    assert slow.startswith(
+        "the figure lab-trial.a (lab_figures:sleeps) of lab-figures could not be drawn: "
+        "lab_figures.py line 35: it took longer than "
+    )
+    assert left_out == (
+        "the figure lab-trial.b (lab_figures:plain) of lab-figures was left out: the 6 s for all "
+        "figures of a file were over"
+    )
 
 
 def test_our_own_figures_can_all_be_loaded() -> None:

@@ -14,6 +14,9 @@ sys.path.insert(0, str(Path(__file__).parent.parent / "files"))
 
 import recorded_trials as trials
 
+from rig.files.runfile.reader import RunFile
+from rig.processing.analyses import analyse
+
 MODULE = """
 import numpy as np
 
@@ -75,7 +78,8 @@ def test_the_values_of_an_analysis_are_shown_and_kept_and_broken_ones_cost_a_lin
     (recorded,) = (line.split()[0] for line in Path(f"{file}.sha256").read_text().splitlines())
     assert kept["source"]["sha256"] == recorded
     for words in (
-        "the analysis lab-trial.broken (lab_values:fails) of lab-values failed: RuntimeError: no",
+        "the analysis lab-trial.broken (lab_values:fails) of lab-values failed: "
+        "lab_values.py line 9: RuntimeError: no",
         "lab-trial.number (lab_values:number) of lab-values failed: TypeError: it returned int",
         "of lab-values failed: TypeError: run is a RunFile, neither a number nor a text",
         "lab-trial.missing (lab_values:missing) of lab-values failed: AttributeError",
@@ -95,6 +99,37 @@ def test_a_file_without_an_analysis_is_reported(rig: Any, tmp_path: Path) -> Non
     refused = rig.run("analyse", str(file))
     assert refused.code == 2
     assert "nothing was computed for" in refused.errors[0]
+
+
+def test_a_file_whose_analysis_fails_is_reported_as_that(rig: Any, tmp_path: Path) -> None:
+    entries = "[rig.analyses]\nlab-trial = lab_fails:fails"
+    module = "def fails(run):\n    raise KeyError('fit')\n"
+    on_path(rig, install(tmp_path / "site", "lab-fails", entries, {"lab_fails.py": module}))
+    recorded = {"trial-1": trials.slipping()}
+    journal = rig.folder / "one.rigj"
+    file = trials.write_trials(journal, recorded, complete=True, procedure="lab-trial")
+    refused = rig.run("analyse", "--debug", str(file))
+    assert refused.code == 2
+    assert "of lab-fails failed: lab_fails.py line 2: KeyError: 'fit'\n" in refused.stderr
+    assert "Traceback" in refused.stderr
+    assert "its analysis failed (see above); correct the package" in refused.errors[0]
+    assert "install" not in refused.errors[0]
+
+
+def test_an_analysis_that_never_returns_is_interrupted(
+    file: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    module = "import time\ndef never(run):\n    time.sleep(1e6)\n"
+    entries = "[rig.analyses]\nlab-trial.never = lab_never:never"
+    site = install(tmp_path / "never", "lab-never", entries, {"lab_never.py": module})
+    monkeypatch.syspath_prepend(str(site))
+    monkeypatch.setattr("rig.processing.analyses.LONGEST_S", 1.0)
+    with RunFile.open(file) as run:
+        (warning,) = (one for one in analyse(run).warnings if "lab-never" in one)
+    assert warning == (
+        "the analysis lab-trial.never (lab_never:never) of lab-never failed: lab_never.py line 3: "
+        "it took longer than 1 s"
+    )
 
 
 def test_a_signal_during_an_analysis_ends_the_command_and_is_no_fault_of_the_package(

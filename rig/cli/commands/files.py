@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from rig.cli.outcome import print_json, reported, say
+from rig.cli.outcome import print_json, reported, say, say_all
 from rig.cli.show.words import in_words
 from rig.core.errors import ConfigurationError, ExitCode, FoundWrongError
 from rig.core.text import printable
@@ -118,7 +118,8 @@ def show(
         if overlay:
             from rig.figures.overlay import draw_overlay
 
-            _report_drawn(draw_overlay(files, figures_to, pdf), say if as_json else _print)
+            drawn = draw_overlay(files, figures_to, pdf)
+            _report_drawn(drawn, say if as_json else _print, debug)
             return
         draws = figures or pdf or figures_to is not None
         from rig.files.checksum import checksum_findings
@@ -140,7 +141,9 @@ def show(
                 outcome, nothing = ending_of(contents), Analyses()
                 stored = contents.results
                 holds = describe_contents(contents.header, contents.sampling())
-                _show_run(path, contents.header, outcome, readings, stored, nothing, holds, how)
+                _show_run(
+                    path, contents.header, outcome, readings, stored, nothing, holds, how, debug
+                )
                 if draws:
                     not_drawn.append(f"{path}: a journal has no figures, its run file has")
                 continue
@@ -166,9 +169,17 @@ def show(
                     holds = describe_contents(run.header, run.sampling())
                     why_nothing = _why_nothing_is_drawn(run)
                     _show_run(
-                        path, run.header, run.outcome, readings, run.results, found, holds, how
+                        path,
+                        run.header,
+                        run.outcome,
+                        readings,
+                        run.results,
+                        found,
+                        holds,
+                        how,
+                        debug,
                     )
-            if draws and not _draw(path, figures_to, pdf, say if as_json else _print):
+            if draws and not _draw(path, figures_to, pdf, say if as_json else _print, debug):
                 not_drawn.append(f"{path}: {why_nothing}")
         if draws and len(files) == 2:
             _draw_beside(files, figures_to, pdf, say if as_json else _print)
@@ -202,6 +213,7 @@ def _show_run(
     analyses: Analyses,
     holds: Mapping[str, Mapping[str, Mapping[str, Any]]],
     how: _How,
+    debug: bool,
 ) -> None:
     """Show a run, and what this program finds otherwise than is stored."""
     from rig.cli.show.digest import of_run
@@ -211,14 +223,14 @@ def _show_run(
     said = describe(path, header, outcome)
     now = _recomputed(header, readings)
     if how == "brief":
-        values = _analysed(analyses)
+        values = _analysed(analyses, debug)
         _say_all_of(of_run(said, header, stored or now, computed_by(stored, now), values))
         return
     if stored is not None:
         said |= (compared if how == "json" else compared_in_words)(stored, now)
     elif now is not None:
         said |= computed_now(now, how == "json")
-    said |= _analysed(analyses)
+    said |= _analysed(analyses, debug)
     said |= holds if how == "json" else _holds_in_words(holds)
     (print_json if how == "json" else _print_values)(said)
 
@@ -398,48 +410,60 @@ def analyse(
         from rig.processing.analyses import analyse as compute
         from rig.processing.analyses import keep
 
-        missing = []
+        nothing_of: list[str] = []
+        hint = None
         for path in files:
             with RunFile.open(path) as run:
                 analyses = compute(run)
-                _print_values(_analysed(analyses))
+                _print_values(_analysed(analyses, debug))
                 if analyses.found:
                     print(printable(f"saved {keep(run, analyses, to)}"))  # noqa: T201 - data
+                    continue
+                named = f"{path} (a {run.header.procedure})"
+                if analyses.tracebacks:
+                    nothing_of.append(f"{named}: its analysis failed (see above)")
+                    hint = hint or "correct the package that is named above; --debug shows more"
+                elif not run.point_ids():
+                    nothing_of.append(f"{named}: no point was completed")
                 else:
-                    missing.append(f"{path} (a {run.header.procedure})")
-        if missing:
-            raise ConfigurationError(
-                f"nothing was computed for {', '.join(missing)}",
-                "install a package that has an analysis for it: see docs/add-an-analysis.md",
-            )
+                    nothing_of.append(named)
+                    hint = "install a package with an analysis for it: see docs/add-an-analysis.md"
+        if nothing_of:
+            raise ConfigurationError(f"nothing was computed for {', '.join(nothing_of)}", hint)
 
 
-def _analysed(analyses: Analyses) -> dict[str, Any]:
+def _analysed(analyses: Analyses, debug: bool) -> dict[str, Any]:
     """Return the values of a run file's analyses by what computed them; one that has failed costs
-    a line, not the command."""
+    a line, not the command. `debug` shows its traceback."""
     for warning in analyses.warnings:
         say(f"warning: {warning}")
+    for trace in analyses.tracebacks if debug else ():
+        say_all(trace)
     return {
         f"{one.name} ({one.package} {one.package_version})": one.values for one in analyses.found
     }
 
 
-def _draw(file: Path, folder: Path | None, pdf: bool, report: Callable[[str], None]) -> bool:
+def _draw(
+    file: Path, folder: Path | None, pdf: bool, report: Callable[[str], None], debug: bool
+) -> bool:
     """Draw the figures of a file and report where they are and which one has failed; return whether
     there is any, or a warning of what has failed."""
     from rig.figures.drawing import draw
 
     drawn = draw(file, folder, pdf)
-    _report_drawn(drawn, report)
+    _report_drawn(drawn, report, debug)
     return bool(drawn.files or drawn.warnings)
 
 
-def _report_drawn(drawn: Drawn, report: Callable[[str], None]) -> None:
-    """Report where figures are, and what could not be drawn."""
+def _report_drawn(drawn: Drawn, report: Callable[[str], None], debug: bool) -> None:
+    """Report where figures are, and what could not be drawn, with tracebacks for `debug`."""
     for picture in drawn.files:
         report(f"figure: {picture}")
     for warning in drawn.warnings:
         say(f"warning: {warning}")
+    for trace in drawn.tracebacks if debug else ():
+        say_all(trace)
 
 
 def _say_all(lines: Sequence[str]) -> None:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from rig.cli.options.numbers import whole_number
-from rig.cli.outcome import print_json, reported, say, say_failure, start_log
+from rig.cli.outcome import log, print_json, reported, say, say_failure, start_log
 from rig.core.errors import ConfigurationError, ExitCode, RigError
 
 if TYPE_CHECKING:
@@ -242,6 +242,8 @@ class _Importing:
             say(f"figure: {picture}")
         for warning in drawn.warnings:
             say(f"warning: {warning}")
+        for trace in drawn.tracebacks:
+            log.warning("%s", trace)
         return _as_object(run_file, recording, drawn)
 
 
