@@ -9,10 +9,13 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
-from typing import IO
+from types import SimpleNamespace
+from typing import IO, Any
 
 import pytest
+from packages import install
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "files"))
 
@@ -23,9 +26,12 @@ from rig.batch.execute.postprocess import (
     PostprocessJob,
     PostprocessQueue,
     PostprocessResult,
+    _result_of,
     make_files,
     result_from,
 )
+from rig.batch.execute.run_files import RunFiles
+from rig.core.child import ChildResult
 from rig.detector.registered import chosen_detector
 from rig.files.verify import verify
 from rig.processing import detection
@@ -112,6 +118,45 @@ def test_a_journal_that_is_none_is_reported(tmp_path: Path) -> None:
 def test_a_result_survives_its_line() -> None:
     result = PostprocessResult(Path("a.rigj"), Path("a.h5"), None, (Path("a.png"),), ("w",), "")
     assert result_from(json.loads(result.as_line())) == result
+
+
+def test_a_process_that_ends_while_it_draws_costs_the_figures_that_are_missing() -> None:
+    made = PostprocessResult(Path("a.rigj"), Path("a.h5"), None, (Path("a.png"),), ("w",))
+    lines = made.as_line("the figure vib of lab-vib").encode()
+    job = PostprocessJob(Path("x/a.rigj"))
+    found = _result_of(job, ChildResult("it did not finish within 9 s", lines))
+    assert found == replace(
+        made,
+        journal=job.journal,
+        warnings=(
+            "w",
+            "a.h5: the figure vib of lab-vib and those after it were not drawn: the process that "
+            "draws ended early (it did not finish within 9 s); `rig show --figures a.h5` draws "
+            "them again",
+        ),
+    )
+    assert _result_of(job, ChildResult("SIGKILL", made.as_line().encode())).error
+    assert _result_of(job, ChildResult("SIGKILL", b"")).error
+
+
+def test_a_warning_of_a_figure_is_in_the_log_of_the_batch(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    journal = recorded(tmp_path, "r1", procedure="import")
+    folder: Any = SimpleNamespace(
+        journal=lambda *_: journal, run_file=lambda *_: journal.with_suffix(".h5")
+    )
+    settings: Any = SimpleNamespace(figures=True, detect=False)
+    said: list[str] = []
+    with (tmp_path / "batch.log").open("ab", buffering=0) as log:
+        queue: Any = SimpleNamespace(add_event=None, set_processed=None)
+        files = RunFiles(folder, settings, queue, lambda *_: None, said.append, log, log.fileno())
+        files.add(1, "import")
+        result = PostprocessResult(journal, tmp_path / "r1.h5", warnings=("the figure x: late",))
+        monkeypatch.setattr(PostprocessQueue, "poll", lambda *_, **__: result)
+        files.poll(start=True)
+    assert said == ["warning: the figure x: late"]
+    assert (tmp_path / "batch.log").read_text() == "warning: the figure x: late\n"
 
 
 # --- the processes -----------------------------------------------------------------------------
@@ -215,6 +260,36 @@ def test_a_process_that_is_killed_costs_the_files_of_its_run(
     assert died.journal == jobs[0]
     assert "a.rigj: the process that makes its files failed: SIGKILL" in died.error
     assert done.file == tmp_path / "b.h5"
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize(
+    ("source", "words"),
+    [
+        ("import os\ndef draw(run):\n    os._exit(3)\n", "were not drawn: the process that draws "),
+        (
+            "def draw(run):\n    raise KeyError('colour')\n",
+            "could not be drawn: lab_bad.py line 2: KeyError: 'colour'",
+        ),
+    ],
+)
+def test_a_figure_that_ends_the_process_or_fails_costs_itself_and_is_named(
+    log: IO[bytes], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, source: str, words: str
+) -> None:
+    entries = "[rig.figures]\nimport.z = lab_bad:draw\n"
+    site = install(tmp_path / "site", "lab-bad", entries, {"lab_bad.py": source})
+    monkeypatch.setenv("PYTHONPATH", str(site))
+    queue = PostprocessQueue(log)
+    queue.add(PostprocessJob(recorded(tmp_path, "a", procedure="import"), detect=False))
+    (result,) = results(queue)
+    assert result.error == ""
+    assert result.file == tmp_path / "a.h5"
+    assert [figure.name for figure in result.figures] == ["a.png", "a.svg"]
+    (warning,) = result.warnings
+    assert warning.startswith("a.h5: the figure import.z (lab_bad:draw) of lab-bad ")
+    assert words in warning
+    said = (tmp_path / "batch.log").read_text()
+    assert ("Traceback" in said) == ("KeyError" in words)
 
 
 @pytest.mark.thorough

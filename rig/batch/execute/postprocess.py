@@ -4,10 +4,14 @@ A batch gives each run to a process of its own, one at a time, of low priority:
 
     python -m rig.batch.execute.postprocess JOURNAL [--no-detect] [--no-figures]
 
-It writes one line of JSON on its standard output:
+It ends with a line of JSON on its standard output:
 
     {"journal": PATH, "file": PATH, "processed": PATH, "figures": [PATH, ...], "warnings": [],
      "error": ""}
+
+Before each figure it writes such a line of what there is by then, with the figure's name as
+"drawing": where a figure ends the process, or keeps it busy beyond the time for figures
+(`rig.figures.drawing`), only the figures that are missing are lost.
 
 `PostprocessQueue` is the batch's side: runs wait in it until the batch has time for them. A process
 that dies or takes too long costs the files of its run, not those of the others. Every file appears
@@ -25,7 +29,7 @@ import signal
 import sys
 import time
 from collections import deque
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import IO, Any
@@ -74,9 +78,10 @@ class PostprocessResult:
     error: str = ""
     """The reason why there is no run file; empty if there is one."""
 
-    def as_line(self) -> str:
-        """Return this result as a line of JSON."""
-        return json.dumps(asdict(self), default=str) + "\n"
+    def as_line(self, drawing: str = "") -> str:
+        """Return this result as a line of JSON; `drawing` names the figure that is drawn next."""
+        more = {"drawing": drawing} if drawing else {}
+        return json.dumps(asdict(self) | more, default=str) + "\n"
 
 
 def result_from(fields: Mapping[str, Any]) -> PostprocessResult:
@@ -166,12 +171,21 @@ class PostprocessQueue:
 
 
 def _result_of(job: PostprocessJob, ended: ChildResult) -> PostprocessResult:
-    """Return the result that a process reported; an error if it died, was killed or reported
-    nothing."""
+    """Return the result that a process reported, without the figures that are missing if it died
+    or was killed while it drew; an error if it reported nothing."""
     output = ended.output.decode(errors="replace").strip()
-    if not ended.failure:
-        with contextlib.suppress(ValueError, LookupError, TypeError):
-            return replace(result_from(json.loads(output.splitlines()[-1])), journal=job.journal)
+    with contextlib.suppress(ValueError, LookupError, TypeError):
+        fields = json.loads(output.splitlines()[-1])
+        result = replace(result_from(fields), journal=job.journal)
+        if not ended.failure:
+            return result
+        if result.file is not None:
+            lost = (
+                f"{result.file.name}: {fields['drawing']} and those after it were not drawn: the "
+                f"process that draws ended early ({ended.failure}); "
+                f"`rig show --figures {result.file}` draws them again"
+            )
+            return replace(result, warnings=(*result.warnings, lost))
     why = ended.failure or f"no result: {output[-LONGEST_QUOTE:]!r}"
     return PostprocessResult(
         job.journal, error=f"{job.journal}: the process that makes its files failed: {why}"
@@ -181,17 +195,20 @@ def _result_of(job: PostprocessJob, ended: ChildResult) -> PostprocessResult:
 # --- the process that makes the files ----------------------------------------------------------
 
 
-def make_files(job: PostprocessJob) -> PostprocessResult:
+def make_files(
+    job: PostprocessJob,
+    begins: Callable[[PostprocessResult, str], None] = lambda made, figure: None,
+) -> PostprocessResult:
     """Compile a run's journal if it is still there, then detect and draw what was asked for.
 
-    A step that fails is reported in the result and does not stop the next one. Never raises.
+    A step that fails is reported in the result and does not stop the next one. `begins` is called
+    before each figure with what has been made and the figure's name. Never raises.
     """
     try:
         file = _run_file(job.journal)
     except Exception as error:  # noqa: BLE001 - a defect is reported like any other failure
         return PostprocessResult(job.journal, error=_reason(error))
     warnings: list[str] = []
-    figures: tuple[Path, ...] = ()
     processed: Path | None = None
     with _reporting(warnings, f"{file.name}: not drawn"):
         has_points, has_strips = _kind_of(file)
@@ -200,12 +217,17 @@ def make_files(job: PostprocessJob) -> PostprocessResult:
                 processed, said = _detect(file)
                 warnings += said
         if job.figures and has_points:
-            from rig.figures.drawing import draw
+            from rig.figures.drawing import Drawn, draw
 
-            drawn = draw(file)
-            figures = drawn.files
-            warnings += [f"{file.name}: {warning}" for warning in drawn.warnings]
-    return PostprocessResult(job.journal, file, processed, figures, tuple(warnings))
+            def made(drawn: Drawn) -> PostprocessResult:
+                said = [*warnings, *(f"{file.name}: {warning}" for warning in drawn.warnings)]
+                return PostprocessResult(job.journal, file, processed, drawn.files, tuple(said))
+
+            drawn = draw(file, begins=lambda drawn, figure: begins(made(drawn), figure))
+            for trace in drawn.tracebacks:
+                sys.stderr.write(trace)
+            return made(drawn)
+    return PostprocessResult(job.journal, file, processed, (), tuple(warnings))
 
 
 @contextlib.contextmanager
@@ -255,6 +277,9 @@ def _reason(error: Exception) -> str:
 def main(arguments: Sequence[str]) -> None:
     """Make the files of the run that the arguments name, and report on standard output."""
     import argparse
+    import faulthandler
+
+    from rig.figures.drawing import GRACE_S, TIMEOUT_S
 
     parser = argparse.ArgumentParser("python -m rig.batch.execute.postprocess")
     parser.add_argument("journal", type=Path)
@@ -266,7 +291,16 @@ def main(arguments: Sequence[str]) -> None:
     report = os.fdopen(os.dup(sys.stdout.fileno()), "w")
     os.dup2(sys.stderr.fileno(), sys.stdout.fileno())  # what a library prints is not the report
     job = PostprocessJob(given.journal, not given.no_figures, not given.no_detect)
-    report.write(make_files(job).as_line())
+    figures: list[str] = []
+
+    def begins(made: PostprocessResult, figure: str) -> None:
+        if not figures:  # ends it also where a library is busy in C, with the traceback in the log
+            faulthandler.dump_traceback_later(TIMEOUT_S + GRACE_S, exit=True)
+        figures.append(figure)
+        report.write(made.as_line(figure))
+        report.flush()
+
+    report.write(make_files(job, begins).as_line())
     report.close()
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import IO
@@ -33,7 +34,7 @@ class RunFiles:
         lock: int,
     ):
         self._folder, self._settings, self._queue = folder, settings, queue
-        self._record, self._say = record, say
+        self._record, self._say, self._log = record, say, log
         self._jobs = PostprocessQueue(log, (lock,))
         self._numbers: dict[Path, int] = {}
         """The runs that wait, by journal."""
@@ -73,6 +74,8 @@ class RunFiles:
         for text in (*result.warnings, *filter(None, [result.error])):
             self._record(self._queue.add_event, "warning", text)
             self._say(f"warning: {text}")
+            with contextlib.suppress(OSError):
+                self._log.write(f"warning: {text}\n".encode())
         if result.error:
             return
         made = {

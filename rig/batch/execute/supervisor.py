@@ -304,11 +304,14 @@ class Supervisor:
             self._make_files(start=True)
             time.sleep(POLL_EVERY_S)
         self._files.close(CLOSING_S)
-        if missing := self._folder.not_compiled(self._queue.unprocessed()):
-            self._say(
-                f"not compiled yet: {counted(missing, 'run file')}; compile with: "
-                f"rig batch resume {self._folder.path}"
-            )
+        unprocessed = self._queue.unprocessed()
+        missing = self._folder.not_compiled(unprocessed)
+        again = f"rig batch resume {self._folder.path}"
+        if missing:
+            self._say(f"not compiled yet: {counted(missing, 'run file')}; compile with: {again}")
+        if compiled := len(unprocessed) - missing:
+            runs = counted(compiled, "run")
+            self._say(f"figures and results still to be made: {runs}; make them with: {again}")
 
     # --- events from the worker -------------------------------------------------------------------
 
