@@ -216,6 +216,31 @@ def test_runs_are_worked_on_in_turn_and_one_that_fails_does_not_end_the_others(
 
 
 @pytest.mark.thorough
+def test_all_runs_are_compiled_before_a_figure_is_drawn(
+    queue: PostprocessQueue, tmp_path: Path
+) -> None:
+    jobs = [recorded(tmp_path, name, procedure="import") for name in "abc"]
+    for journal in jobs:
+        queue.add(PostprocessJob(journal))
+    seen: list[set[str]] = []
+    found = []
+    deadline_s = time.monotonic() + PATIENCE_S
+    while len(queue):
+        assert time.monotonic() < deadline_s
+        if (result := queue.poll(start=True)) is not None:
+            found.append(result)
+        if {"a.png", "b.png", "c.png"} & (there := names(tmp_path)):
+            seen.append(there)
+        time.sleep(0.02)
+    assert {"a.h5", "b.h5", "c.h5"} <= seen[0]
+    assert sorted(result.journal for result in found) == jobs
+    for result in found:
+        assert (result.error, result.warnings) == ("", ())
+        assert [figure.suffix for figure in result.figures] == [".png", ".svg"]
+        assert result.processed is not None
+
+
+@pytest.mark.thorough
 def test_nothing_is_begun_while_the_bench_is_in_use_and_what_is_under_way_is_finished(
     queue: PostprocessQueue, tmp_path: Path
 ) -> None:

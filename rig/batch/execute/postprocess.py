@@ -101,7 +101,10 @@ def result_from(fields: Mapping[str, Any]) -> PostprocessResult:
 
 
 class PostprocessQueue:
-    """The runs whose files are still to be made, the first of them perhaps under way."""
+    """The runs whose files are still to be made, one of them perhaps under way.
+
+    Where several wait, all are compiled before any figure is drawn: a figure may take long.
+    """
 
     def __init__(self, log: IO[bytes], inherited: Sequence[int] = (), longest_s: float = LONGEST_S):
         """`log` gets what a process writes on its standard error; `inherited` are file descriptors
@@ -110,6 +113,10 @@ class PostprocessQueue:
         self._log, self._inherited, self._longest_s = log, inherited, longest_s
         self._jobs: deque[PostprocessJob] = deque()
         self._child: Child | None = None
+        self._under_way: PostprocessJob | None = None
+        """What the process at work was asked for."""
+        self._undrawn: dict[Path, PostprocessResult] = {}
+        """Results of the runs that wait for their figures only, by journal."""
 
     def __len__(self) -> int:
         """Return the number of runs that are without their files."""
@@ -129,14 +136,24 @@ class PostprocessQueue:
         of another run are begun only where `start` is true; those under way are continued in any
         case."""
         if self._child is None:
-            if start and self._jobs:
-                return self._begin(self._jobs[0])
-            return None
+            return self._begin() if start and self._jobs else None
         ended = self._child.poll()
         if ended is None:
             return None
-        self._child = None
-        return _result_of(self._jobs.popleft(), ended)
+        assert self._under_way is not None
+        asked, self._child = self._under_way, None
+        result = _result_of(asked, ended)
+        job = next(job for job in self._jobs if job.journal == asked.journal)
+        if job.figures and not asked.figures and not result.error:
+            self._undrawn[job.journal] = result
+            return None
+        self._jobs.remove(job)
+        if (before := self._undrawn.pop(job.journal, None)) is None:
+            return result
+        if result.error:
+            return replace(before, warnings=(*before.warnings, result.error))
+        warnings = (*before.warnings, *result.warnings)
+        return replace(before, figures=result.figures, warnings=warnings)
 
     def close(self, within_s: float) -> PostprocessResult | None:
         """Begin nothing more, and wait for the files under way; a process that takes longer than
@@ -152,7 +169,16 @@ class PostprocessQueue:
             self._child = None
         return None
 
-    def _begin(self, job: PostprocessJob) -> PostprocessResult | None:
+    def _begin(self) -> PostprocessResult | None:
+        """Begin with the first run that is not compiled yet, else with the first one's figures."""
+        uncompiled = [job for job in self._jobs if job.journal not in self._undrawn]
+        if not uncompiled:
+            job = replace(self._jobs[0], detect=False)
+        else:
+            job = uncompiled[0]
+            if len(uncompiled) > 1:
+                job = replace(job, figures=False)
+        self._under_way = job
         program = [sys.executable, "-P", "-m", "rig.batch.execute.postprocess", str(job.journal)]
         program += [] if job.detect else ["--no-detect"]
         program += [] if job.figures else ["--no-figures"]
@@ -165,7 +191,8 @@ class PostprocessQueue:
                 inherited=self._inherited,
             )
         except OSError as error:  # no memory, too many processes
-            self._jobs.popleft()
+            self._jobs = deque(one for one in self._jobs if one.journal != job.journal)
+            self._undrawn.pop(job.journal, None)
             return PostprocessResult(job.journal, error=f"{job.journal}: not begun: {error}")
         return None
 
