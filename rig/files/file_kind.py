@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import stat
 from pathlib import Path
 from typing import Literal
@@ -44,8 +45,8 @@ def kind_of(path: Path) -> FileKind:
             begins = file.read(max(len(MAGIC), len(_HDF5)))
     except (FileNotFoundError, NotADirectoryError):
         return "missing"
-    except OSError:
-        return "unreadable"
+    except OSError as error:
+        return "missing" if error.errno == errno.ENAMETOOLONG else "unreadable"
     if not begins:
         return "empty"
     if begins.startswith(MAGIC) or MAGIC.startswith(begins):

@@ -67,7 +67,7 @@ def test_a_whole_file_is_read_and_expanded(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "line", "words"),
     [
-        ('name = "night"', 'name = ""', 2, "batch.name = '': has to have at least 1"),
+        ('name = "night"', 'name = ""', 2, "batch.name = '': has to have 1 or more characters"),
         ("not_before = 22:00:00", 'not_before = "late"', 3, "batch.not_before = 'late': "),
         ("repeat = 2", "repeat = 0", 11, "experiment 1: repeat = 0: has to be at least 1"),
         ("repeat = 2", "repeats = 2", 11, "experiment 1: repeats: unknown key"),

@@ -251,7 +251,7 @@ def test_a_run_does_not_continue_after_a_hold_that_left_the_film_pressed(rig):
     ended = rig.sweep("--frequencies", "2,3,300", "--order", "descending", "--fault", plan)
 
     assert ended.code == 7, ended.stderr
-    (reported,) = [line for line in ended.stderr.splitlines() if "is still pressed with" in line]
+    (reported,) = [line for line in ended.errors if "is still pressed with" in line]
     assert reported.startswith("error: stage_z: unload: the film is still pressed with ")
     assert "Resumed." not in ended.stderr
     assert "Bench is stopped, but the film is still pressed with" in ended.stderr
