@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping
+from numbers import Integral, Real
 from typing import Any
 
 
@@ -19,8 +20,10 @@ def json_text(value: Any) -> str:
 
 def finite(value: Any) -> Any:
     """Return a nested value with None for every number that is not finite."""
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
+    if isinstance(value, Integral):  # NumPy's as well
+        return value if isinstance(value, bool) else int(value)
+    if isinstance(value, Real):
+        return float(value) if math.isfinite(value) else None
     if isinstance(value, Mapping):
         return {key: finite(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):

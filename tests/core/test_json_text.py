@@ -24,6 +24,7 @@ def refused(constant: str) -> None:
         ({"worst_V": math.nan, "inf_V": [math.inf, -math.inf, 1.5]}, None),
         ({"worst_V": np.float64("nan"), "inf_V": (math.inf, math.nan, 1.5)}, None),
         (MappingProxyType({"worst_V": None, "inf_V": (None, None, np.float64(1.5))}), None),
+        ({"n": np.int64(3), "m": np.float32(0.5)}, {"n": 3, "m": 0.5}),
         ({"file": Path("a.h5"), "n": 3, "safe": True}, {"file": "a.h5", "n": 3, "safe": True}),
     ],
 )
