@@ -1,8 +1,9 @@
 """What a driver of another package returns is checked before anything is concluded from it.
 
 When it is connected: that there is an instrument, with the methods and limits of its role
-(`connect_foreign`). Later: every position of a stage (`CheckedStage`) and every frame of a force
-sensor (`CheckedForceSensor`). A driver of this package judges its own positions
+(`connect_foreign`). Later: every position of a stage (`CheckedStage`), every frame of a force
+sensor (`CheckedForceSensor`), and the output of a generator that was made safe
+(`CheckedGenerator`). A driver of this package judges its own positions
 (`drivers.shared.stage.TravelBound`) and is left as it is.
 
 Only what is returned is judged, never what is sent: stops, motions and keep-alives reach the driver
@@ -22,6 +23,7 @@ from rig.bench.plan import InstrumentPlan
 from rig.core.entry_points import DRIVERS, OWN_PACKAGE, BrokenPackageError, cause, find, package
 from rig.core.errors import (
     ConfigurationError,
+    InstrumentError,
     RigError,
     WrongFramesError,
     WrongPositionError,
@@ -48,7 +50,7 @@ def connect_foreign(
     part: InstrumentPlan, entry: EntryPoint, connect: Callable[[], Any]
 ) -> Instrument:
     """Connect by a driver of another package, and return its instrument: a stage as a
-    `CheckedStage`, a force sensor as a `CheckedForceSensor`.
+    `CheckedStage`, a force sensor as a `CheckedForceSensor`, a generator as a `CheckedGenerator`.
 
     Raises BrokenPackageError, which names the package, where `connect` raises something else than a
     RigError, or returns what does not fulfil its role; that is closed.
@@ -75,6 +77,8 @@ def connect_foreign(
         instrument = checked_stage(part.role, instrument, driver)
     elif part.role == "force_sensor":
         instrument = checked_force_sensor(instrument, driver)
+    elif part.role == "generator":
+        instrument = checked_generator(instrument, driver)
     found: Instrument = instrument
     return found
 
@@ -252,6 +256,29 @@ class CheckedForceSensor:
         raise WrongFramesError("force_sensor", "read", f"its driver returned {wrong}", hint)
 
 
+class CheckedGenerator:
+    """A generator of another package, which is asked whether its output is off once it has been
+    made safe; all else is the driver's own."""
+
+    def __init__(self, generator: Any, driver: str):
+        self._generator, self._driver = generator, driver
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._generator, name)
+
+    def make_safe(self) -> None:
+        """See `Instrument`. Raises InstrumentError where the output is still on, or where that
+        cannot be known."""
+        self._generator.make_safe()  # first, and whatever the answer is
+        if (on := self._generator.output_is_on()) is not False:
+            raise InstrumentError(
+                "generator",
+                "make_safe",
+                f"its output is still on (output_is_on() returned {_shown(on)})",
+                f"switch the generator off by hand; check the driver {self._driver}",
+            )
+
+
 def _wrong_in(frames: Any, axes: str) -> str | None:
     """Return what is wrong with frames of a force sensor that has these axes; None for frames with
     forces."""
@@ -278,6 +305,11 @@ def checked_stage(role: str, stage: Any, driver: str) -> Any:
 def checked_force_sensor(sensor: Any, driver: str) -> Any:
     """Return a force sensor with its frames checked."""
     return _with_members_of(sensor, CheckedForceSensor, "_sensor")(sensor, driver)
+
+
+def checked_generator(generator: Any, driver: str) -> Any:
+    """Return a generator that is asked whether it is off once it was made safe."""
+    return _with_members_of(generator, CheckedGenerator, "_generator")(generator, driver)
 
 
 def _with_members_of(instrument: Any, checked: type, kept_as: str) -> type:

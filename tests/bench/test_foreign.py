@@ -13,7 +13,12 @@ import pytest
 from rig.bench import connect as connecting
 from rig.bench.connect import connect
 from rig.bench.connected import close_all
-from rig.bench.foreign import checked_force_sensor, checked_stage, connect_foreign
+from rig.bench.foreign import (
+    checked_force_sensor,
+    checked_generator,
+    checked_stage,
+    connect_foreign,
+)
 from rig.bench.plan import BenchPlan, InstrumentPlan
 from rig.core.clock import WallClock
 from rig.core.entry_points import BrokenPackageError
@@ -239,3 +244,31 @@ def test_frames_with_forces_are_handed_over_as_they_are() -> None:
     assert sensor.read() is good
     assert (sensor.axes, sensor.stop()) == ("z", "stopped")
     assert checked_force_sensor(Gauge(None), "").read() is None
+
+
+class Generator:
+    """A generator that gives this answer about its output."""
+
+    def __init__(self, on: Any):
+        self.on, self.sent = on, list[str]()
+
+    def make_safe(self) -> None:
+        self.sent.append("off")
+
+    def output_is_on(self) -> Any:
+        self.sent.append("asked")
+        return self.on
+
+
+def test_a_generator_that_was_made_safe_is_asked_afterwards() -> None:
+    generator = Generator(on=False)
+    checked_generator(generator, "'acme' of the package lab").make_safe()
+    assert generator.sent == ["off", "asked"]
+
+
+@pytest.mark.parametrize("on", [True, None, 0, "OFF"])
+def test_a_generator_that_is_still_on_or_does_not_say_is_not_safe(on: Any) -> None:
+    checked = checked_generator(Generator(on), "'acme' of the package lab")
+    with pytest.raises(InstrumentError, match="its output is still on") as raised:
+        checked.make_safe()
+    assert "'acme' of the package lab" in raised.value.one_line()
