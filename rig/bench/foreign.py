@@ -270,7 +270,8 @@ class CheckedGenerator:
         """See `Instrument`. Raises InstrumentError where the output is still on, or where that
         cannot be known."""
         self._generator.make_safe()  # first, and whatever the answer is
-        if (on := self._generator.output_is_on()) is not False:
+        on = self._generator.output_is_on()
+        if type(on).__name__ not in ("bool", "bool_") or on:  # NumPy's False is one, too
             raise InstrumentError(
                 "generator",
                 "make_safe",

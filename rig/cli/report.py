@@ -165,16 +165,22 @@ def _drawn(drawing: DrawingProcess, outcome: RunOutcome, file: Path) -> Drawn:
     bench is safe and the data are saved; a signal ends the wait and not the run, which is over."""
 
     def slow() -> None:
-        state = f"{_bench_state(outcome)}. " if outcome.made_safe else ""
+        state = f"{_bench_state(outcome, nothing_done=True)}. " if outcome.made_safe else ""
         say(f"{state}Saved: {file}. Drawing the figures (Ctrl-C leaves them out) ...")
 
+    stops: list[int] = []
+
     def leave_out(number: int, frame: FrameType | None) -> None:
-        raise LeaveOutError(f"stopped by {WORDS[signal.Signals(number)]}")
+        stops.append(number)
+        if len(stops) == 1:  # a second one must not cost the closing lines
+            raise LeaveOutError(f"stopped by {WORDS[signal.Signals(number)]}")
 
     before = {number: signal.signal(number, leave_out) for number in STOP_SIGNALS}
     try:
         with turning("drawing the figures"):
             return drawing.draw(file, slow)
+    except LeaveOutError as error:  # before the drawing began, or after its end
+        return Drawn(warnings=(f"no figure is known to be drawn: {error.message}",))
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
@@ -247,9 +253,12 @@ def closing_lines(
         lines.append(f"Saved: {outcome.file}{figures}")
     if outcome.made_safe:
         lines.append(f"{_bench_state(outcome)}: {', '.join(outcome.made_safe)}.")
-    elif not outcome.armed and outcome.own_bench:
+    elif outcome.armed:
+        if outcome.safe or outcome.off_failures or outcome.left:
+            lines.append(f"{_bench_state(outcome, nothing_done=True)}.")
+    elif outcome.own_bench:
         lines.append("Bench is safe: nothing had been switched on.")
-    elif not outcome.armed:  # An earlier run may have left something pressed.
+    else:  # An earlier run may have left something pressed.
         lines.append("Bench is as it was before the run: nothing had been switched on.")
     if outcome.journal is not None and outcome.file is None:
         lines.append(f"Recover the run file with: rig recover {outcome.journal}")
@@ -287,18 +296,22 @@ def _done(procedure: type[Procedure], outcome: RunOutcome) -> str:
     return f"{outcome.points_done} of {planned}"
 
 
-def _bench_state(outcome: RunOutcome) -> str:
+def _bench_state(outcome: RunOutcome, nothing_done: bool = False) -> str:
+    """Return how the bench was left, as the begin of a sentence that names what was done; as a
+    whole one where `nothing_done`, because no shutdown action has worked or none was needed."""
     if outcome.off_failures and _guard_made_safe(outcome):
-        return "Bench was made safe by the guard (see above); before"
-    if outcome.off_failures:
-        return "Bench is NOT safe (see above); done"
-    if outcome.left:
+        text, before_list = "Bench was made safe by the guard (see above)", "; before"
+    elif outcome.off_failures:
+        text, before_list = "Bench is NOT safe (see above)", "; done"
+    elif outcome.left:
         found = " and ".join(outcome.left)
         then = "you resume" if _resumes(outcome) else "the next run"
-        return f"Bench is stopped, but {found} (see above): check stage_z before {then}; done"
-    if not outcome.safe:
-        return "Bench is stopped, but check it (see above)"
-    return "Bench is safe"
+        text = f"Bench is stopped, but {found} (see above): check stage_z before {then}"
+        before_list = "; done"
+    else:
+        is_safe = "Bench is safe" if outcome.safe else "Bench is stopped, but check it (see above)"
+        text, before_list = is_safe, ""
+    return text if nothing_done else text + before_list
 
 
 def _guard_made_safe(outcome: RunOutcome) -> bool:

@@ -9,13 +9,14 @@ figure that is drawn next, "" at the end. Where the input ends without a path no
 from __future__ import annotations
 
 import contextlib
+import faulthandler
 import json
 import os
 import sys
 from pathlib import Path
 
 from rig.core.errors import RigError
-from rig.figures.drawing import Drawn, draw
+from rig.figures.drawing import GRACE_S, TIMEOUT_S, Drawn, draw
 
 NICENESS = 5
 """Taking data and recording them have priority over drawing."""
@@ -31,6 +32,8 @@ def main() -> None:
     asked = sys.stdin.readline()
     if not asked:
         return
+    # The run that waits ends it as well, unless it was killed meanwhile.
+    faulthandler.dump_traceback_later(TIMEOUT_S + GRACE_S, exit=True)
     try:
         # Text that a figure function prints must not mix with the answer.
         with contextlib.redirect_stdout(sys.stderr):

@@ -136,7 +136,9 @@ class DrawingProcess:
             why = error.message
         if why:
             self._kill()
-            answered, said = self._child.communicate()
+            answered = said = ""
+            with contextlib.suppress(subprocess.TimeoutExpired):  # what it has started may live on
+                answered, said = self._child.communicate(timeout=GRACE_S)
         drawn, drawing, ended = _last_of(answered)
         if ended and not why:
             return drawn

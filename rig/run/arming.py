@@ -44,7 +44,7 @@ class Task:
         self.begun_s = time.monotonic()
         self.reason: str | None = None
         """Reason of its failure, in words; None if it did not fail."""
-        self.failure: Exception | None = None
+        self.failure: BaseException | None = None
 
     @property
     def done(self) -> bool:
@@ -55,10 +55,11 @@ class Task:
         """Make the call and note its failure; raises nothing."""
         try:
             self._act()
-        except RigError as error:
-            self.failure, self.reason = error, error.one_line()
-        except Exception as error:  # noqa: BLE001 - a bug in one action must not stop the others
-            self.failure, self.reason = error, cause(error)
+        # A driver may raise anything and call sys.exit(); what has not returned has not worked.
+        except BaseException as error:  # noqa: BLE001 - a bug in one action must not stop the others
+            self.failure, self.reason = error, type(error).__name__
+            with contextlib.suppress(Exception):  # an error whose text cannot be made
+                self.reason = error.one_line() if isinstance(error, RigError) else cause(error)
         finally:
             self._done.set()
 
@@ -146,8 +147,6 @@ class Arming:
         self._lock = threading.Lock()
         self._armed: list[Armed] = []
         """List that is replaced, never changed, so that iterating over it needs no lock."""
-        self.begun = False
-        """True once anything was registered, and so may have been switched on."""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -171,7 +170,6 @@ class Arming:
         thread = self._thread_of(name)
         if thread is None or (thread.stuck and thread.busy):
             thread = ShutdownThread()
-        self.begun = True
         with self._lock:
             others = [armed for armed in self._armed if armed.name != name]
             self._armed = [

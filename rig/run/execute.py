@@ -19,7 +19,6 @@ import logging
 import time
 from collections.abc import Iterator
 from datetime import datetime
-from typing import NoReturn
 
 from rig.bench.apply_calibrations import apply_calibrations
 from rig.bench.connect import by_link, connect
@@ -35,7 +34,7 @@ from rig.files.runfile.compile import compile_run
 from rig.run.arming import BEAT_EVERY_S, ShutdownFailure
 from rig.run.checked_procedure import CheckedProcedure, driver_fault, internal
 from rig.run.context import Run
-from rig.run.holds import PauseSwitch
+from rig.run.holds import HoldError, PauseSwitch
 from rig.run.in_brief import single_values
 from rig.run.interlocks.proof import prove
 from rig.run.interlocks.store import InterlockStore
@@ -175,6 +174,8 @@ class _Execution:
             {part.role for part in parts} for parts in by_link(bench.plan.instruments)
         ]
         self._last_beat = 0.0
+        self._leaving = False
+        """True once the bench is left to the guard: the procedure cannot be ended."""
         self._guard_missed = False
         """True if it has been reported that the guard has died or does not react."""
         self._begun_s = bench.clock.now()
@@ -198,9 +199,9 @@ class _Execution:
         except RigError as error:
             _failed(self.outcome, error)
         except KeptBackError as kept:
-            _failed(self.outcome, kept.cause)
+            _failed(self.outcome, self._cause_of(kept))
             self.outcome.warnings.append(self.procedure.kept_back(kept))
-        except Exception as error:  # noqa: BLE001 - a bug ends a run as safely as anything else
+        except BaseException as error:  # noqa: BLE001 - a bug ends a run as safely as anything else
             _failed(self.outcome, internal(error))
         finally:
             unregister()
@@ -213,6 +214,16 @@ class _Execution:
             self._hand_over()
         else:
             self.guard.done()
+
+    def _cause_of(self, kept: KeptBackError) -> RigError:
+        """Return what has ended a run whose procedure has kept the first error back: a stop, where
+        a person has asked for one meanwhile. A hold is an error then: the run did not wait."""
+        if self.stop.requested is not None:
+            return StopRequestedError(self.stop.requested)
+        if isinstance(kept.cause, HoldError):
+            text = f"the run could not be put on hold: {kept.cause.message}"
+            return RigError(text, None, ExitCode.INSTRUMENT)
+        return kept.cause
 
     def _stopped_or_too_slow(self, late: TooSlowError) -> None:
         """End the run because its ticks came too late; or as stopped, with the late ticks as a
@@ -274,15 +285,27 @@ class _Execution:
             if measuring:
                 self.run.check_watchers()
 
-    def _leave_to_guard(self, kept: RigError) -> NoReturn:
-        """Run the emergency actions, then die, so that the guard makes the bench safe and saves the
-        data: the procedure has kept back everything that was to end the run."""
-        self.run.arming.emergency_stop()
+    def _leave_to_guard(self, kept: RigError) -> None:
+        """Run the emergency actions, then have the guard kill this run, make the bench safe and
+        save the data: the procedure has kept back everything that was to end the run."""
+        if self._leaving:  # an emergency action waits
+            return
+        self._leaving = True
         text = self.procedure.kept_back(KeptBackError(kept))
-        with contextlib.suppress(RigError):  # the disk may be what ends the run
+        # The guard may act before the steps below are done.
+        self.guard.cause(f"{text}; the run was killed")
+        self.guard.beat()
+        self.run.arming.emergency_stop()
+        self.guard.beat()
+        with contextlib.suppress(Exception):  # the disk may be what ends the run
             self.run.event("error", "kept-back", text)
             self.recorder.barrier(BARRIER_S)
-        self.guard.kill(text)
+        if self.guard.died:  # then nobody else lifts what is pressed
+            with contextlib.suppress(Exception):
+                failures = self._switch_off(False)
+                self.outcome.off_failures = [failure for failure in failures if failure.drives]
+                self._mark()
+        self.guard.kill()
 
     def _miss_guard(self) -> None:
         """Report once that the guard has died or does not react. The run continues: to end it would
@@ -326,7 +349,7 @@ class _Execution:
         found = self.run.disturbances
         self.outcome.holds, self.outcome.presses = found.holds, found.presses
         self.outcome.made_safe = tuple(self.run.made_safe)
-        self.outcome.armed = self.run.arming.begun
+        self.outcome.armed = self.loop.arms
         self.outcome.own_bench = self.job.lock is None
         self.outcome.left = tuple(self.run.left)
         self.outcome.off_failures = [failure for failure in failures if failure.drives]

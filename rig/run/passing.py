@@ -34,31 +34,58 @@ class Passing:
     """Whether the errors that waits raise pass through the procedure that waits."""
 
     def __init__(self) -> None:
-        self._first: RigError | None = None
+        self._first: Exception | None = None
         self._since_s = 0.0
+        self._insists_since_s: float | None = None
 
     @property
     def given_up(self) -> RigError | None:
-        """The first error that was kept back for so long that `KeptBackError` must have been kept
-        back as well; None if there is none."""
-        return self._first if self._late_s() > 2 * PASSES_WITHIN_S else None
+        """The first error, where `KeptBackError` has been kept back as well; None if there is none.
+        Code has `PASSES_WITHIN_S` for each of the two."""
+        since_s = self._insists_since_s
+        if since_s is None or time.monotonic() - since_s <= PASSES_WITHIN_S:
+            return None
+        return self._cause()
 
     def passed(self) -> None:
         """Note that the hook of the procedure has ended, whatever it has raised."""
-        self._first = None
+        self._first = self._insists_since_s = None
+
+    @contextlib.contextmanager
+    def first_raised(self) -> Iterator[None]:
+        """Raise the first error that a wait has raised in the block, which calls a hook, also where
+        the hook raises another one instead, or returns as if there had been none."""
+        try:
+            yield
+        except Exception as error:
+            if self._first is None or self._first is error:
+                raise
+            raise self._first from error
+        if self._first is not None:
+            raise self._first
 
     @contextlib.contextmanager
     def watched(self) -> Iterator[None]:
-        """Note the first RigError that the block raises into the procedure. A later one is replaced
-        by `KeptBackError` once the first has not passed within `PASSES_WITHIN_S`."""
+        """Note the first exception that the block raises into the procedure. Once it has not passed
+        within `PASSES_WITHIN_S`, every block raises `KeptBackError`, also one that raises nothing:
+        a trip is raised once."""
         try:
             yield
-        except RigError as error:
+        except Exception as error:
             if self._first is None:
                 self._first, self._since_s = error, time.monotonic()
-            elif self._late_s() > PASSES_WITHIN_S:
-                raise KeptBackError(self._first) from error
+            self._insist(error)
             raise
+        self._insist(None)
 
-    def _late_s(self) -> float:
-        return 0.0 if self._first is None else time.monotonic() - self._since_s
+    def _insist(self, error: Exception | None) -> None:
+        if self._first is None or time.monotonic() - self._since_s <= PASSES_WITHIN_S:
+            return
+        if self._insists_since_s is None:
+            self._insists_since_s = time.monotonic()
+        raise KeptBackError(self._cause()) from error
+
+    def _cause(self) -> RigError:
+        if isinstance(self._first, RigError):
+            return self._first
+        return RigError(f"{type(self._first).__name__}: {self._first}")

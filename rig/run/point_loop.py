@@ -70,6 +70,8 @@ class PointLoop:
         self._points: tuple[Point, ...] = ()
         self._ahead: dict[str, float] = {}
         """Expected time of the point under way and of those behind it, for who follows the run."""
+        self.arms = False
+        """True once the procedure was asked to arm the bench, and so may have switched on."""
         self._tripped: set[str] = set()
         """Points that a trip has disturbed once."""
 
@@ -134,7 +136,9 @@ class PointLoop:
             self._run.holds.acknowledge()  # Arming deals with every hold so far.
             try:
                 with self._phases.measuring(), self._run.first_cause():
-                    self._procedure.arm(self._run)
+                    self.arms = True
+                    with self._phases.passing.first_raised():
+                        self._procedure.arm(self._run)
                 return
             except HoldError as hold:
                 self._wait_out(hold, "the arming of the bench" if point is None else point.id)
@@ -166,7 +170,8 @@ class PointLoop:
         self._recorder.put_point_begin(point.id, {"time": self._run.elapsed_s(), **self._ahead})
         try:
             with self._run.first_cause(), self._naming(point):
-                reading = self._procedure.take(self._run, point)
+                with self._phases.passing.first_raised():
+                    reading = self._procedure.take(self._run, point)
                 # Also notices a hold that began and ended within the last blocking call.
                 self._run.check_watchers()
             if discard_invalid and (reason := self._procedure.why_invalid(reading)):

@@ -259,3 +259,29 @@ def test_the_failure_of_what_drives_nothing_says_so() -> None:
     arming.register("normal force", fail)
     drives = {failure.name: failure.drives for failure in arming.make_safe()}
     assert drives == {"acquisition": False, "force stream": False, "normal force": True}
+
+
+class Unspeakable(Exception):  # noqa: N818 - not an error of this project
+    def __str__(self) -> str:
+        raise ValueError("no text")
+
+
+@pytest.mark.parametrize("error", [SystemExit(0), GeneratorExit(), Unspeakable()], ids=repr)
+def test_an_off_that_did_not_return_has_not_worked_whatever_it_raised(
+    error: BaseException,
+) -> None:
+    """As a driver does that calls sys.exit(). Its thread works on for the next try."""
+    arming, tries = Arming(), list[int]()
+
+    def off() -> None:
+        tries.append(1)
+        if len(tries) == 1:
+            raise error
+
+    arming.register("generator output", off)
+    (failure,) = arming.make_safe()
+    assert failure.name == "generator output"
+    assert type(error).__name__ in failure.reason
+    assert arming.names == ("generator output",)
+    assert arming.make_safe() == []
+    assert len(tries) == 2

@@ -69,14 +69,42 @@ def test_an_error_that_was_kept_back_is_raised_again_in_a_way_that_passes(
     assert type(raised(watch, "stopped")) is RigError
     clock[0] = 4.9
     assert type(raised(watch, "stopped again")) is RigError
-    assert watch.given_up is None
     clock[0] = 5.1
     kept = raised(watch, "stopped again")
     assert isinstance(kept, KeptBackError)
     assert not isinstance(kept, Exception)
     assert kept.cause.message == "stopped"
-    clock[0] = 10.1
+    assert watch.given_up is None
+    clock[0] = 10.2
     assert watch.given_up is kept.cause
+
+
+def test_one_that_is_raised_once_only_is_insisted_on_as_well(clock: list[float]) -> None:
+    """A trip is: the waits after it would raise nothing."""
+    watch = Passing()
+    raised(watch, "over the limit")
+    clock[0] = 4.9
+    with watch.watched():
+        pass
+    clock[0] = 5.1
+    with pytest.raises(KeptBackError, match="over the limit"), watch.watched():
+        pass
+    clock[0] = 60.0
+    assert watch.given_up is not None
+
+
+def test_a_hook_that_returns_as_if_there_had_been_no_error_has_it_raised(
+    clock: list[float],
+) -> None:
+    watch = Passing()
+    with watch.first_raised():
+        pass
+    with pytest.raises(ValueError, match="its stream"), watch.watched():
+        raise ValueError("its stream")
+    with pytest.raises(ValueError, match="its stream"), watch.first_raised():
+        pass
+    with pytest.raises(ValueError, match="its stream"), watch.first_raised():
+        raise RigError("what followed from it")
 
 
 def test_an_error_that_has_passed_does_not_count_for_the_next_point(clock: list[float]) -> None:
@@ -84,6 +112,8 @@ def test_an_error_that_has_passed_does_not_count_for_the_next_point(clock: list[
     raised(watch, "on hold")
     watch.passed()
     clock[0] = 60.0
+    with watch.first_raised():
+        pass
     assert watch.given_up is None
     assert type(raised(watch, "stopped")) is RigError
 
@@ -132,4 +162,50 @@ def test_one_that_catches_whatever_is_raised_is_killed_and_its_guard_lifts_z(rig
     assert "error: procedure stubborn of package lab kept back" in done.stderr
     assert "; the run was killed; its guard makes the bench safe ...\n" in done.stderr
     assert "Bench was made safe by the guard; " in done.stderr
+    assert last_z_mm(rig) < CLEAR_mm
+
+
+DEAF = '''
+import sys
+
+from procedures.pressed import PressedProcedure, PressedSettings
+
+
+class Deaf(PressedProcedure):
+    """Hold a force and take no notice of what ends it."""
+
+    name = "deaf"
+    fixtures = ("plate",)
+    columns = ()
+
+    class Settings(PressedSettings):
+        """Nothing of its own."""
+
+    def motion_s(self):
+        return 1.0
+
+    def under_force(self, trial):
+        try:
+            trial.hold(1.0)
+        except Exception as error:
+            print(f"kept back: {error}", file=sys.stderr)
+
+    def reading(self, record):
+        return {}
+'''
+
+
+def test_a_trip_that_is_kept_back_is_answered_as_any_other(rig: Any) -> None:
+    """It is raised once, and the procedure returns as if nothing had been: the bench is made safe
+    and the point taken again, instead of a reading kept of a force that nobody holds."""
+    entries = "[rig.procedures]\ndeaf = lab_deaf:Deaf\n"
+    site = packages.install(rig.folder / "site", "lab", entries, {"lab_deaf.py": DEAF})
+    packages.on_path(rig, site)
+    hit = '[[fault]]\ndevice = "force_sensor"\nkind = "spike"\nforce_N = 20.0\nfor_s = 0.05\n'
+    plan = rig.fault(f"{hit}after_s = 13.0\n")
+    done = rig.run("deaf", "--no-figures", "--fault", plan, "--world-log", str(rig.world_log))
+    assert done.code == 0, done.stderr
+    assert "kept back: force along z of 24 N is over the limit of 15 N" in done.stderr
+    assert "retaking point trial-001 once" in done.stderr
+    assert "Finished: 1 of 1 trial" in done.stderr
     assert last_z_mm(rig) < CLEAR_mm

@@ -207,11 +207,13 @@ def _result_of(job: PostprocessJob, ended: ChildResult) -> PostprocessResult:
         if not ended.failure:
             return result
         if result.file is not None:
-            lost = (
-                f"{result.file.name}: {fields['drawing']} and those after it were not drawn: the "
-                f"process that draws ended early ({ended.failure}); "
-                f"`rig show --figures {result.file}` draws them again"
-            )
+            lost = f"the process that makes its files ended early ({ended.failure})"
+            if drawing := fields.get("drawing"):
+                lost = (
+                    f"{drawing} and those after it were not drawn: {lost}; "
+                    f"`rig show --figures {result.file}` draws them again"
+                )
+            lost = f"{result.file.name}: {lost}"
             return replace(result, warnings=(*result.warnings, lost))
     why = ended.failure or f"no result: {output[-LONGEST_QUOTE:]!r}"
     return PostprocessResult(

@@ -104,7 +104,7 @@ def is_sound(folder: BatchFolder) -> bool:
     for row in rows:
         journal = folder.journal(row.number, conditions[row.condition].procedure)
         complete = outcome_from_journal(journal).ending == "complete"
-        to_be_settled = row.state in ("queued", "running") and row.attempts > 0
+        to_be_settled = row.state in ("queued", "running", "failed") and row.attempts > 0
         if complete != (row.state == "done") and not to_be_settled:
             return False
     return True

@@ -239,12 +239,22 @@ class GuardLink:
         """Report that everything is off, so that a slow compilation does not make the guard act."""
         self._send("safe")
 
-    def kill(self, cause: str) -> NoReturn:
-        """Have the guard kill this run and make the bench safe, for this cause. This process ends
-        as well if the guard does not answer."""
-        self._send_cause(f"{cause}; the run was killed")
+    @property
+    def died(self) -> bool:
+        """True if the guard has ended."""
+        return self._process.poll() is not None
+
+    def cause(self, text: str) -> None:
+        """Send why the guard has to act, or may have to: a sentence for its report."""
+        self._send(f"cause {json.dumps(text)}")
+
+    def kill(self) -> NoReturn:
+        """Have the guard kill this run and make the bench safe. This process ends as well if the
+        guard does not react."""
         self._send("kill")
-        time.sleep(ENDING_S)
+        self._process.send_signal(signal.SIGCONT)  # one that was stopped is needed now
+        if not self.died:
+            time.sleep(ENDING_S)
         _kill(os.getpid())
         raise AssertionError("a process that was killed still runs")
 
@@ -266,7 +276,7 @@ class GuardLink:
         `judged`."""
         assert self._process.stdin is not None
         if cause:
-            self._send_cause(cause)
+            self.cause(cause)
         with contextlib.suppress(OSError):
             self._process.stdin.close()
         self._process.send_signal(signal.SIGCONT)  # one that was stopped is needed now
@@ -293,10 +303,6 @@ class GuardLink:
         assert self._process.stdin is not None
         count = fcntl.ioctl(self._process.stdin, termios.FIONREAD, struct.pack("i", 0))
         return int(struct.unpack("i", count)[0])
-
-    def _send_cause(self, text: str) -> None:
-        """Send why the guard has to act: a sentence for its report."""
-        self._send(f"cause {json.dumps(text)}")
 
     def _send(self, word: str) -> None:
         assert self._process.stdin is not None
@@ -354,7 +360,10 @@ def _listen(pipe: int) -> tuple[_Watch | None, bool]:
         *lines, buffer = (buffer + chunk).split(b"\n")
         for line in lines:
             watch = _understand(line, watch)
-    return watch, True
+    # A guard that was stopped meanwhile finds a run that has killed itself, and its number may be
+    # another process's by now.
+    ready, _, _ = select.select([pipe], [], [], 0.0)
+    return watch, not ready or os.read(pipe, 65536) != b""
 
 
 class _Terminal:

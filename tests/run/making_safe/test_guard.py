@@ -201,6 +201,24 @@ def test_a_late_beat_ends_the_run_and_then_makes_the_bench_safe(
     assert [on for on, _ in bench.outputs()] == [True, False]
 
 
+def test_a_guard_that_reads_late_of_a_run_that_is_gone_kills_nothing(
+    bench: Bench, guard: Guard, run: subprocess.Popen[bytes]
+) -> None:
+    """It was stopped while its run asked to be killed and then killed itself: the number may be
+    another process's by now."""
+    os.kill(guard.process.pid, signal.SIGSTOP)
+    guard.tell(json.dumps(bench.order(run_pid=run.pid)))
+    guard.tell("cause " + json.dumps("the procedure kept back its end"))
+    guard.tell("kill")
+    assert guard.process.stdin is not None
+    guard.process.stdin.close()
+    os.kill(guard.process.pid, signal.SIGCONT)
+    report = report_of(bench)
+    assert report["cause"] == "the procedure kept back its end"
+    assert report["safe"] is True
+    assert run.poll() is None
+
+
 SIGNALS = (signal.SIGINT, signal.SIGQUIT, signal.SIGTERM, signal.SIGHUP)
 ALL_SIGNALS = sum(1 << (number - 1) for number in SIGNALS)
 """As the kernel shows them in /proc."""
