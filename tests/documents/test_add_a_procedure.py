@@ -28,7 +28,7 @@ def test_the_package_runs_as_the_page_says(rig: Any) -> None:
     assert "How long the force is held. [default: 10 s]" in " ".join(helped.stdout.split())
     assert "2 of 2 trials" in run.stderr
     assert "creep: " in shown.stdout
-    assert "sound (complete, 2 of 2 points)" in verified.stdout
+    assert "sound (complete, 2 of 2 trials)" in verified.stdout
     assert "1 of 1 trial" in other.stderr
     assert len(planned.stdout.splitlines()) == 4
     first, second = sorted(rig.results.rglob("*_creep_*.h5"))

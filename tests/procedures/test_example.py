@@ -81,7 +81,7 @@ def test_a_batch_of_it_is_planned(creep: Any) -> None:
     )
     planned = creep.run("batch", "plan", "night.toml")
     assert planned.code == 0, planned.stderr
-    runs = planned.stdout.splitlines()
+    _heading, *runs = planned.stdout.splitlines()
     assert len(runs) == 4
     assert "normal_force_N=4 hold_s=2" in runs[-1]
 

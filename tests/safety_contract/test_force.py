@@ -385,7 +385,7 @@ def test_a_hold_that_came_and_went_while_a_call_timed_out_has_the_point_retaken(
                 ("clamp.contact_mm = 11.0", (), 3, "before any contact can be (contact_from_mm"),
                 ("clamp.stiffness_N_mm = 10.0", (), 4, "deeper than contact_to_mm = 13 mm"),
                 ("force_sensor_zero_mV_V = [0.0, 0.0, 3.7]", (), 3, "are saturated"),
-                ("", ("--load", "20N"), 4, "not below 0.8 of the preload of 25 N"),
+                ("", ("--load", "20N"), 4, "not below 0.8 of --preload 25 N"),
                 ("", ("--preload", "60N"), 4, "outside -40 to 40 N"),
                 ("", ("--load", "19N", "--preload", "30N"), 4, "outside -40 to 40 N"),
             )
