@@ -257,9 +257,9 @@ def closing_lines(
         if outcome.safe or outcome.off_failures or outcome.left:
             lines.append(f"{_bench_state(outcome, nothing_done=True)}.")
     elif outcome.own_bench:
-        lines.append("Bench is safe: nothing had been switched on.")
+        lines.append("Bench is safe: there was nothing to switch off.")
     else:  # An earlier run may have left something pressed.
-        lines.append("Bench is as it was before the run: nothing had been switched on.")
+        lines.append("Bench is as it was before the run: there was nothing to switch off.")
     if outcome.journal is not None and outcome.file is None:
         lines.append(f"Recover the run file with: rig recover {outcome.journal}")
     elif _resumes(outcome):

@@ -147,6 +147,8 @@ class Arming:
         self._lock = threading.Lock()
         self._armed: list[Armed] = []
         """List that is replaced, never changed, so that iterating over it needs no lock."""
+        self.begun = False
+        """True once anything was registered, and so may have been switched on."""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -170,6 +172,7 @@ class Arming:
         thread = self._thread_of(name)
         if thread is None or (thread.stuck and thread.busy):
             thread = ShutdownThread()
+        self.begun = True
         with self._lock:
             others = [armed for armed in self._armed if armed.name != name]
             self._armed = [

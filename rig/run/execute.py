@@ -349,7 +349,7 @@ class _Execution:
         found = self.run.disturbances
         self.outcome.holds, self.outcome.presses = found.holds, found.presses
         self.outcome.made_safe = tuple(self.run.made_safe)
-        self.outcome.armed = self.loop.arms
+        self.outcome.armed = self.run.arming.begun
         self.outcome.own_bench = self.job.lock is None
         self.outcome.left = tuple(self.run.left)
         self.outcome.off_failures = [failure for failure in failures if failure.drives]

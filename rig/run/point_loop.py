@@ -70,8 +70,6 @@ class PointLoop:
         self._points: tuple[Point, ...] = ()
         self._ahead: dict[str, float] = {}
         """Expected time of the point under way and of those behind it, for who follows the run."""
-        self.arms = False
-        """True once the procedure was asked to arm the bench, and so may have switched on."""
         self._tripped: set[str] = set()
         """Points that a trip has disturbed once."""
 
@@ -136,7 +134,6 @@ class PointLoop:
             self._run.holds.acknowledge()  # Arming deals with every hold so far.
             try:
                 with self._phases.measuring(), self._run.first_cause():
-                    self.arms = True
                     with self._phases.passing.first_raised():
                         self._procedure.arm(self._run)
                 return

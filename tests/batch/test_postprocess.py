@@ -131,11 +131,13 @@ def test_a_process_that_ends_while_it_draws_costs_the_figures_that_are_missing()
         warnings=(
             "w",
             "a.h5: the figure vib of lab-vib and those after it were not drawn: the process that "
-            "draws ended early (it did not finish within 9 s); `rig show --figures a.h5` draws "
-            "them again",
+            "makes its files ended early (it did not finish within 9 s); `rig show --figures a.h5` "
+            "draws them again",
         ),
     )
-    assert _result_of(job, ChildResult("SIGKILL", made.as_line().encode())).error
+    late = _result_of(job, ChildResult("SIGKILL", made.as_line().encode()))
+    assert (late.file, late.figures, late.error) == (made.file, made.figures, "")
+    assert late.warnings[-1].startswith("a.h5: the process that makes its files ended early")
     assert _result_of(job, ChildResult("SIGKILL", b"")).error
 
 

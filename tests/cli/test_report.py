@@ -106,12 +106,12 @@ def test_a_run_that_is_stopped_before_anything_was_armed_says_so_and_shows_no_re
     assert capsys.readouterr().err.splitlines() == [
         "Stopped by Ctrl-C: 0 of 3 trials.",
         "Saved: results/a.h5",
-        "Bench is safe: nothing had been switched on.",
+        "Bench is safe: there was nothing to switch off.",
         "Resume with: rig resume results/a.rigj",
     ]
     outcome.own_bench = False
     assert closing_lines(SlipTrial, outcome, [])[2] == (
-        "Bench is as it was before the run: nothing had been switched on."
+        "Bench is as it was before the run: there was nothing to switch off."
     ), "an earlier run may have left something pressed"
 
 

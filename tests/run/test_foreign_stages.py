@@ -5,6 +5,7 @@ Dry runs of a slip trial whose stages both belong to a package; their driver is 
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
