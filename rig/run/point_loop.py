@@ -133,9 +133,12 @@ class PointLoop:
         while True:
             self._run.holds.acknowledge()  # Arming deals with every hold so far.
             try:
-                with self._phases.measuring(), self._run.first_cause():
-                    with self._phases.passing.first_raised():
-                        self._procedure.arm(self._run)
+                with (
+                    self._phases.measuring(),
+                    self._run.first_cause(),
+                    self._phases.passing.first_raised(),
+                ):
+                    self._procedure.arm(self._run)
                 return
             except HoldError as hold:
                 self._wait_out(hold, "the arming of the bench" if point is None else point.id)
