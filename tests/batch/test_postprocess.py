@@ -293,7 +293,7 @@ def test_a_process_that_is_killed_costs_the_files_of_its_run(
 @pytest.mark.parametrize(
     ("source", "words"),
     [
-        ("import os\ndef draw(run):\n    os._exit(3)\n", "were not drawn: the process that draws "),
+        ("import os\ndef draw(run):\n    os._exit(3)\n", "were not drawn: the process that makes "),
         (
             "def draw(run):\n    raise KeyError('colour')\n",
             "could not be drawn: lab_bad.py line 2: KeyError: 'colour'",
