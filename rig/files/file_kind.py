@@ -72,7 +72,7 @@ def described(path: Path, kind: FileKind) -> tuple[str, str | None]:
 
 def require_hdf5(path: Path) -> None:
     """Raise RunFileError for a file that is not an HDF5 file; it says what the file is instead. The
-    exit code is that of a usage error where there is no file of that name."""
+    exit code is that of a usage error where nothing has that name."""
     if (kind := kind_of(path)) != "hdf5":
         code = ExitCode.USAGE if kind in MISTYPED else None
         raise RunFileError(path, *described(path, kind), code)

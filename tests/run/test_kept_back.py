@@ -24,7 +24,7 @@ from procedures.pressed import PressedProcedure, PressedSettings
 
 
 class Stubborn(PressedProcedure):
-    '''Hold a force and never give up.'''
+    '''Hold a force and take no notice of what ends it.'''
 
     name = "stubborn"
     fixtures = ("plate",)
@@ -38,11 +38,13 @@ class Stubborn(PressedProcedure):
 
     def under_force(self, trial):
         print("under force", file=sys.stderr, flush=True)
-        while True:
+        again = True
+        while again:
+            again = {again}
             try:
                 trial.hold(1.0)
-            except {caught}:
-                pass
+            except {caught} as error:
+                print(f"kept back: {{error}}", file=sys.stderr)
 
     def reading(self, record):
         return {{}}
@@ -118,17 +120,15 @@ def test_an_error_that_has_passed_does_not_count_for_the_next_point(clock: list[
     assert type(raised(watch, "stopped")) is RigError
 
 
-def start(rig: Any, caught: str) -> Any:
-    """Start a run of the procedure that catches these exceptions around its wait, and send it
-    Ctrl-C while it presses."""
+def start(rig: Any, caught: str, *given: str, again: bool = True) -> Any:
+    """Start a run of the procedure that catches these exceptions around its wait, and waits again
+    or not; it has begun to hold when this returns."""
     entries = "[rig.procedures]\nstubborn = lab_stubborn:Stubborn\n"
-    module = PROCEDURE.format(caught=caught)
+    module = PROCEDURE.format(caught=caught, again=again)
     site = packages.install(rig.folder / "site", "lab", entries, {"lab_stubborn.py": module})
     packages.on_path(rig, site)
-    log = ("--world-log", str(rig.world_log))
-    running = rig.start("stubborn", "--no-figures", *log)
+    running = rig.start("stubborn", "--no-figures", "--world-log", str(rig.world_log), *given)
     running.wait_for("under force")
-    running.send(signal.SIGINT)
     return running
 
 
@@ -138,13 +138,15 @@ def last_z_mm(rig: Any) -> float:
 
 
 def test_a_procedure_that_catches_every_exception_is_stopped(rig: Any) -> None:
-    done = start(rig, "Exception").finish()
+    running = start(rig, "Exception")
+    running.send(signal.SIGINT)
+    done = running.finish()
     assert done.code == 130, done.stderr
     assert "Stopped by Ctrl-C" in done.stderr
     assert "Bench is safe" in done.stderr
     assert (
         "warning: procedure stubborn of package lab kept back what was to end the run "
-        "(lab_stubborn.py line 24): let exceptions of waits pass, or raise them again (stopped by "
+        "(lab_stubborn.py line 26): let exceptions of waits pass, or raise them again (stopped by "
         "Ctrl-C)"
     ) in done.stderr
     assert last_z_mm(rig) < CLEAR_mm
@@ -153,6 +155,7 @@ def test_a_procedure_that_catches_every_exception_is_stopped(rig: Any) -> None:
 @pytest.mark.thorough
 def test_one_that_catches_whatever_is_raised_is_killed_and_its_guard_lifts_z(rig: Any) -> None:
     running = start(rig, "BaseException")
+    running.send(signal.SIGINT)
     report = rig.guard_report()
     done = running.finish()
     assert done.code == -signal.SIGKILL, done.stderr
@@ -165,45 +168,12 @@ def test_one_that_catches_whatever_is_raised_is_killed_and_its_guard_lifts_z(rig
     assert last_z_mm(rig) < CLEAR_mm
 
 
-DEAF = '''
-import sys
-
-from procedures.pressed import PressedProcedure, PressedSettings
-
-
-class Deaf(PressedProcedure):
-    """Hold a force and take no notice of what ends it."""
-
-    name = "deaf"
-    fixtures = ("plate",)
-    columns = ()
-
-    class Settings(PressedSettings):
-        """Nothing of its own."""
-
-    def motion_s(self):
-        return 1.0
-
-    def under_force(self, trial):
-        try:
-            trial.hold(1.0)
-        except Exception as error:
-            print(f"kept back: {error}", file=sys.stderr)
-
-    def reading(self, record):
-        return {}
-'''
-
-
 def test_a_trip_that_is_kept_back_is_answered_as_any_other(rig: Any) -> None:
     """It is raised once, and the procedure returns as if nothing had been: the bench is made safe
     and the point taken again, instead of a reading kept of a force that nobody holds."""
-    entries = "[rig.procedures]\ndeaf = lab_deaf:Deaf\n"
-    site = packages.install(rig.folder / "site", "lab", entries, {"lab_deaf.py": DEAF})
-    packages.on_path(rig, site)
     hit = '[[fault]]\ndevice = "force_sensor"\nkind = "spike"\nforce_N = 20.0\nfor_s = 0.05\n'
     plan = rig.fault(f"{hit}after_s = 13.0\n")
-    done = rig.run("deaf", "--no-figures", "--fault", plan, "--world-log", str(rig.world_log))
+    done = start(rig, "Exception", "--fault", plan, again=False).finish()
     assert done.code == 0, done.stderr
     assert "kept back: force along z of 24 N is over the limit of 15 N" in done.stderr
     assert "retaking point trial-001 once" in done.stderr
