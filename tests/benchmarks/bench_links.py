@@ -249,7 +249,7 @@ class Amplifier(Side):
         return self._server
 
     def become(self, value: int) -> None:
-        self._core.serial_number = f"{value:08d}"
+        self._core.amplifier.identity.serial_number = f"{value:08d}"
 
     def connect(self, timeout_s: float) -> Any:
         own = me_gsv8.Settings(port=self._server.path, timeout_s=timeout_s)

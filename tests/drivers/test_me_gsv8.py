@@ -20,7 +20,8 @@ from drivers.me_gsv8.driver import ForceAmplifier, Settings, connect, make_safe
 from drivers.simulated.faults.plan import FaultPlan
 from drivers.simulated.faults.wire import WireFaults
 from drivers.simulated.instruments.gsv8_converter import Sensor
-from drivers.simulated.instruments.me_gsv8 import Gsv8, GsvMemory
+from drivers.simulated.instruments.gsv8_memory import GsvMemory
+from drivers.simulated.instruments.me_gsv8 import Gsv8
 from drivers.simulated.ports import Exchange
 from drivers.simulated.transports.serial_server import PtyServer
 from rig.core.clock import Clock, WallClock

@@ -6,8 +6,8 @@ It shares no code with the driver. Source and what is UNCONFIRMED: `me_gsv8`.
 from __future__ import annotations
 
 import struct
-from dataclasses import dataclass
 from functools import cache
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -32,8 +32,7 @@ NO_SUCH_PARAMETER, WRONG_COUNT, RATE_TOO_HIGH, LOCKED = 0x59, 0x5B, 0x64, 0x71
 DONE, DONE_CHANGED = 0x00, 0x01
 
 
-@dataclass(frozen=True)
-class GsvRequest:
+class GsvRequest(NamedTuple):
     """One request frame as it came."""
 
     number: int

@@ -461,7 +461,8 @@ class AmplifierCase(CoreCase):
 
     def disguise(self, core: Any, identity: tuple[str, str, str, str]) -> None:
         """Give it the model number of another amplifier."""
-        core.model_number, core.serial_number = 0x06, identity[2].zfill(8)
+        own = core.amplifier.identity
+        own.model_number, own.serial_number = 0x06, identity[2].zfill(8)
 
 
 CASES: tuple[Case, ...] = (

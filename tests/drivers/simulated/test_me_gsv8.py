@@ -11,7 +11,8 @@ import pytest
 
 from drivers.simulated.instruments.gsv8_converter import NOISE_MV_V, Sensor
 from drivers.simulated.instruments.gsv8_frames import GSV_DIALECT
-from drivers.simulated.instruments.me_gsv8 import Gsv8, GsvMemory
+from drivers.simulated.instruments.gsv8_memory import GsvMemory
+from drivers.simulated.instruments.me_gsv8 import Gsv8
 
 OK = "AA 50 00 85"
 PLAIN = Sensor(matrix=((100, 0, 0), (0, 100, 0), (0, 0, 100)), zero_mV_V=(0, 0, 0))
@@ -119,9 +120,9 @@ def test_a_request_and_its_reply(request_: str, reply: str) -> None:
 )
 def test_a_refused_request_gets_its_code_and_changes_nothing(request_: str, code: int) -> None:
     line = Line()
-    before = vars(line.core.memory).copy()
+    before = vars(line.core.amplifier.memory).copy()
     assert line(request_) == spaced(f"AA 50 {code:02X} 85")
-    assert vars(line.core.memory) == before
+    assert vars(line.core.amplifier.memory) == before
     assert line("AA 90 42 85") == spaced(f"AA 54 00 00 00 00 {code:02X} 85")
 
 
