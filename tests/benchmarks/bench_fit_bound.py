@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 from measured import heading, repeats
 
-from drivers.simulated.instruments.keysight_u2300a import MODELS, codes_of_volts, volts_of_codes
+from drivers.simulated.instruments.u2300a_models import MODELS, codes_of_volts, volts_of_codes
 from drivers.simulated.ports import Excitation
 from drivers.simulated.world.world import FILM_TERMINAL, LOAD_CELL_TERMINAL, World, WorldSettings
 from procedures.sweep.settings import SweepSettings

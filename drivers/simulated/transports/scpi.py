@@ -16,7 +16,7 @@ from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 MAX_MESSAGE_BYTES = 64 << 20
 """A longer program message is not taken: it would be a runaway block length."""
@@ -277,8 +277,7 @@ def _match_choice(text: str, words: Iterable[str]) -> str:
 # --- commands --------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class Call:
+class Call(NamedTuple):
     """One command as received: who sent it, its header's numeric suffixes, its parameters."""
 
     by: str

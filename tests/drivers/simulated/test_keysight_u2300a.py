@@ -8,14 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.simulated.instruments.keysight_u2300a import (
-    BUFFER_SAMPLES,
-    CONVERTED_ROWS,
-    MODELS,
-    KeysightU2300A,
-    codes_of_volts,
-    volts_of_codes,
-)
+from drivers.simulated.instruments.keysight_u2300a import BUFFER_SAMPLES, KeysightU2300A
+from drivers.simulated.instruments.u2300a_converter import CONVERTED_ROWS
+from drivers.simulated.instruments.u2300a_models import MODELS, codes_of_volts, volts_of_codes
 
 from .ideal import IdealBench, Talk
 
