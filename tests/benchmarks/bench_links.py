@@ -31,7 +31,8 @@ from drivers.me_gsv8.frames import request as gsv_request
 from drivers.oriental_az import driver as oriental_az
 from drivers.simulated.faults.plan import FaultPlan, ReplyFault, WireFault
 from drivers.simulated.faults.wire import WireFaults
-from drivers.simulated.instruments.festo_cmmt import CmmtDrive, SimulatedCmmtSettings
+from drivers.simulated.instruments.cmmt_settings import SimulatedCmmtSettings
+from drivers.simulated.instruments.festo_cmmt import CmmtDrive
 from drivers.simulated.instruments.keysight_33500b import Keysight33500B
 from drivers.simulated.instruments.me_gsv8 import Gsv8
 from drivers.simulated.instruments.oriental_az import POSITION, AzDrive, SimulatedAzSettings

@@ -183,7 +183,7 @@ def test_a_fault_is_reported_by_number_and_meaning_before_anything_acknowledges_
 
 def test_a_drive_that_reports_no_torque_has_none_to_watch() -> None:
     with service() as it:
-        del it.drive._parameters[11704]
+        del it.drive.parameters.values[11704]
         assert it.homed().torque_percent() is None
 
 

@@ -24,8 +24,8 @@ def test_another_make_is_refused() -> None:
 
 def test_another_telegram_is_refused() -> None:
     with service() as it:
-        assert it.drive._parameters[3490] == b"\x6f\x00"
-        it.drive._parameters[3490] = struct.pack("<H", 9)
+        assert it.drive.parameters.values[3490] == b"\x6f\x00"
+        it.drive.parameters.values[3490] = struct.pack("<H", 9)
         with pytest.raises(InstrumentError, match="telegram 9"):
             it.connect()
 
@@ -67,13 +67,13 @@ def test_a_communication_time_out_that_is_not_kept_is_reported() -> None:
 @pytest.mark.parametrize("number", [11584, 11585, 12168], ids=["low", "high", "torque"])
 def test_a_limit_that_the_drive_does_not_keep_ends_the_connection(number: int) -> None:
     with service() as it:
-        other = b"\x07" * len(it.drive._parameters[number])
+        other = b"\x07" * len(it.drive.parameters.values[number])
         write = it.wire.write
 
         def keep_another(address: int, values: Sequence[int], by: str) -> None:
             write(address, values, by)
             if (address, values[0]) == (503, 2):
-                it.drive._parameters[number] = other
+                it.drive.parameters.values[number] = other
 
         it.wire.write = keep_another  # type: ignore[method-assign]
         reported = rf"write parameter {number}: set to \w+ but reads back {other.hex()}"

@@ -9,7 +9,8 @@ import time
 import pytest
 from clients import python_with, seen_by, serving
 
-from drivers.simulated.instruments.festo_cmmt import CmmtDrive, SimulatedCmmtSettings
+from drivers.simulated.instruments.cmmt_settings import SimulatedCmmtSettings
+from drivers.simulated.instruments.festo_cmmt import CmmtDrive
 from drivers.simulated.task_log import TaskLog
 from drivers.simulated.transports.modbus_tcp import ModbusTcpServer
 

@@ -421,7 +421,8 @@ def _drive(
 
 def _cmmt_drive(world: World, faults: FaultPlan, fine: bool, name: str) -> CmmtDrive:
     from drivers.simulated.faults.plan import STAGE_Z, MoveFault
-    from drivers.simulated.instruments.festo_cmmt import CmmtDrive, SimulatedCmmtSettings
+    from drivers.simulated.instruments.cmmt_settings import SimulatedCmmtSettings
+    from drivers.simulated.instruments.festo_cmmt import CmmtDrive
 
     serial = "SIMZ1" if name == STAGE_Z else "SIMX1"
     own = SimulatedCmmtSettings(name, serial=serial, faults=faults.of(MoveFault, name))

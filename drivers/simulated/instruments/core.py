@@ -178,6 +178,8 @@ class _StageCore(SimulatedDrive[Any], InstrumentCore):
         self.failure = ""
         """Reason why it has stopped by itself; "" for no reason. `recover` forgets it."""
         self._homing = False
+        self._moving = False
+        """True if a motion has begun whose end has not been seen."""
 
     # --- what a protocol asks of it -----------------------------------------------------------
 
@@ -205,8 +207,8 @@ class _StageCore(SimulatedDrive[Any], InstrumentCore):
         if not self._moving:
             self._port.tasks.begin(self.name, now_us)
             self._log("move", {"target": round(target, 6), "speed": round(speed, 6)}, by)
-        if self._runs_to_mm is not None:
-            target = self._runs_to_mm
+        if self._motion_faults.runs_to_mm is not None:
+            target = self._motion_faults.runs_to_mm
         self._go(target, speed, acceleration)
 
     def home(self, speed: float, acceleration: float, by: str) -> None:
@@ -221,7 +223,7 @@ class _StageCore(SimulatedDrive[Any], InstrumentCore):
         now_us = self._port.now_us
         self.settle(now_us)
         self._log("stop", None, by)
-        self._homing, self._runs_to_mm = False, None
+        self._homing, self._motion_faults.runs_to_mm = False, None
         self.axis.stop(now_us, deceleration)
 
     def recover(self) -> None:
@@ -232,7 +234,9 @@ class _StageCore(SimulatedDrive[Any], InstrumentCore):
         if self.failure:
             return
         self._moving = True
-        own = AxisCommand(target, speed * self._speed_share, acceleration, acceleration)
+        own = AxisCommand(
+            target, speed * self._motion_faults.speed_share, acceleration, acceleration
+        )
         self.axis.move(self._port.now_us, own)
 
     # --- what happens by itself ---------------------------------------------------------------
@@ -250,7 +254,8 @@ class _StageCore(SimulatedDrive[Any], InstrumentCore):
 
     def _fail(self, reason: str, t_us: int) -> None:
         """Brake, and refuse to move until `recover`."""
-        self.failure, self._homing, self._runs_to_mm = reason, False, None
+        self.failure, self._homing = reason, False
+        self._motion_faults.runs_to_mm = None
         self._log("fault", reason, "drive")
         self.axis.stop(t_us, self.mechanics.quick_deceleration_mm_s2)
 

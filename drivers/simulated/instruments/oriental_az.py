@@ -122,6 +122,8 @@ class AzDrive(SimulatedDrive[MoveFault]):
         self.homed = False
         """ABSPEN: the drive knows where it is."""
         self.homing = False
+        self._moving = False
+        """True if a motion has begun whose end has not been seen."""
         self._values = _factory_values(settings)
         self._zero_mm = -settings.unhomed_offset_mm
         self._target_mm: float | None = None
@@ -235,7 +237,7 @@ class AzDrive(SimulatedDrive[MoveFault]):
     def _rest(self) -> None:
         """End the operation under way."""
         self.homing = False
-        self._target_mm = self._runs_to_mm = None
+        self._target_mm = self._motion_faults.runs_to_mm = None
 
     # --- what is written ----------------------------------------------------------------------
 
@@ -320,13 +322,12 @@ class AzDrive(SimulatedDrive[MoveFault]):
         speed_mm_s = speed / self.settings.steps_per_mm
         if not again:
             self._log("move", {"target_mm": round(target, 6), "speed_mm_s": speed_mm_s}, by)
-        goes_to = target if self._runs_to_mm is None else self._runs_to_mm
         force_N = values[CURRENT] / 1000 * self.settings.force_at_full_current_N
         self.axis.force_limit_N = force_N
         rates = (
             values[rate] / self.settings.steps_per_mm for rate in (STARTING_RATE, STOPPING_RATE)
         )
-        self._start(AxisCommand(goes_to, speed_mm_s * self._speed_share, *rates))
+        self._start(self._motion_faults.command(target, speed_mm_s, *rates))
 
     def _limited(self, target_mm: float) -> float:
         """Software overtravel: as far as it lets it go (UNCONFIRMED)."""

@@ -97,6 +97,8 @@ class SimulatedRotaryStage(SimulatedDrive[RotaryFault]):
         self.settings = settings
         self.flags: set[str] = set() if settings.referenced else {"WR", "WH"}
         self.homing = False
+        self._moving = False
+        """True if a motion has begun whose end has not been seen."""
         self.values: dict[str, int] = self._factory_values()
         """Settings that can be changed."""
         self._zero_deg = 0.0 if settings.referenced else settings.start_deg
@@ -251,7 +253,8 @@ class SimulatedRotaryStage(SimulatedDrive[RotaryFault]):
             self._port.tasks.begin(self.settings.name, self._port.now_us)
             turn = {"target_deg": round(target_deg, 6), "speed_deg_s": round(speed_deg_s, 6)}
             self._log("turn", turn, by)
-        self._start(AxisCommand(target_deg, speed_deg_s * self._speed_share, rate, rate))
+        reached_deg_s = speed_deg_s * self._motion_faults.speed_share
+        self._start(AxisCommand(target_deg, reached_deg_s, rate, rate))
 
     def _require_power(self) -> None:
         if self.flags & POWERLESS:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Generic, TypeVar
 
 import numpy as np
@@ -25,7 +25,7 @@ from drivers.simulated.faults.plan import (
     WrongTorque,
 )
 from drivers.simulated.ports import DrivePort
-from drivers.simulated.world.axis import Load, Mechanics, SimulatedAxis
+from drivers.simulated.world.axis import AxisCommand, Load, Mechanics, SimulatedAxis
 from drivers.simulated.world.schedule import Schedule
 
 FARTHER_THAN_ANY_SWITCH_mm = 1e5
@@ -35,6 +35,29 @@ F = TypeVar("F", bound=MoveFault | RotaryFault)
 Due = tuple[int, Callable[[int], None]]
 """World time in us of an event that needs no command, and the function for the event, which takes
 that time."""
+
+
+@dataclass
+class MotionFaults:
+    """What faults of the mechanics make of the motions that are commanded."""
+
+    speed_share: float = 1.0
+    """The share of a commanded speed that the axis reaches."""
+    runs_to_mm: float | None = None
+    """Position to which a runaway moves instead of its target, until it is stopped."""
+
+    def command(
+        self,
+        target_mm: float,
+        speed_mm_s: float,
+        acceleration_mm_s2: float,
+        deceleration_mm_s2: float,
+    ) -> AxisCommand:
+        """Return what the axis does where it is to do this."""
+        if self.runs_to_mm is not None:
+            target_mm = self.runs_to_mm
+        speed_mm_s *= self.speed_share
+        return AxisCommand(target_mm, speed_mm_s, acceleration_mm_s2, deceleration_mm_s2)
 
 
 class SimulatedDrive(ABC, Generic[F]):
@@ -50,17 +73,12 @@ class SimulatedDrive(ABC, Generic[F]):
         self.axis = SimulatedAxis(mechanics, load)
         self._drive_name = name
         self._port = port
-        self._moving = False
-        """True if a motion has begun whose end has not been seen."""
-        self._speed_share = 1.0
-        """The share of a commanded speed that the axis reaches."""
+        self._motion_faults = MotionFaults()
         self.shows_off_mm = 0.0
         """By how much the position that it shows is off."""
         self._shown_torque: WrongTorque | None = None
         """How the torque that it shows is wrong."""
         self._frozen_N = 0.0
-        self._runs_to_mm: float | None = None
-        """Position to which a runaway moves instead of its target, until it is stopped."""
         self._schedule = Schedule(faults)
         port.tasks.listen(self._schedule.hear)
 
@@ -143,7 +161,7 @@ class SimulatedDrive(ABC, Generic[F]):
         command = None if self.axis.finished(t_us) else self.axis.command
         velocity = self.axis.velocity(t_us)
         if isinstance(fault, SlowAxis):
-            self._speed_share = fault.share
+            self._motion_faults.speed_share = fault.share
             if command is not None:
                 slower = replace(command, speed_mm_s=command.speed_mm_s * fault.share)
                 self.axis.move(t_us, slower)
@@ -162,8 +180,9 @@ class SimulatedDrive(ABC, Generic[F]):
             self.axis.idle = True
         elif fault.kind == "runaway":
             if command is not None:
-                self._runs_to_mm = math.copysign(FARTHER_THAN_ANY_SWITCH_mm, velocity)
-                self.axis.move(t_us, replace(command, target_mm=self._runs_to_mm))
+                runs_to_mm = math.copysign(FARTHER_THAN_ANY_SWITCH_mm, velocity)
+                self._motion_faults.runs_to_mm = runs_to_mm
+                self.axis.move(t_us, replace(command, target_mm=runs_to_mm))
         else:
             self._apply_own_fault(fault, t_us, velocity)
 

@@ -19,7 +19,8 @@ from simulated.ideal import IdealBench, serving
 from drivers.simulated.bench.alone import CountedFaults, clients_of
 from drivers.simulated.faults.plan import FaultPlan
 from drivers.simulated.faults.wire import WireFaults
-from drivers.simulated.instruments.festo_cmmt import CmmtDrive, SimulatedCmmtSettings
+from drivers.simulated.instruments.cmmt_settings import SimulatedCmmtSettings
+from drivers.simulated.instruments.festo_cmmt import CmmtDrive
 from drivers.simulated.instruments.keysight_33500b import Keysight33500B
 from drivers.simulated.instruments.keysight_u2300a import KeysightU2300A
 from drivers.simulated.instruments.me_gsv8 import Gsv8
@@ -219,7 +220,7 @@ class AxisService(SimulatedService):
         """The carriage, and what the drive knows."""
         now = self.bench.now_us
         position, speed = self.drive.position_mm(now), self.drive.velocity_mm_s(now)
-        return {"position": position, "speed": speed, "homed": self.drive.homed}[what]
+        return {"position": position, "speed": speed, "homed": self.drive.reference.homed}[what]
 
     def at_rest(self) -> bool:
         """Stands, and has nowhere to go."""

@@ -6,7 +6,8 @@ from collections.abc import Sequence, Set
 from dataclasses import dataclass
 from typing import Any
 
-from drivers.simulated.instruments.festo_cmmt import CmmtDrive, SimulatedCmmtSettings
+from drivers.simulated.instruments.cmmt_settings import SimulatedCmmtSettings
+from drivers.simulated.instruments.festo_cmmt import CmmtDrive
 
 from .ideal import IdealBench
 

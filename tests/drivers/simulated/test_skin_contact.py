@@ -11,7 +11,8 @@ import pytest
 from tiers import mostly_thorough
 
 from drivers.simulated.bench.control import ControlServer
-from drivers.simulated.instruments.festo_cmmt import CmmtDrive, SimulatedCmmtSettings
+from drivers.simulated.instruments.cmmt_settings import SimulatedCmmtSettings
+from drivers.simulated.instruments.festo_cmmt import CmmtDrive
 from drivers.simulated.world import skin_contact
 from drivers.simulated.world.axis import AxisCommand, AxisEvent
 from drivers.simulated.world.plate_world import PlateWorldSettings, mount_skin

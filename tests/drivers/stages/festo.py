@@ -15,7 +15,8 @@ from drivers.festo_cmmt import driver as festo_cmmt
 from drivers.festo_cmmt.driver import FestoAxis, FestoCmmtSettings
 from drivers.simulated.faults.plan import FaultPlan, MoveFault
 from drivers.simulated.faults.wire import WireFaults
-from drivers.simulated.instruments.festo_cmmt import CmmtDrive, SimulatedCmmtSettings
+from drivers.simulated.instruments.cmmt_settings import SimulatedCmmtSettings
+from drivers.simulated.instruments.festo_cmmt import CmmtDrive
 from drivers.simulated.transports.modbus_tcp import ModbusTcpServer
 
 from .clock import BenchClock
