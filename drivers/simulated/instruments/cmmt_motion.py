@@ -43,7 +43,7 @@ class CmmtMotion:
         self.at_fixed_stop = False
         self.warning = 0
         self._paused = False
-        """True if the task waits for the bit "no intermediate stop"."""
+        """True if the task waits for the bit "no intermediate stop", and for a speed."""
         self._moving = False
         """True if a motion has begun whose end has not been seen."""
         self._settings, self._parameters = settings, parameters
@@ -134,7 +134,7 @@ class CmmtMotion:
 
     def _home(self, t_us: int, by: str) -> None:
         self.target_mm, self.homing, self.jogging = None, True, 0
-        self.reference.homed = False
+        self.reference.homed = self._paused = False
         own = self._settings
         self._log("homing", own.home_mm, by)
         rate = own.full_acceleration_mm_s2
@@ -178,9 +178,9 @@ class CmmtMotion:
         return 0
 
     def _go(self, image: OutputImage, t_us: int, by: str, quiet: bool = False) -> None:
-        """Move to the task's target, or pause where the image asks for it."""
+        """Move to the task's target, or wait where the image asks for a stop, or for no speed."""
         assert self.target_mm is not None
-        if not image.bit(0, 5):
+        if not image.bit(0, 5) or image.speed <= 0:
             self._paused = True
             return
         own = self._settings

@@ -171,6 +171,34 @@ def test_a_pause_keeps_the_task(homed: Controller) -> None:
     assert homed.position == 40_000
 
 
+PAUSE = tuple(bit for bit in RUN if bit != 5)
+
+
+def test_homing_takes_the_place_of_a_paused_task(homed: Controller) -> None:
+    homed.write(*RUN, ON, TASK, target=40_000)
+    homed.wait(0.5)
+    homed.write(*PAUSE, ON, TASK, target=40_000)
+    homed.write(*PAUSE, ON, HOME)
+    homed.write(*RUN, ON, HOME)
+    homed.wait(3)
+    assert homed.zsw1(11), "homed"
+    assert homed.position == 0
+
+
+def test_a_paused_task_waits_for_a_speed_too(homed: Controller) -> None:
+    homed.write(*RUN, ON, TASK, target=40_000)
+    homed.wait(0.5)
+    homed.write(*PAUSE, ON, TASK, target=40_000)
+    homed.wait(1)
+    paused = homed.position
+    homed.write(*RUN, ON, TASK, target=40_000, speed=0)
+    homed.wait(1)
+    assert homed.position == paused
+    homed.write(*RUN, ON, TASK, target=40_000)
+    homed.wait(3)
+    assert homed.position == 40_000
+
+
 def test_override_and_acceleration_are_shares(homed: Controller) -> None:
     homed.write(*RUN, ON, TASK, target=90_000, speed=100_000, rate=0x0666)
     homed.wait(0.2)
