@@ -10,9 +10,18 @@ import contextlib
 import io
 import locale
 import os
+import queue
+import select
 import sys
+import threading
+from collections.abc import Callable
+from typing import Self
+
+from rig.core.threads import start_thread
 
 STANDARD_FILES = (0, 1, 2)
+LAST_LINES_S = 2.0
+"""Longest time in s that is waited for the last lines: a reader that works has them by then."""
 ERASE_LINE = "\x1b[2K"
 """What erases a terminal's line."""
 
@@ -83,9 +92,44 @@ def code_after_output(code: str | int | None) -> str | int | None:
     return code or 1
 
 
+class LinesInTurn:
+    """Prints lines for a person in a thread of its own and in their order, so that a terminal that
+    is held (Ctrl-S) or a full pipe keeps nobody waiting. A context manager; at its end the lines
+    that are left are waited for, at most `LAST_LINES_S`."""
+
+    def __init__(self, show: Callable[[str], None]):
+        """`show` prints one line. Raises RigError if no thread can be started."""
+        self._show = show
+        self._lines: queue.SimpleQueue[str | None] = queue.SimpleQueue()
+        self._thread = threading.Thread(target=self._run, name="lines", daemon=True)
+        start_thread(self._thread)
+
+    def say(self, text: str) -> None:
+        """Print a line after the earlier ones; returns at once."""
+        self._lines.put(text)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._lines.put(None)
+        self._thread.join(LAST_LINES_S)
+
+    def _run(self) -> None:
+        while (text := self._lines.get()) is not None:
+            with contextlib.suppress(OSError):
+                self._show(text)
+
+
 def say_at_once(text: str) -> None:
     """Write a line to stderr from a signal's handler, which may have interrupted another line; on a
-    terminal a progress bar, which is erased."""
+    terminal a progress bar, which is erased.
+
+    A terminal that is held (Ctrl-S) and a full pipe do not get the line: a handler that waited for
+    them would keep the run from ending.
+    """
     with contextlib.suppress(OSError):
+        if not select.select((), (2,), (), 0.0)[1]:
+            return
         erased = f"\r{ERASE_LINE}" if os.isatty(2) else ""
         os.write(2, f"{erased}{text}\n".encode())

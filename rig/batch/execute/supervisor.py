@@ -99,10 +99,11 @@ class _Count:
 
 
 class Supervisor:
-    """Runs a batch to its end. `say` gets lines for the person who started it."""
+    """Runs a batch to its end. `say` gets lines for the person who started it, and returns at once:
+    the supervisor passes stop requests on, and the worker waits for its signs of life."""
 
     def __init__(self, folder: BatchFolder, stop: StopFlag, say: Callable[[str], None]):
-        self._folder, self._stop, self._print = folder, stop, say
+        self._folder, self._stop, self._say = folder, stop, say
         self._writes = DeferredWrites()
         self._progress = BatchProgress()
         self._end: dict[str, Any] | None = None
@@ -160,11 +161,6 @@ class Supervisor:
                 self._say(f"warning: {self._writes.why}; how the batch ended is not in it")
             self._queue.close_log()
             return code
-
-    def _say(self, text: str) -> None:
-        """Print a line for the person; a full disk behind it disturbs nothing."""
-        with contextlib.suppress(OSError):
-            self._print(text)
 
     def _record(self, write: Callable[..., object], *values: object) -> None:
         """Write to the queue, later where the disk is full."""

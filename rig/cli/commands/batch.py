@@ -245,13 +245,13 @@ def _supervise(folder: BatchFolder, as_json: bool) -> None:
     """Run a batch to its end, report it, and end with its exit code."""
     from rig.batch.execute.supervisor import Supervisor
     from rig.batch.report.status import status_of
-    from rig.cli.streams import say_at_once
+    from rig.cli.streams import LinesInTurn, say_at_once
     from rig.run.stopping import StopFlag
 
     with ExitStack() as stack:
         stop = stack.enter_context(StopFlag(say_at_once))
         start_log(folder.path)
-        supervisor = Supervisor(folder, stop, say)
+        supervisor = Supervisor(folder, stop, stack.enter_context(LinesInTurn(say)).say)
         code = supervisor.run()
     ended = status_of(folder)
     if as_json:

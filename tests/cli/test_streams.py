@@ -1,0 +1,103 @@
+"""What is printed while a terminal is held (Ctrl-S), or while nobody reads a pipe."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import subprocess
+import sys
+import threading
+
+import pytest
+from nights import QUICK_NIGHT, await_answer, folder_of, write_night
+
+from rig.cli.streams import LinesInTurn
+
+FILLED = """
+import os, sys
+reader, writer = os.pipe()
+os.set_blocking(writer, False)
+try:
+    while True:
+        os.write(writer, b"x")
+except BlockingIOError:
+    os.set_blocking(writer, True)
+"""
+A_NIGHT = (
+    QUICK_NIGHT
+    + """
+[[experiment]]
+procedure = "sweep"
+repeat = 20
+settings = { frequencies_Hz = [200], load_N = 0.5 }
+"""
+)
+
+
+def test_the_line_of_a_signal_does_not_wait_for_a_reader() -> None:
+    """It is written by the signal's handler, in the thread that has to stop the bench."""
+    code = f"{FILLED}\nos.dup2(writer, 2)\nfrom rig.cli.streams import say_at_once\n"
+    subprocess.run([sys.executable, "-c", f"{code}say_at_once('stopping')"], timeout=30, check=True)
+
+
+def test_the_line_of_a_signal_is_shown_where_somebody_reads() -> None:
+    code = "from rig.cli.streams import say_at_once; say_at_once('stopping')"
+    shown = subprocess.run([sys.executable, "-c", code], capture_output=True, check=True)
+    assert shown.stderr == b"stopping\n"
+
+
+def test_lines_are_printed_in_their_order_and_one_that_fails_costs_only_itself() -> None:
+    shown: list[str] = []
+
+    def show(text: str) -> None:
+        if text == "2":
+            raise OSError
+        shown.append(text)
+
+    with LinesInTurn(show) as lines:
+        for number in range(5):
+            lines.say(str(number))
+    assert shown == ["0", "1", "3", "4"]
+
+
+def test_a_line_that_is_not_taken_keeps_nobody_waiting() -> None:
+    continued = threading.Event()
+    try:
+        with LinesInTurn(lambda _: continued.wait() and None) as lines:
+            lines.say("a")
+            lines.say("b")
+    finally:
+        continued.set()
+
+
+@pytest.mark.thorough
+def test_a_batch_whose_output_nobody_reads_is_stopped_all_the_same(rig) -> None:
+    """``rig batch run night.toml 2>&1 | less``, with less at its first page."""
+    write_night(rig, A_NIGHT)
+    reader, writer = os.pipe()
+    batch = subprocess.Popen(
+        rig.command("batch", "run", "night.toml"),
+        cwd=rig.folder, env=rig.env, stdout=subprocess.DEVNULL, stderr=writer, process_group=0,
+    )  # fmt: skip
+    try:
+        shown = b""
+        while b"run 1/" not in shown:
+            shown += os.read(reader, 4096)
+        # Another description of the pipe: the batch's own shall go on waiting.
+        filling = os.open(f"/proc/self/fd/{writer}", os.O_WRONLY | os.O_NONBLOCK)
+        with contextlib.suppress(BlockingIOError):
+            while True:
+                os.write(filling, b"x")
+        os.close(filling)
+        folder = folder_of(rig.results)
+        await_answer(folder, "SELECT state FROM run WHERE number = 1", "done")  # it says so
+        batch.send_signal(signal.SIGTERM)
+        # The closing lines still wait for a reader; the batch is over by then.
+        state = "SELECT substr(value, 1, 18) FROM meta WHERE key = 'state'"
+        await_answer(folder, state, "stopped by SIGTERM")
+    finally:
+        batch.kill()
+        batch.wait()
+        os.close(reader)
+        os.close(writer)
