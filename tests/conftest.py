@@ -297,6 +297,13 @@ class Rig:
             patch.setenv(SHARED_FOLDER, str(self.shared))
             BenchMarks(address_names(plan), plan.settings.name, None).unsafe(failures)
 
+    def mark_running(self, bench_file: Path) -> None:
+        """Mark a bench as one on which this process is at work."""
+        plan = read_bench(bench_file)
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setenv(SHARED_FOLDER, str(self.shared))
+            BenchMarks(address_names(plan), plan.settings.name, None).running(os.getpid())
+
     def only(self, pattern: str) -> Path:
         """The one file below the results folder that matches."""
         (path,) = self.results.rglob(pattern)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import shutil
 import signal
@@ -254,7 +255,7 @@ def test_a_bench_in_real_time_is_driven_made_safe_and_ended(rig: Any) -> None:
         assert words in last
 
 
-def test_make_safe_clears_the_mark_that_kept_runs_from_starting(rig: Any) -> None:
+def test_make_safe_clears_the_mark_that_kept_runs_from_starting_if_no_run_lives(rig: Any) -> None:
     simulator = rig.start("simulate", "--write", "sim.toml")
     simulator.wait_for("drive it")
     rig.mark_unsafe(rig.folder / "sim.toml", {"daq": "silent"})
@@ -268,6 +269,12 @@ def test_make_safe_clears_the_mark_that_kept_runs_from_starting(rig: Any) -> Non
     assert rig.marks() == []
     again = rig.run("sweep", *SHORT, "--bench", "sim.toml", "--load", "1000N")
     assert again.code == 4, "it starts, and meets the next thing that is wrong"
+
+    rig.mark_running(rig.folder / "sim.toml")
+    at_work = rig.run("make-safe", "--bench", "sim.toml")
+    assert at_work.code == 7
+    assert f"(process {os.getpid()}) has not ended and may move it again" in at_work.errors[-1]
+    assert {mark["state"] for mark in rig.marks()} == {"running"}, "it is the run's to remove"
     simulator.send(signal.SIGTERM)
     assert simulator.finish().code == 0
 

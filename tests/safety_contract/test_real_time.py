@@ -136,6 +136,35 @@ def test_a_killed_run_leaves_a_bench_that_the_guard_made_safe(rig, bench_file):
 
 
 @pytest.mark.thorough
+@pytest.mark.parametrize("moment", ["homing", "pressed", "paused"])
+def test_make_safe_on_a_run_ends_it_lifted_and_nothing_moves_afterwards(rig, bench_file, moment):
+    """Instruments that were only stopped behind its back would be moved by its next command."""
+    many = ",".join(str(f) for f in range(300, 3300, 100))
+    running = rig.start(
+        "sweep", "--bench", str(bench_file), "--json", "--no-figures", "--frequencies", many
+    )
+    if moment == "homing":
+        rig.await_world("homing")
+    else:
+        running.wait_for("^1/30 ")
+    if moment == "paused":
+        running.send(signal.SIGTSTP)
+        running.wait_for("^PAUSED")
+    safe = rig.run("make-safe", "--bench", str(bench_file))
+    then = len(rig.log())
+    ended = running.finish()
+
+    assert safe.code == 0, safe.stderr
+    assert f"in use by pid {running.process.pid} (" in safe.stderr
+    assert "it is asked to stop" in safe.stderr
+    assert ended.code == 143, ended.stderr
+    assert "preload released" in ended.stderr or moment != "pressed"
+    assert not any(e["what"] in ("move", "homing", "ch1.on") for e in rig.log()[then:])
+    assert rig.outputs()[-1:] != [True]
+    assert rig.marks() == []
+
+
+@pytest.mark.thorough
 def test_an_unsafe_mark_keeps_the_next_run_from_starting_wherever_its_results_go(rig, bench_file):
     rig.mark_unsafe(bench_file, {"generator": "no answer"})
     refused = rig.run(

@@ -11,7 +11,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from rig.cli.outcome import reported, say, say_failure
+from rig.cli.streams import say_at_once
 from rig.core.errors import ConfigurationError, ExitCode, RigError, UnsafeError
+from rig.core.text import printable
 
 if TYPE_CHECKING:
     from rig.bench.plan import Restable
@@ -27,9 +29,9 @@ def make_safe(
     """Put every instrument of a bench into its safe state: motion stopped, outputs off.
 
     An instrument whose driver is broken, or whose table in the bench file is wrong, does not
-    prevent making the others safe. A run on the bench is not waited for: it fails when its
-    instruments stop without its command. A rig monitor on the bench is ended. Ctrl-C does not
-    interrupt it.
+    prevent making the others safe. A run, batch or rig jog on the bench is asked to stop first and
+    gets a few seconds to make the bench safe itself. A rig monitor on the bench is ended. Ctrl-C
+    does not interrupt it.
     """
     from rig.run.stopping import StopFlag
 
@@ -54,6 +56,8 @@ def make_safe(
         with _only_warning():
             _end_readers(described)
         with _only_warning():
+            _stop_users(described)
+        with _only_warning():
             _report_what_is_known(described)
         failures, safe = make_bench_safe(text, str(bench))
         roles = [part.role for part in described.instruments if part.role not in failures]
@@ -69,6 +73,7 @@ def make_safe(
                 f"NOT SAFE: {', '.join(failures) or name}. Switch the bench off by hand and find "
                 "out why"
             )
+        _refuse_a_run_at_work(described)
         _clear_marks(described)
         if failures:
             raise RigError(
@@ -84,27 +89,55 @@ def _only_warning() -> Iterator[None]:
     try:
         yield
     except RigError as error:
-        say(f"warning: {error.one_line()}")
+        _say_first(f"warning: {error.one_line()}")
+
+
+def _say_first(text: str) -> None:
+    """Print a line before the bench is safe: a terminal that is held (Ctrl-S) does not get it, and
+    keeps nobody waiting."""
+    say_at_once(printable(text))
 
 
 def _end_readers(described: Restable) -> None:
     """End a `rig monitor` of this bench: it may have a serial port for itself."""
-    from rig.run.locks.bench_readers import end_readers
+    from rig.run.locks.bench_users import end_readers
 
     if (pid := end_readers(described)) is not None:
-        say(f"ended rig monitor (process {pid}), which was reading this bench")
+        _say_first(f"ended rig monitor (process {pid}), which was reading this bench")
+
+
+def _stop_users(described: Restable) -> None:
+    """Ask the program that uses the bench now to stop, and wait for it for some seconds."""
+    from rig.run.locks.bench_users import stop_users
+    from rig.run.locks.lock import in_use
+
+    if (user := in_use(described)) is None:
+        return
+    _say_first(f"{user}; it is asked to stop and to make the bench safe ...")
+    for error in stop_users(described):
+        _say_first(f"warning: it could not be asked: {error.one_line()}")
 
 
 def _report_what_is_known(described: Restable) -> None:
-    """Print the reports of earlier runs, and the program that uses the bench now."""
+    """Print the reports of earlier runs, and of one that has just stopped."""
     from rig.run.locks.bench_mark import read_marks
-    from rig.run.locks.lock import address_names, in_use
+    from rig.run.locks.lock import address_names
 
     for mark in read_marks(address_names(described)):
         if not mark.lives:
-            say(mark.in_words())
-    if (user := in_use(described)) is not None:
-        say(f"{user}; it is made safe all the same, and what runs on it will fail")
+            _say_first(mark.in_words())
+
+
+def _refuse_a_run_at_work(described: Restable) -> None:
+    """Raise UnsafeError if a run lives that may move again what has just been stopped."""
+    from rig.run.locks.bench_users import run_at_work
+
+    if (mark := run_at_work(described)) is not None and mark.run is not None:
+        raise UnsafeError(
+            f"NOT SAFE: everything was stopped, but the run of {mark.user} (process "
+            f"{mark.run.pid}) has not ended and may move it again",
+            f"end it (kill -9 {mark.run.pid}), then run this command again",
+        )
 
 
 def _mark_unsafe(described: Restable, name: str, failures: Mapping[str, str]) -> None:
