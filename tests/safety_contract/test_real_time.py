@@ -156,7 +156,7 @@ def test_make_safe_on_a_run_ends_it_lifted_and_nothing_moves_afterwards(rig, ben
 
     assert safe.code == 0, safe.stderr
     assert f"in use by pid {running.process.pid} (" in safe.stderr
-    assert "it is asked to stop" in safe.stderr
+    assert "waiting for it to stop and to make the bench safe" in safe.stderr
     assert ended.code == 143, ended.stderr
     assert "preload released" in ended.stderr or moment != "pressed"
     assert not any(e["what"] in ("move", "homing", "ch1.on") for e in rig.log()[then:])

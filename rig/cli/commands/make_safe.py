@@ -58,6 +58,8 @@ def make_safe(
         with _only_warning():
             _stop_users(described)
         with _only_warning():
+            _take_turn(described)
+        with _only_warning():
             _report_what_is_known(described)
         failures, safe = make_bench_safe(text, str(bench))
         roles = [part.role for part in described.instruments if part.role not in failures]
@@ -113,9 +115,17 @@ def _stop_users(described: Restable) -> None:
 
     if (user := in_use(described)) is None:
         return
-    _say_first(f"{user}; it is asked to stop and to make the bench safe ...")
+    _say_first(f"{user}; waiting for it to stop and to make the bench safe ...")
     for error in stop_users(described):
         _say_first(f"warning: it could not be asked: {error.one_line()}")
+
+
+def _take_turn(described: Restable) -> None:
+    """Let another `rig make-safe` of this bench finish first."""
+    from rig.run.locks.bench_users import take_turn
+
+    with contextlib.suppress(OSError):  # a full disk: both act at the same time
+        take_turn(described)
 
 
 def _report_what_is_known(described: Restable) -> None:

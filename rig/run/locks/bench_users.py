@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rig.run.locks.bench_mark import BenchMark, read_marks
-from rig.run.locks.lock import address_names, is_only_read
+from rig.run.locks.lock import address_names, is_only_read, try_lock
 from rig.run.locks.lock_holder import (
     NotStoppedError,
     ask_to_stop,
@@ -25,6 +25,7 @@ from rig.run.locks.lock_holder import (
     lock_file,
     locked_inodes,
 )
+from rig.run.locks.shared_folder import SharedFolder
 
 if TYPE_CHECKING:
     from rig.bench.plan import Restable
@@ -37,6 +38,10 @@ LETS_GO_S = 2.0
 """Longest time in s that is waited for it in all."""
 MADE_SAFE_S = 5.0
 """Longest time in s that is waited for a run to make its bench safe, which takes 1 to 3 s."""
+ALONE_S = 10.0
+"""Longest time in s that is waited for another `rig make-safe`, which takes 1 to 2 s where every
+instrument answers."""
+MAKING_SAFE_SUFFIX = ".making-safe"
 LET_GO_S = 15.0
 """Longest time in s that is waited for it in all, once its bench is safe: it saves its data, and
 may have a serial port for itself until then."""
@@ -87,6 +92,22 @@ def stop_users(plan: Restable) -> list[NotStoppedError]:
             break
         time.sleep(LOOK_EVERY_S)
     return failures
+
+
+def take_turn(plan: Restable) -> None:
+    """Wait until no other `rig make-safe` is at work on these instruments, at most `ALONE_S`, and
+    keep others waiting until this program ends: on a serial line each would spoil the other's
+    answers.
+
+    Raises OSError or ConfigurationError if the files for it cannot be opened.
+    """
+    give_up_s = time.monotonic() + ALONE_S
+    with SharedFolder() as folder:
+        for name in address_names(plan):
+            # It stays open: the lock ends with this program.
+            file = folder.open_file(name + MAKING_SAFE_SUFFIX, create=True)
+            while not try_lock(file) and time.monotonic() < give_up_s:
+                time.sleep(LOOK_EVERY_S)
 
 
 def run_at_work(plan: Restable) -> BenchMark | None:

@@ -141,7 +141,7 @@ def in_use(plan: BenchPlan | Restable) -> str | None:
             except OSError:
                 continue
             try:
-                if not _locked(file):
+                if not try_lock(file):
                     return _in_use(_entry_of(file), folder.path / (name + SUFFIX))[0]
             finally:
                 os.close(file)
@@ -157,7 +157,7 @@ def is_only_read(name: str) -> bool:
         except OSError:
             return False
         try:
-            return bool(_entry_of(file).get("only_reads")) and not _locked(file)
+            return bool(_entry_of(file).get("only_reads")) and not try_lock(file)
         finally:
             os.close(file)
 
@@ -184,7 +184,7 @@ def _take(folder: SharedFolder, name: str, wait: GuardWait | None) -> int:
                 "free the disk, or have its owner remove it",
             ) from error
         try:
-            locked = _locked(file)
+            locked = try_lock(file)
             if locked and folder.holds(name, file):
                 file, taken = -1, file
                 return taken
@@ -206,7 +206,8 @@ def _take(folder: SharedFolder, name: str, wait: GuardWait | None) -> int:
         time.sleep(LOOK_EVERY_S)
 
 
-def _locked(file: int) -> bool:
+def try_lock(file: int) -> bool:
+    """Lock a file and return True, or return False where another program has locked it."""
     try:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError as error:

@@ -11,8 +11,10 @@ import pytest
 
 from rig.run.locks import bench_users, lock_holder
 from rig.run.locks.bench_mark import BenchMarks
-from rig.run.locks.bench_users import run_at_work, stop_users
+from rig.run.locks.bench_users import run_at_work, stop_users, take_turn
+from rig.run.locks.lock import try_lock
 from rig.run.locks.lock_holder import lock_file
+from rig.run.locks.shared_folder import SharedFolder
 
 PLAN: object = None
 """Nothing is asked of it: its addresses are given."""
@@ -85,6 +87,32 @@ def test_another_users_run_is_not_waited_for(hold, monkeypatch) -> None:
     monkeypatch.setattr(lock_holder, "_carries", forbidden)
     (failure,) = stop_users(PLAN)
     assert "the run belongs to " in failure.message
+
+
+def test_two_that_make_a_bench_safe_do_it_one_after_the_other(tmp_path) -> None:
+    code = (
+        "import os, sys, time; from rig.run.locks import bench_users\n"
+        "bench_users.address_names = lambda _: ('z', 'x')\n"
+        "bench_users.take_turn(None)\n"
+        "os.write(1, b'begins '); time.sleep(0.3); os.write(1, b'ends ')"
+    )
+    shown = tmp_path / "shown"
+    with shown.open("ab") as file:
+        both = [subprocess.Popen([sys.executable, "-c", code], stdout=file) for _ in range(2)]
+        assert [one.wait(60) for one in both] == [0, 0]
+    assert shown.read_text() == "begins ends begins ends "
+
+
+def test_one_that_hangs_while_it_makes_the_bench_safe_keeps_no_other_from_it(
+    names, monkeypatch
+) -> None:
+    monkeypatch.setattr(bench_users, "ALONE_S", 0.1)
+    with SharedFolder() as folder:
+        files = [folder.open_file(name + ".making-safe", create=True) for name in names]
+    assert all(map(try_lock, files))
+    take_turn(PLAN)
+    for file in files:
+        os.close(file)
 
 
 def test_a_bench_that_nobody_uses_is_not_waited_for() -> None:
