@@ -56,6 +56,9 @@ def pytest_configure(config: pytest.Config) -> None:
     shared = tempfile.mkdtemp(prefix="rig-tests-shared-")
     os.environ[SHARED_FOLDER] = shared
     config.add_cleanup(lambda: shutil.rmtree(shared, ignore_errors=True))
+    # Under nohup, commands that a test starts would inherit an ignored SIGHUP.
+    if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:
+        signal.signal(signal.SIGHUP, lambda *_: None)
     if not hasattr(config, "workerinput") and not config.option.collectonly:
         ensure_compiled()
 

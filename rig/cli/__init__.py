@@ -16,7 +16,7 @@ SIGNALS_THAT_END = (signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
 def main() -> None:
     """Entry point of the command ``rig``."""
     atexit.register(_ignore_signals)  # Registered first, so it is called last.
-    for number in SIGNALS_THAT_END:
+    for number in _signals_that_end():
         signal.signal(number, _leave)
     # One thread of linear algebra: the products here are small, and a second thread would only
     # disturb the loop that holds a force.
@@ -34,10 +34,16 @@ def main() -> None:
                 ended.code = code_after_output(ended.code)
                 raise
         finally:  # An exception while Python shuts down would print a traceback.
-            for number in (signal.SIGINT, *SIGNALS_THAT_END):
+            for number in (signal.SIGINT, *_signals_that_end()):
                 signal.signal(number, _leave_at_once)
     except KeyboardInterrupt:  # It may also come within the lines of `finally`.
         sys.exit(_code(signal.SIGINT))
+
+
+def _signals_that_end() -> list[signal.Signals]:
+    """Return `SIGNALS_THAT_END`, without SIGHUP where ``nohup`` has had it ignored."""
+    ignored = signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
+    return [one for one in SIGNALS_THAT_END if not (ignored and one == signal.SIGHUP)]
 
 
 def _leave(number: int, _: FrameType | None) -> None:

@@ -80,7 +80,8 @@ class TimeLimit:
 
 
 class StopFlag:
-    """Catches stop signals while it is entered (main thread only).
+    """Catches stop signals while it is entered (main thread only). An ignored SIGHUP stays ignored,
+    as ``nohup`` has it for what shall outlast its terminal.
 
     `say` shows a line to the person who waits. It is called from the signal's handler, at any point
     of the program: `notice` for the first signal, `NOTICE_AGAIN` for a further one that follows the
@@ -141,6 +142,8 @@ class StopFlag:
 
     def __enter__(self) -> Self:
         for number in STOP_SIGNALS:
+            if number == signal.SIGHUP and signal.getsignal(number) is signal.SIG_IGN:
+                continue
             self._previous[number] = signal.signal(number, self._remember)
         return self
 

@@ -138,6 +138,18 @@ def test_a_signal_while_python_clears_up_does_not_change_the_exit_code(
     assert "Usage: rig" in ended.stdout
 
 
+def test_under_nohup_a_terminal_that_closes_ends_no_command() -> None:
+    ended = help_with(
+        "import os, signal, sys\n"
+        "signal.signal(signal.SIGHUP, signal.SIG_IGN)\n"
+        "import rig.cli.app as app\n"
+        "perform = app.perform\n"
+        "app.perform = lambda given: (os.kill(os.getpid(), signal.SIGHUP), perform(given))"
+    )
+    assert ended.returncode == 0
+    assert "Usage: rig" in ended.stdout
+
+
 def test_every_command_and_group_is_listed_with_its_description() -> None:
     listed = " ".join(rig("--help").stdout.split())
     docstrings = {name: import_module(module).__doc__ for name, module in GROUPS.items()}

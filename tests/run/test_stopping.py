@@ -77,3 +77,17 @@ def test_a_command_without_data_does_not_say_that_it_saves_any() -> None:
 def test_without_a_signal_a_failure_is_what_it_was() -> None:
     with pytest.raises(ImportError), StopFlag() as stop, stop.nothing_connected():
         raise ImportError("the plug-in does not work")
+
+
+def test_under_nohup_a_terminal_that_closes_stops_nothing() -> None:
+    """A night that was started so shall outlast the terminal; other signals stop it as ever."""
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        with StopFlag() as stop:
+            signal.raise_signal(signal.SIGHUP)
+            stop.check()
+            signal.raise_signal(signal.SIGTERM)
+            assert stop.requested is signal.SIGTERM
+        assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
+    finally:
+        signal.signal(signal.SIGHUP, before)
