@@ -5,7 +5,9 @@ nothing but the stage itself shows that it presses. An approach ends
 
 - where z stands although it is commanded to move: its torque limit holds it, or something else, or
   it does not obey; its torque shows which of these it is,
-- where the torque of its motor rises and no force with it, and
+- where the torque of its motor rises and no force with it,
+- where the sensor shows a pull, since its sign may be wrong: then contact is never felt, and z
+  would press on until the force is over its limit, and
 - where contact has been felt, z has gone on, and the mean force is no force by the sensor's own
   noise, which was measured before contact.
 
@@ -19,6 +21,8 @@ import math
 from collections import deque
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
+
+import numpy as np
 
 from procedures.pressed.approach.contact import SIGMAS, contact_range_mm, felt_N
 from procedures.pressed.approach.torque_watch import SUSPECT, TorqueWatch
@@ -42,6 +46,9 @@ skin or a film that is pressed so far pushes back with several times the force t
 """
 CONFIRMED_S = 0.05
 """Stretch of force whose mean confirms a contact."""
+PULLED_N = 0.5
+"""Pull from which the sign of the force is in doubt: beyond the drift of a zero that was accepted
+in free air, and what a film or a skin shows of a press of some 0.01 mm."""
 
 
 class NotObeyedError(InstrumentError):
@@ -84,11 +91,29 @@ class ApproachWatch:
         self._recent.append((now_s, position_mm, self._way_mm))
         while len(self._recent) > 2 and self._recent[1][0] <= now_s - HELD_S:
             self._recent.popleft()
+        self._refuse_pull(position_mm, force_N)
         self._refuse_held(position_mm, force_N)
         if touched and not self._confirmed:
             self._confirm(position_mm)
         if self._torque is not None:
             self._compare_torque(self._torque, position_mm)
+
+    def _refuse_pull(self, position_mm: float, force_N: float) -> None:
+        """Refuse a force that pulls for half of `CONFIRMED_S`: nothing does so before contact."""
+        if force_N > -PULLED_N:
+            return
+        usual_N = float(np.median(self._run.force.latest_N(CONFIRMED_S)[:, 2]))
+        if usual_N > -PULLED_N:
+            return
+        self._run.bench.stage_z.stop()
+        raise InstrumentError(
+            "force_sensor",
+            "approach",
+            f"it reads {usual_N:.2g} N along z at {position_mm:.3f} mm, as if something pulled; "
+            "what presses has to read positive",
+            "press on it by hand and look at its value (rig jog shows it): where that is negative, "
+            "correct the sign of z in [force_sensor], or its cable; else look what pulls",
+        )
 
     def _refuse_held(self, position_mm: float, force_N: float) -> None:
         """Refuse a stage that does not do what it is commanded."""

@@ -71,6 +71,31 @@ def test_a_contact_that_is_real_is_confirmed_in_noise(noise_N: float) -> None:
     assert not bench.stopped
 
 
+def test_a_sensor_whose_sign_is_wrong_is_named_before_its_force_is_large() -> None:
+    """It shows a pull where z presses: no contact is ever felt."""
+    bench = Bench(0.002, contact_mm=12.3, stiffness_N_mm=-145.0)
+    with pytest.raises(InstrumentError, match="as if something pulled") as caught:
+        bench.go(watch_of(bench), 0.6, moves=True, touched=False)
+    assert caught.value.device == "force_sensor"
+    assert "correct the sign of z in [force_sensor]" in str(caught.value.hint)
+    assert bench.stopped
+    assert (bench.mm - bench.contact_mm) * 145.0 < 5.0
+
+
+def test_a_pull_of_a_moment_is_no_wrong_sign(monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = Bench(0.002, contact_mm=20.0)
+    quiet = bench.latest_N
+
+    def pulled(seconds: float) -> np.ndarray:
+        force = quiet(seconds)
+        force[-20:, 2] -= 5.0  # N, for 20 ms
+        return force
+
+    monkeypatch.setattr(bench, "latest_N", pulled)
+    bench.go(watch_of(bench), 0.05, moves=True, touched=False)
+    assert not bench.stopped
+
+
 def test_a_stage_that_is_held_without_a_force_makes_the_sensor_suspect() -> None:
     bench = Bench(0.002, contact_mm=20.0)
     with pytest.raises(InstrumentError, match="stage_z is held at 12") as caught:
