@@ -198,7 +198,8 @@ class CmmtWatch:
             self._abort(
                 f"stopped by its torque limit at {self._mm(seen.position):g} mm on the way to "
                 f"{motion.target:g} mm",
-                "something is in the way; if it belongs there, raise torque_limit_percent",
+                "something is in the way; if it belongs there, check that the force sensor shows "
+                "it, then raise torque_limit_percent",
             )
         if wrong is not None:
             self._abort(

@@ -31,7 +31,10 @@ class Alarm:
 
 COMMUNICATION_ALARM = 0x85
 """No request has come over the line within the drive's communication time-out."""
-_BLOCKED = "check what blocks the axis; if it belongs there, raise torque_limit_percent"
+_BLOCKED = (
+    "check what blocks the axis; if it belongs there, check that the force sensor shows it, then "
+    "raise torque_limit_percent"
+)
 _POWER = "check the drive's power supply, then switch it off and on"
 _SERVICE = "switch the drive off and on; if it comes again, have it repaired"
 _COOL = "let it cool down; check for friction and for too much current at rest"

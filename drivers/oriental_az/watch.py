@@ -239,7 +239,8 @@ class AzWatch:
                 f"is held back by {abs(lag_mm):.3g} mm at {here_mm:g} mm on the way to "
                 f"{motion.target:g} mm, at {self._settings.current_percent:g} % of its "
                 "current",
-                "something is in the way; if it belongs there, raise torque_limit_percent",
+                "something is in the way; if it belongs there, check that the force sensor shows "
+                "it, then raise torque_limit_percent",
             )
         if wrong is not None:
             self.abort(

@@ -205,18 +205,18 @@ class ApproachWatch:
 
 @contextlib.contextmanager
 def naming_the_sensor(run: Run, contact_N: float) -> Iterator[None]:
-    """Add the force sensor as the suspect to a failure of z where z may press and no force is read:
-    a torque limit that was reached, for instance."""
+    """Add what the force sensor reads to a failure of z where z may press, a torque limit that was
+    reached for instance; and the sensor as the suspect where it reads no force."""
     try:
         yield
     except InstrumentError as error:
-        if error.device != "stage_z" or isinstance(error, NotObeyedError) or not _may_press(run):
+        # A time-out of its link, a refused motion and a z that does not obey are none of these.
+        if error.device != "stage_z" or type(error) is not InstrumentError or not _may_press(run):
             raise
         force_N = felt_N(run, CONFIRMED_S)
-        if force_N > contact_N:
-            raise
-        cause = f"{error.cause}; force_sensor reads {force_N:.2g} N"
-        hint = f"{SUSPECT}; otherwise: {error.hint}" if error.hint else SUSPECT
+        cause, hint = f"{error.cause}; force_sensor reads {force_N:.2g} N", error.hint
+        if force_N <= contact_N:
+            hint = f"{SUSPECT}; otherwise: {hint}" if hint else SUSPECT
         raise InstrumentError(error.device, error.command, cause, hint) from error
 
 

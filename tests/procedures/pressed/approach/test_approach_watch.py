@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from procedures.pressed.approach.approach_watch import ApproachWatch, naming_the_sensor
-from rig.core.errors import InstrumentError
+from rig.core.errors import InstrumentError, InstrumentTimeoutError
 
 CONTACT_N, TARGET_N = 0.1, 4.0
 TICK_S, SPEED_mm_s = 0.01, 0.5
@@ -134,3 +134,27 @@ def test_a_stage_that_fails_without_a_force_in_the_contact_range_makes_the_senso
         raise InstrumentError("stage_z", "move", "stopped by its torque limit", "look")
     assert ("suspect the force sensor" in str(caught.value.hint)) == suspected
     assert "look" in str(caught.value.hint)
+
+
+def test_a_stage_that_fails_while_it_presses_says_what_the_sensor_reads() -> None:
+    """A sensor that reads a tenth lets z press up to its torque limit: its reading shows that."""
+    bench = Bench(0.002, contact_mm=12.4, stiffness_N_mm=9.0)
+    bench.mm = 12.9
+    naming = naming_the_sensor(bench.run, CONTACT_N)  # type: ignore[arg-type]
+    with (
+        pytest.raises(InstrumentError, match=r"limit; force_sensor reads 4\.5 N") as caught,
+        naming,
+    ):
+        raise InstrumentError("stage_z", "move", "stopped by its torque limit", "look")
+    assert caught.value.hint == "look"
+
+
+def test_a_stage_whose_link_is_silent_does_not_make_the_sensor_suspect() -> None:
+    """And it stays known as silent, so that making safe does not wait for it first."""
+    bench = Bench(0.002, contact_mm=20.0)
+    bench.mm = 12.5
+    silent = InstrumentTimeoutError("stage_z", "read register 100", "no answer", "look")
+    naming = naming_the_sensor(bench.run, CONTACT_N)  # type: ignore[arg-type]
+    with pytest.raises(InstrumentTimeoutError) as caught, naming:
+        raise silent
+    assert caught.value is silent
