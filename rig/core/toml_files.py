@@ -31,7 +31,8 @@ _GIVEN_TWICE = re.compile(r"Cannot overwrite a value \(at line (\d+), column \d+
 
 
 def read_text(path: Path, what: str, most_bytes: int, hint: str | None = None) -> str:
-    """Return the text of a file; `what` names it in messages ("bench file").
+    """Return the text of a file, without the byte order mark that some editors put in front;
+    `what` names it in messages ("bench file").
 
     Raises ConfigurationError if it cannot be read, is not a regular file (a pipe could block), is
     longer than `most_bytes` or is not UTF-8.
@@ -50,7 +51,7 @@ def read_text(path: Path, what: str, most_bytes: int, hint: str | None = None) -
     if len(content) > most_bytes:
         raise ConfigurationError(f"{path} is not a {what}: larger than {most_bytes} bytes", hint)
     try:
-        return content.decode("utf-8")
+        return content.decode("utf-8").removeprefix("\ufeff")
     except UnicodeDecodeError as error:
         raise ConfigurationError(
             f"{path} is not a {what}: not UTF-8 text: byte {error.start} is not part of one", hint

@@ -12,8 +12,6 @@ imported recording has the label and times that were stated at its import.
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -23,8 +21,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.core.csv_lists import ListRow, read_list
 from rig.core.errors import ConfigurationError
-from rig.core.toml_files import read_text
 from rig.detector.commands import Command, commands_in
 from rig.evaluation import simulated_truth
 from rig.evaluation.scored_trials import judge_one
@@ -135,8 +133,8 @@ def listed_trials(listing: Path) -> Iterator[tuple[ListedTrial, int]]:
     """Yield every trial of a list, with the number of all. ConfigurationError names the line that
     cannot be used."""
     rows = _rows(listing)
-    for number, row in enumerate(rows, 1):
-        where = f"{listing}, line {number + 1}"
+    for line, row in rows:
+        where = f"{listing}, line {line}"
         path = listing.parent / row["file"]
         recorded = _recorded(path, row.get("point", ""), where)
         truth = _truth(row, recorded, where)
@@ -165,22 +163,23 @@ def listed_trials(listing: Path) -> Iterator[tuple[ListedTrial, int]]:
         )
 
 
-def _rows(listing: Path) -> list[dict[str, str]]:
-    text = read_text(listing, "list of labelled files", MAX_LIST_BYTES)
-    reader = csv.DictReader(io.StringIO(text))
-    if "file" not in (reader.fieldnames or ()):
+def _rows(listing: Path) -> list[ListRow]:
+    heads, rows = read_list(listing, "list of labelled files", MAX_LIST_BYTES)
+    if "file" not in heads:
         raise ConfigurationError(
             f"{listing}: has no column 'file'", "its first line names the columns"
         )
-    rows: list[dict[str, str]] = []
-    for row in reader:
-        if None in row or None in row.values():
-            raise ConfigurationError(
-                f"{listing}, line {len(rows) + 2}: the number of cells differs from the header"
-            )
-        rows.append({name.strip(): cell.strip() for name, cell in row.items()})
     if not rows:
         raise ConfigurationError(f"{listing}: lists no file")
+    seen: dict[tuple[str, ...], int] = {}
+    for row in rows:
+        first = seen.setdefault(tuple(row.cells.values()), row.line)
+        if first != row.line:
+            raise ConfigurationError(
+                f"{listing}, line {row.line}: the same as line {first}, so that its trial "
+                "would be judged twice",
+                "take one of them out",
+            )
     return rows
 
 
@@ -259,6 +258,16 @@ def _truth(row: dict[str, str], recorded: _Recorded, where: str) -> Truth:
             "add the start of the motion, in s of the record",
         )
     record_s = len(recorded.volts) / recorded.rate_Hz
+    for name in (name for name in TIMES if name in row):
+        if not math.isnan(times[name]) and not 0 <= times[name] <= record_s:
+            raise ConfigurationError(
+                f"{where}: {name} {row[name]} s: the record is from 0 to {record_s:g} s"
+            )
+        if row.get("motion_s") and times[name] < times["motion_s"]:
+            raise ConfigurationError(
+                f"{where}: {name} {row[name]} s is before motion_s {row['motion_s']} s",
+                "all times are in s from the first sample of the record",
+            )
     # Where the list states the truth itself, the bench's quiet intervals may contradict it.
     quiet_s = () if set(TIMES) & set(row) else recorded.truth.get("quiet_s", ())
     return Truth(label=label, record_s=record_s, quiet_s=quiet_s, **times)

@@ -241,6 +241,12 @@ def test_labelled_files_are_scored_by_their_list_or_by_what_a_simulated_bench_kn
         ("file,motion_s\nslip.h5,soon\n", "line 2: motion_s 'soon' is not a number"),
         ("file,label,ridge_slip_s\nslip.h5,slip,\n", "ridge_slip_s nan s: both must be times"),
         ("file,noise_mV\nslip.h5,much\n", "line 2: noise_mV 'much' is not a number"),
+        ("file,motion_s\nslip.h5,900\n", "line 2: motion_s 900 s: the record is from 0 to "),
+        (
+            "file,motion_s,ridge_slip_s\n\nslip.h5,0.5,0.2\n",
+            "line 3: ridge_slip_s 0.2 s is before motion_s 0.5 s",
+        ),
+        ("file\nslip.h5\nslip.h5\n", "line 3: the same as line 2, so that its trial would be "),
     ],
 )
 def test_a_list_that_cannot_be_used_is_refused_with_its_line(listing, words, tmp_path):

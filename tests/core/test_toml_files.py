@@ -26,6 +26,12 @@ def test_a_key_that_is_given_twice_is_named_with_its_line() -> None:
     )
 
 
+def test_a_file_from_an_editor_that_writes_a_byte_order_mark_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "night.toml"
+    path.write_bytes(b'\xef\xbb\xbf[batch]\r\nname = "b"\r\n')
+    assert read_toml(path, "batch file") == {"batch": {"name": "b"}}
+
+
 def test_any_other_fault_keeps_its_line_and_column() -> None:
     with pytest.raises(ConfigurationError, match=r"line 2, column \d+\)$") as caught:
         parse_toml("a = 1\nb\n", "bench.toml")

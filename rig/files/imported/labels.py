@@ -9,14 +9,12 @@ alone.
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 from collections.abc import Mapping
 from pathlib import Path
 
+from rig.core.csv_lists import read_list
 from rig.core.errors import ConfigurationError
-from rig.core.toml_files import read_text
 from rig.files.errors import ForeignFileError
 from rig.files.imported.series import Recording
 
@@ -37,9 +35,8 @@ Label = dict[str, str | float]
 def read_labels(path: Path) -> dict[str, dict[str, str]]:
     """Return the lines of a list of labels by the name of the file. ConfigurationError for one that
     cannot be used."""
-    reader = csv.DictReader(io.StringIO(read_text(path, "list of labels", MAX_LIST_BYTES)))
+    heads, rows = read_list(path, "list of labels", MAX_LIST_BYTES)
     known = ("file", "label", *TIMES)
-    heads = [name.strip() for name in reader.fieldnames or ()]
     if "file" not in heads or not set(heads) - {"file"}:
         raise ConfigurationError(
             f"--labels {path}: its first line has to name the column 'file' and one of "
@@ -50,12 +47,7 @@ def read_labels(path: Path) -> dict[str, dict[str, str]]:
             f"--labels {path}: unknown column {unknown[0]!r}", f"known are {', '.join(known)}"
         )
     found: dict[str, dict[str, str]] = {}
-    for number, row in enumerate(reader, 2):
-        if None in row or None in row.values():
-            raise ConfigurationError(
-                f"--labels {path}, line {number}: the number of cells differs from the header"
-            )
-        line = {name.strip(): cell.strip() for name, cell in row.items()}
+    for number, line in rows:
         if line["file"] in found:
             raise ConfigurationError(
                 f"--labels {path}, line {number}: {line['file']} is there twice"
