@@ -13,7 +13,7 @@ import pytest
 from rig.batch.execute.batch_clock import PASSED_S, TIME_OVER, clock_of, renew_window, window_of
 from rig.batch.plan.conditions import BatchPlan
 from rig.batch.plan.settings import BatchFile, BatchSettings
-from rig.batch.plan.window import does_not_fit, window
+from rig.batch.plan.window import does_not_fit, fault_of, how_to_continue, window
 from rig.batch.queue import Queue
 
 TEN = datetime(2026, 11, 21, 22, 0, tzinfo=timezone(timedelta(hours=1)))
@@ -85,6 +85,45 @@ def test_a_run_begins_only_if_it_would_be_over_with_two_standard_deviations_to_s
     assert not does_not_fit(TEN, until, 80.0, 10.0)
     assert "stop_by is 22:01:40" in does_not_fit(TEN, until, 80.0, 10.1)
     assert not does_not_fit(TEN, None, 1e9, 0.0)
+
+
+def test_a_batch_with_a_date_to_begin_at_gets_the_next_morning_when_it_is_resumed_later() -> None:
+    _, last = window(batch(not_before="2026-11-14T22:00:00", stop_by="07:00:00"), TEN)
+    assert last == TEN + timedelta(hours=9)
+
+
+def test_a_run_that_would_end_on_another_day_than_stop_by_is_refused_with_both_days() -> None:
+    why = does_not_fit(TEN, TEN - timedelta(days=7), 80.0, 0.0)
+    assert why == (
+        "the next run would last until 2026-11-21 22:01:20, stop_by is 2026-11-14 22:00:00"
+    )
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"stop_by": "2026-11-14T07:00:00"}, "has passed: it is 2026-11-21 22:00:00"),
+        (
+            {"not_before": "2026-11-22T22:00:00", "stop_by": "2026-11-22T07:00:00"},
+            "is not after not_before, 2026-11-22 22:00:00",
+        ),
+        ({"not_before": "23:00:00", "stop_by": "2026-11-21T22:30:00"}, "is not after not_before"),
+        ({"not_before": "23:00:00", "stop_by": "2026-11-22T07:00:00"}, ""),
+        ({"not_before": "22:00:00", "stop_by": "22:00:00"}, ""),
+        ({}, ""),
+    ],
+)
+def test_a_stop_by_that_leaves_no_time_is_found_before_the_night_is_waited_for(
+    given: dict[str, str], words: str
+) -> None:
+    found = fault_of(batch(**given), TEN)
+    assert words in found
+    assert bool(found) == bool(words)
+
+
+def test_a_batch_whose_date_has_passed_is_not_sent_to_a_resume_that_cannot_help() -> None:
+    assert how_to_continue(batch(stop_by="07:00:00")) == "rig batch resume"
+    assert "begin a new batch" in how_to_continue(batch(stop_by="2026-11-14T07:00:00"))
 
 
 def queue_of(folder: Path, begun: datetime, bench: str, **given: Any) -> Queue:

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Literal
 
 from rig.batch.execute.batch_clock import TIME_OVER, window_of
 from rig.batch.execute.disk_room import LEAST_B, has_room
-from rig.batch.plan.window import does_not_fit
+from rig.batch.plan.settings import BatchFile
+from rig.batch.plan.window import does_not_fit, how_to_continue
 from rig.batch.queue import Queue, give_up
 from rig.batch.queue_file import QueueWriteError
 from rig.core.errors import ExitCode, RigError
@@ -70,6 +71,9 @@ class BetweenRuns:
         self._clock, self._benches = clock, benches
         self._stop, self._commands, self._send = stop, commands, send
         self._from, self._until = window_of(queue)
+        batch = BatchFile.model_validate_json(queue.meta("file")).batch
+        self._to_continue = how_to_continue(batch)
+        """What to do once `stop_by` has ended the batch."""
         self._interlocks: InterlockWatch | None = None
         """The watch over the interlock contacts while a wait lasts."""
 
@@ -142,12 +146,12 @@ class BetweenRuns:
             raise self.time_over(why)
 
     def time_over(self, why: str) -> EndOfBatchError:
-        """Return the decision that ends the batch at its `stop_by`; the next `rig batch resume`
-        opens a new window."""
+        """Return the decision that ends the batch at its `stop_by`; where that is a time of the
+        day, the next `rig batch resume` opens a new window."""
         self._queue.wait_for_disk = give_up
         with contextlib.suppress(QueueWriteError):
             self._queue.set_meta(TIME_OVER, "yes")
-        return EndOfBatchError(why, "rig batch resume", ExitCode.STOPPED_BY_CONDITION)
+        return EndOfBatchError(why, self._to_continue, ExitCode.STOPPED_BY_CONDITION)
 
     def time_limit(self, bench_clock: Clock) -> TimeLimit | None:
         """Return the time by which a run that begins now has to end; None without `stop_by`."""

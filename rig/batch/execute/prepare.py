@@ -20,6 +20,7 @@ from rig.batch.plan.findings import KeyPath, PlanFinding, RefusedBatchError
 from rig.batch.plan.read import read_batch
 from rig.batch.plan.settings import BatchFile
 from rig.batch.plan.validate import BenchConnector, ValidationResult, validate
+from rig.batch.plan.window import fault_of
 from rig.batch.queue_records import RunEstimate
 from rig.batch.report.notify import require_usable
 from rig.bench.connect import connect
@@ -74,6 +75,7 @@ def prepare(
         *_simulation(batch, path, chosen),
         *_bad_records(batch, real, now),
         *_unusable_notifications(batch),
+        *_no_window(batch, now),
     ]
     with tempfile.TemporaryDirectory(prefix="rig-batch-plan-") as results:
         request = _request(batch, path, chosen, real, Path(results))
@@ -168,6 +170,16 @@ def _unusable_notifications(batch: BatchFile) -> Iterator[PlanFinding]:
         require_usable(batch.batch.notify)
     except ConfigurationError as error:
         yield PlanFinding(("batch", "notify"), error.message, error.hint)
+
+
+def _no_window(batch: BatchFile, now: datetime) -> Iterator[PlanFinding]:
+    """Yield a window in which no run could be taken."""
+    if fault := fault_of(batch.batch, now):
+        yield PlanFinding(
+            ("batch", "stop_by"),
+            f"batch.stop_by = {batch.batch.stop_by} {fault}",
+            "write a time of the day, which is the next one, or a later date",
+        )
 
 
 def _bad_records(batch: BatchFile, real: BenchPlan | None, now: datetime) -> Iterator[PlanFinding]:

@@ -66,7 +66,9 @@ def rebuild(
     _require_same(path, folder.batch_file)
     if bench is None and terms.get("bench"):
         bench = Path(terms["bench"])
-    prepared = prepare(path, bench, now, say)
+    # As it was begun: window and calibration records may have expired since.
+    begun = datetime.fromisoformat(terms["begun"]) if "begun" in terms else now
+    prepared = prepare(path, bench, begun, say)
     meta = terms or terms_of(path, prepared, now)
     new = folder.path / "queue.rebuilt.sqlite"
     new.unlink(missing_ok=True)

@@ -18,9 +18,23 @@ SPARE_SIGMAS = 2.0
 
 def window(batch: BatchSettings, begun: datetime) -> tuple[datetime | None, datetime | None]:
     """Return when a batch that was begun then may use the bench: not before, and by when it is
-    over. A time of day is the next one; that of the end, the next after the beginning."""
+    over. A time of day is the next one; that of the end, the next after the beginning, which is
+    `begun` where `not_before` is a date that has passed."""
     first = _next(batch.not_before, begun)
-    return first, _next(batch.stop_by, first or begun)
+    return first, _next(batch.stop_by, begun if first is None else max(first, begun))
+
+
+def fault_of(batch: BatchSettings, now: datetime) -> str:
+    """Return why no run of a batch that is begun now could use its window; empty where one could.
+    A `stop_by` with a date may have passed: a file of an earlier night, used again."""
+    first, last = window(batch, now)
+    if last is None:
+        return ""
+    if last <= now:
+        return f"has passed: it is {_shown(now)}"
+    if first is not None and last <= first:
+        return f"is not after not_before, {_shown(first)}"
+    return ""
 
 
 def does_not_fit(
@@ -32,10 +46,25 @@ def does_not_fit(
     over = now + timedelta(seconds=estimate_s + SPARE_SIGMAS * spread_s)
     if over <= stop_by:
         return ""
+    day = "" if over.astimezone().date() == stop_by.astimezone().date() else "%Y-%m-%d "
     return (
-        f"the next run would last until {over.astimezone():%H:%M:%S}, "
-        f"stop_by is {stop_by.astimezone():%H:%M:%S}"
+        f"the next run would last until {over.astimezone():{day}%H:%M:%S}, "
+        f"stop_by is {stop_by.astimezone():{day}%H:%M:%S}"
     )
+
+
+def how_to_continue(batch: BatchSettings) -> str:
+    """Return how the runs are taken for which there was no time before `stop_by`."""
+    if isinstance(batch.stop_by, datetime):
+        return (
+            "stop_by has a date, which rig batch resume does not change: begin a new batch with "
+            "the runs that are left"
+        )
+    return "rig batch resume"
+
+
+def _shown(instant: datetime) -> str:
+    return f"{instant.astimezone():%Y-%m-%d %H:%M:%S}"
 
 
 def _next(instant: datetime | time | None, after: datetime) -> datetime | None:

@@ -147,9 +147,11 @@ def _summary(prepared: PreparedBatch, free_B: int) -> Iterator[str]:
     if forecast.stop_by is not None:
         stop_by = f"stop_by {_local(forecast.stop_by)}"
         if forecast.in_time < runs:
+            from rig.batch.plan.window import how_to_continue
+
             yield (
                 f"warning: {stop_by}: {forecast.in_time} of {counted(runs, 'run')} will have ended "
-                "by then; continue with `rig batch resume`"
+                f"by then; {how_to_continue(prepared.batch.batch)}"
             )
         else:
             yield f"{stop_by}: {runs} of {counted(runs, 'run')} will have ended by then"
