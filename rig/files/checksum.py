@@ -31,11 +31,15 @@ def write_checksum(path: Path, sha256: str) -> None:
 def checksum_findings(file: Path) -> Iterator[str]:
     """Yield what is wrong with a file according to the SHA-256 beside it, one sentence each.
 
-    Nothing is yielded if the file is, byte by byte, the one that was written. A missing checksum
+    Nothing is yielded if the file is, byte by byte, the one that was written, whatever its name
+    was then: a file may be renamed together with its checksum. Beside a symbolic link without a
+    checksum of its own that of its target is used. A missing checksum
     is a finding too: the file may be sound, but nothing shows it. Raises OSError for a file that
     cannot be read.
     """
     beside = checksum_path(file)
+    if file.is_symlink() and not beside.exists():
+        beside = checksum_path(file.resolve())
     if beside.exists() and not beside.is_file():
         yield f"{beside.name}: not a regular file"
         return
@@ -51,10 +55,12 @@ def checksum_findings(file: Path) -> Iterator[str]:
     except OSError as error:
         yield f"{beside.name}: {error.strerror or error}"
         return
-    if words[1:] != [file.name]:
-        yield f"{beside.name} is not the checksum of this file"
-    elif words[0] != sha256_of(file):
+    if not words:
+        yield f"{beside.name} is empty"
+    elif words[0].lower() != sha256_of(file):
+        named = " ".join(words[1:]).removeprefix("*")  # sha256sum --binary writes an asterisk
+        other = f", which is that of {named}" if named not in ("", file.name) else ""
         yield (
             "the file is not the one that was written: its SHA-256 differs from the one in "
-            f"{beside.name}"
+            f"{beside.name}{other}"
         )

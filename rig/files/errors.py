@@ -77,6 +77,8 @@ def in_words(error: Exception) -> str:
     if isinstance(error, KeyError):
         named = _MISSING.search(str(error))
         return f"{named[1] if named else 'something that belongs there'} is missing"
+    if isinstance(error, BlockingIOError):  # HDF5 locks a file that it writes to
+        return "another program has it open for writing; close it there"
     if isinstance(error, OSError | RuntimeError):
         return "it is damaged: some of its bytes cannot be read"
     return "a value in it is not what belongs there"

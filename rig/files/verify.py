@@ -19,7 +19,7 @@ from rig.core.child import ChildError, run_module
 from rig.files.checksum import checksum_findings
 from rig.files.describe import ending_of
 from rig.files.errors import JournalError, RunFileError, in_words
-from rig.files.file_kind import IN_WORDS, kind_of
+from rig.files.file_kind import described, kind_of
 from rig.files.hdf5.nexus import plain_text
 from rig.files.hdf5.safe_reading import DAMAGE, checked, text_of, whole
 from rig.files.journal.format import to_json
@@ -94,7 +94,8 @@ def verdict(file: Path | str, noun_of: Callable[[RunHeader], Noun] = _as_points)
     if kind == "journal":
         return _verdict_on_journal(file, noun_of)
     if kind != "hdf5":
-        return FileVerdict((IN_WORDS[kind],), "")
+        what, hint = described(file, kind)
+        return FileVerdict((f"{what}; {hint}" if hint else what,), "")
     from rig.files.model_file import is_model
     from rig.files.processed.reader import is_processed
 

@@ -103,6 +103,23 @@ def test_an_npz_is_read_as_a_matlab_file_is(tmp_path: Path) -> None:
     assert "force, strips" in refused.value.one_line()
 
 
+@pytest.mark.parametrize("dtype", ["?", "u1", "f2", "g"])
+def test_a_mask_of_any_type_marks_when_something_begins(tmp_path: Path, dtype: str) -> None:
+    path = tmp_path / "a.npz"
+    begun = (np.arange(len(TABLE)) >= 8).astype(dtype)
+    np.savez(path, left=TABLE[:, 1], right=TABLE[:, 2], moves=begun)
+    found = read(path, {"v_1": "left", "v_2": "right", "motion": "moves"})
+    assert found.labels_s["motion"] == 0.008
+
+
+def test_what_is_not_a_number_in_an_npz_is_refused_with_a_remedy_for_numpy(tmp_path: Path) -> None:
+    path = tmp_path / "a.npz"
+    np.savez(path, left=TABLE[:, 1].astype("M8[ms]"), right=TABLE[:, 2])
+    with pytest.raises(ForeignFileError) as refused:
+        read(path, {"v_1": "left", "v_2": "right"})
+    assert refused.value.hint == "save it as an array of numbers, such as float64"
+
+
 def test_pickled_objects_in_an_npz_are_not_loaded(tmp_path: Path) -> None:
     class Evil:
         def __reduce__(self) -> tuple[Any, ...]:

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from pathlib import Path
 
+import h5py
 import pytest
 
 from rig.batch.folder import QUEUE
 from rig.core.errors import ExitCode
 from rig.files.errors import RunFileError
 from rig.files.file_kind import BATCH_QUEUE, require_hdf5
+from rig.files.runfile.reader import RunFile
+from rig.files.verify import verify
 
 
 def refused(path: Path) -> RunFileError:
@@ -38,6 +43,29 @@ def test_a_checksum_names_its_file(tmp_path: Path) -> None:
     path.write_text("0" * 64 + "  x.h5\n")
     error = refused(path)
     assert (error.reason, error.hint) == ("a checksum, not the file itself", "name x.h5")
+
+
+def test_verify_says_of_a_file_of_another_kind_what_show_says(tmp_path: Path) -> None:
+    path = tmp_path / "x.h5.sha256"
+    path.write_text("0" * 64 + "  x.h5\n")
+    assert verify(path) == ["a checksum, not the file itself; name x.h5"]
+
+
+def test_a_file_that_another_program_writes_to_is_not_called_damaged(tmp_path: Path) -> None:
+    path = tmp_path / "x.h5"
+    with h5py.File(path, "w") as held:
+        held["entry/title"] = "x"
+    writer = "import h5py, sys; f = h5py.File(sys.argv[1], 'r+'); print(flush=True); input()"
+    with subprocess.Popen(
+        [sys.executable, "-c", writer, path], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+    ) as other:
+        assert other.stdout is not None
+        other.stdout.readline()
+        with pytest.raises(RunFileError) as caught:
+            RunFile.open(path)
+        other.communicate(b"\n")
+    assert caught.value.reason.endswith("another program has it open for writing; close it there")
+    assert caught.value.hint is None
 
 
 def test_a_folder_of_runs_says_how_to_name_them(tmp_path: Path) -> None:

@@ -333,7 +333,6 @@ def test_the_only_matrix_needs_no_name(tmp_path: Path) -> None:
         ("s", "variable s is a struct, not an array of numbers; .*-struct"),
         ("c", "variable c is a cell"),
         ("word", "variable word is a char"),
-        ("flag", "variable flag is a logical"),
         ("sparse", "variable sparse is a sparse"),
         ("z", "variable z: complex128 .*real numbers"),
         ("m", "variable m has 3 columns: m is none of them; write m:1 to m:3"),

@@ -79,7 +79,8 @@ class OpenFile:
             raise
         except DAMAGE as error:
             cause = f"not a readable {cls.KIND}: {in_words(error)}"
-            raise RunFileError(path, cause, cls.REMEDY) from error
+            remedy = None if isinstance(error, BlockingIOError) else cls.REMEDY
+            raise RunFileError(path, cause, remedy) from error
 
     def close(self) -> None:
         """Close the file."""

@@ -36,6 +36,8 @@ EXACT = 2**53
 NUMERIC = frozenset(
     {"double", "single", *(f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64))}
 )
+LOGICAL = "logical"
+"""Class of truth values, 0 or 1: columns that mark when something happens."""
 _WANTED = re.compile(r"([A-Za-z]\w*)(?::([0-9]{1,9}))?\Z", re.ASCII)
 
 
@@ -76,11 +78,14 @@ class MatlabTable:
                 f"it has {known}; write NAME, or NAME:COLUMN of a matrix",
             )
         variable, (kind, shape) = found[1], self._variables[found[1]]
-        if kind not in NUMERIC:
+        if kind not in NUMERIC and kind != LOGICAL:
+            hint = "save its parts as variables, a struct with save(FILE, '-struct', NAME)"
+            if self.format == "NumPy npz":
+                hint = "save it as an array of numbers, such as float64"
             raise ForeignFileError(
                 self._file,
                 f"variable {variable} is a {shortened(kind)}, not an array of numbers",
-                "save its parts as variables, a struct with save(FILE, '-struct', NAME)",
+                hint,
             )
         if len(shape) != 2 or 0 in shape:
             size = " x ".join(map(str, shape))
@@ -164,7 +169,7 @@ class MatlabTable:
         import numpy as np
 
         kind, shape = self._variables[variable]
-        if array.shape != shape or array.dtype.kind not in "iuf":
+        if array.shape != shape or array.dtype.kind not in "biuf":
             raise ForeignFileError(
                 self._file,
                 f"variable {variable}: {array.dtype} {array.shape}, not the {kind} {shape} that "

@@ -101,7 +101,14 @@ def _numpy(content: bytes, wanted: list[str]) -> dict[str, Any]:
         return found
 
 
-_IN_MATLABS_WORD = {"float64": "double", "float32": "single"}
+_IN_MATLABS_WORD = {
+    "float128": "double",
+    "float64": "double",
+    "float32": "single",
+    "float16": "single",
+    "bool": "logical",
+}
+"""MATLAB's class of what NumPy calls otherwise, or of the closest that holds its values."""
 
 
 def _as_matrix(array: Any) -> Any:
