@@ -7,6 +7,7 @@ remedy. Only the command line decides how they are shown.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from datetime import date, time
 from enum import IntEnum
 from typing import TYPE_CHECKING, Any
 
@@ -179,6 +180,8 @@ _WORDS = {
     "bool_type": "has to be true or false",
     "string_type": "has to be text",
     "string_too_short": "has to have {min_length} or more characters",
+    "string_too_long": "has to have at most {max_length} characters",
+    "string_pattern_mismatch": "has to match {pattern}",
     "tuple_type": "has to be a list",
     "list_type": "has to be a list",
     "too_short": "has to have {min_length} or more values, not {actual_length}",
@@ -211,7 +214,7 @@ def finding(item: Any) -> str:
         message = shortened(str(item["msg"]).removeprefix("Value error, "), LONGEST_REASON)
     if not key:
         return message
-    shown = repr(value)
+    shown = str(value) if isinstance(value, date | time) else repr(value)
     if kind in ("missing", "extra_forbidden") or len(shown) > LONGEST_NAME:
         return f"{key}: {message}"
     if isinstance(value, (dict, list, tuple)):

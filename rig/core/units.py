@@ -107,6 +107,8 @@ def quantity(text: str, unit: str | None) -> float:
     if unit is None:
         raise ValueError(f"takes a bare number, not {written!r}")
     if not _follows_grammar(written):
+        if decimals := re.match(r",([0-9]+)", written):
+            raise ValueError(f"write a decimal point: {match[1]}.{decimals[1]}")
         shown = written if len(written) <= _LONGEST_UNIT else written[:_LONGEST_UNIT] + "..."
         raise ValueError(f"{shown!r} is not a unit; write it as {unit}")
     import pint

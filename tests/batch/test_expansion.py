@@ -147,6 +147,14 @@ def test_a_sample_fills_its_ranges_evenly(method: str, points: int) -> None:
     assert other != varied(plan)
 
 
+def test_the_bounds_of_a_sample_may_carry_units() -> None:
+    plain, written = (
+        varied(planned({"sample": {"points": 4, "ranges": {"speed_mm_s": bounds}}}))
+        for bounds in ((0.1, 2), ("100 um/s", "2"))
+    )
+    assert plain == written
+
+
 def test_a_sample_is_crossed_with_the_matrix_and_whole_where_the_setting_is() -> None:
     sample = {"points": 4, "ranges": {"trials": (1, 100)}}
     plan = planned({"matrix": {"speed_mm_s": SPEEDS}, "sample": sample})

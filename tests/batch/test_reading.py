@@ -94,7 +94,7 @@ def test_an_error_is_reported_with_its_line(old: str, new: str, line: int, words
     ("value", "words"),
     [
         ("7", "stop_by = 7: has to be a time of day (07:00:00) or a date and time (2026-11-24 "),
-        ("2026-11-24", "has to be a time of day (07:00:00)"),
+        ("2026-11-24", "stop_by = 2026-11-24: has to be a time of day (07:00:00)"),
         ('"07:00:00+02:00"', "a time of day is in this computer's time zone: write 07:00:00"),
         ('"7 am"', "stop_by = '7 am': write a time of day (07:00:00) or a date and time (2026-11"),
         ('"7"', "stop_by = '7': write a time of day (07:00:00)"),
@@ -103,6 +103,21 @@ def test_an_error_is_reported_with_its_line(old: str, new: str, line: int, words
 def test_what_is_not_a_time_is_refused_with_how_to_write_one(value: str, words: str) -> None:
     (line,) = refused(GOOD.replace("2026-11-23T07:00:00+01:00", value))
     assert words in line
+
+
+def test_the_bound_of_a_sample_in_another_unit_is_refused_with_its_setting() -> None:
+    sample = '[experiment.sample]\npoints = 3\nranges = { speed_mm_s = ["1 N", 2] }\n'
+    found = refused('[batch]\nname = "b"\n[[experiment]]\nprocedure = "slip-trial"\n' + sample)
+    assert found == [
+        "night.toml:7: experiment 1: sample.ranges: "
+        "speed_mm_s = '1 N': 'N' does not convert to mm/s"
+    ]
+
+
+@pytest.mark.parametrize("key", ["user", "sample"])
+def test_a_name_that_no_run_file_could_hold_is_refused_before_the_night(key: str) -> None:
+    text = f'[batch]\nname = "b"\n{key} = "{"x" * 1001}"\n[[experiment]]\nprocedure = "sweep"\n'
+    assert refused(text) == [f"night.toml:3: batch.{key}: has to have at most 1000 characters"]
 
 
 def test_stages_that_no_simulated_bench_has_are_refused_with_the_choices() -> None:

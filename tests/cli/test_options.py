@@ -84,6 +84,7 @@ def test_a_quantity_may_carry_any_unit_that_converts(
         ("", None, "is not a number$"),
         ("3N", None, "takes a bare number, not 'N'"),
         ("1.2.3", "N", "is not a unit"),
+        ("0,5 mm/s", "mm/s", "write a decimal point: 0.5$"),
     ],
 )
 def test_anything_else_is_refused_with_the_reason(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import json
 import math
 import os
@@ -458,6 +459,20 @@ def test_a_full_disk_is_an_error_with_path_and_remedy_and_loses_nothing(tmp_path
     assert "File too large" in lines[0]
     assert "rig recover" in lines[0]
     assert sum(s.rows for s in read_journal(path).segments) >= 1000
+
+
+def test_a_journal_that_finds_no_room_for_its_beginning_names_no_journal_to_recover(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(descriptor: int, parts: object) -> int:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(os, "writev", full)
+    with pytest.raises(RecordingError) as caught:
+        JournalWriter.create(tmp_path / "a.rigj", run.header())
+    assert "No space left on device; free space" in caught.value.one_line()
+    assert caught.value.one_line().endswith("; nothing was recorded")
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_folder_that_is_not_there_is_a_recording_error(tmp_path: Path) -> None:

@@ -21,10 +21,13 @@ from pydantic import (
     ValidationError,
     ValidatorFunctionWrapHandler,
     WrapValidator,
+    field_validator,
     model_validator,
 )
 
-from rig.core.settings import Settings
+from rig.core.settings import Settings, unit_of
+from rig.core.units import quantity
+from rig.files.journal.layout import Short
 
 Order = Literal["as-written", "shuffled", "blocked"]
 Occasion = Literal["start", "failure", "hold", "end"]
@@ -136,8 +139,8 @@ class BatchSettings(Settings):
     """Folder in which the batch's folder is made; relative to where the command is given."""
     bench: str | None = None
     """Bench file, relative to the batch file; left out, --bench, ./bench.toml or simulated."""
-    user: str = ""
-    sample: str = ""
+    user: Short = ""
+    sample: Short = ""
     notes: str = ""
     not_before: Instant | None = None
     """Time before which no instrument is connected."""
@@ -164,6 +167,15 @@ class BatchSettings(Settings):
     notify: NotifySettings = NotifySettings()
 
 
+def _bound(name: str, bound: Any) -> Any:
+    if not isinstance(bound, str):
+        return bound
+    try:
+        return quantity(bound, unit_of(name))
+    except ValueError as error:
+        raise ValueError(f"{name} = {bound!r}: {error}") from None
+
+
 class SpaceSample(Settings):
     """Points that fill a space of settings more evenly than a grid of as many."""
 
@@ -173,6 +185,19 @@ class SpaceSample(Settings):
     """Lowest and highest value by setting."""
     log: tuple[str, ...] = ()
     """Settings that are spread evenly over their logarithm."""
+
+    @field_validator("ranges", mode="before")
+    @classmethod
+    def _in_units(cls, ranges: Any) -> Any:
+        """Convert text with a unit to the unit of its setting, as in a matrix."""
+        if not isinstance(ranges, dict):
+            return ranges
+        return {
+            name: tuple(_bound(name, bound) for bound in bounds)
+            if isinstance(bounds, list | tuple)
+            else bounds
+            for name, bounds in ranges.items()
+        }
 
     @model_validator(mode="after")
     def _ranges_are_ranges(self) -> SpaceSample:

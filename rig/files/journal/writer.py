@@ -47,6 +47,9 @@ __all__ = [
 _IOV_MAX = 1024
 _NAME_TRIES = 20
 _COPY_BYTES = 1 << 20
+_BEGIN_HINT = (
+    "free space or write access there, or choose another folder for results; nothing was recorded"
+)
 _DISK_HINT = "free space or write access there, then `rig recover` the journal or resume the run"
 
 
@@ -173,17 +176,20 @@ class JournalWriter:
         except FileExistsError:
             raise
         except OSError as error:
-            raise RecordingError(path, error.strerror or str(error), _DISK_HINT) from error
+            raise RecordingError(path, error.strerror or str(error), _BEGIN_HINT) from error
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         writer = cls(path, descriptor, JournalEncoder(header), 0)
         try:
             writer.append([MAGIC, record])
             writer.sync()
             sync_folder(path.parent)
-        except BaseException:
+        except BaseException as error:
             writer.close()
             with contextlib.suppress(OSError):  # a disk that has become read-only keeps it
                 path.unlink()
+            if isinstance(error, RecordingError):
+                cause = error.message.removeprefix(f"{path}: ")
+                raise RecordingError(path, cause, _BEGIN_HINT) from error
             raise
         return writer
 
