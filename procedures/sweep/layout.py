@@ -88,7 +88,7 @@ LAYOUT = Layout(
         Column("preload", "N", "Preload"),
         Column("preload_error", "N", "Standard error of the preload", key="preload_error_N"),
         Column("degrees", "", "Degrees of freedom of the fit"),
-        Column("records", "", "Records that count"),
+        Column("records", "", "Valid records"),
         Column("taken", "s", "Time the point took"),
         Column("physics", "s", "Time of waits and records in it"),
         Column("largest_load", "N", "Largest load on the way, peak"),

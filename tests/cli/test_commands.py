@@ -125,6 +125,20 @@ def test_a_mistyped_name_is_a_usage_error_in_the_same_words(rig: Any, command: s
     assert (ended.code, ended.errors) == (2, ["error: .: a folder, not a file"])
 
 
+def test_one_file_that_cannot_be_shown_does_not_hide_the_others(rig: Any, run_file: Path) -> None:
+    (rig.folder / "a.h5.sha256").write_text("0" * 64 + "  a.h5\n")
+    for name in ("b.h5", "c.h5"):
+        shutil.copy(run_file, rig.folder / name)
+    ended = rig.run("show", "a.h5.sha256", "b.h5", "missing.h5", "c.h5")
+    assert ended.code == 8
+    assert ended.errors == [
+        "error: a.h5.sha256: a checksum, not the file itself; name a.h5",
+        "error: missing.h5: no such file",
+    ]
+    shown = [line for line in ended.stdout.splitlines() if line.startswith("file: ")]
+    assert shown == ["file: b.h5", "file: c.h5"]
+
+
 def test_an_import_of_a_missing_file_says_so_in_the_same_words(rig: Any) -> None:
     ended = rig.run("import", "missing.csv", "--channels", "v_1=1,v_2=2")
     assert (ended.code, ended.errors) == (2, ["error: missing.csv: no such file"])

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from rig.cli.outcome import print_json, reported, say, say_all
+from rig.cli.outcome import print_json, reported, say, say_all, say_failure
 from rig.cli.show.words import in_words
-from rig.core.errors import ConfigurationError, ExitCode, FoundWrongError
+from rig.core.errors import ConfigurationError, ExitCode, FoundWrongError, RigError, is_stop
 from rig.core.text import printable
 
 if TYPE_CHECKING:
@@ -122,71 +122,77 @@ def show(
             _report_drawn(drawn, say if as_json else _print, debug)
             return
         draws = figures or pdf or figures_to is not None
-        from rig.files.checksum import checksum_findings
-        from rig.files.describe import describe_contents, ending_of
-        from rig.files.file_kind import kind_of, require_hdf5
-        from rig.files.journal.reader import read_journal
-        from rig.files.model_file import ModelFile, is_model
-        from rig.files.processed.reader import ProcessedFile, is_processed
-        from rig.files.runfile.reader import RunFile
-        from rig.processing.analyses import Analyses
-        from rig.processing.analyses import analyse as analyse_run
-
         how: _How = "json" if as_json else "all" if all_settings else "brief"
         not_drawn: list[str] = []
+        failures: list[RigError] = []
         for path in files:
-            if kind_of(path) == "journal":
-                contents = read_journal(path)
-                readings = [kept.reading for kept in contents.kept()]
-                outcome, nothing = ending_of(contents), Analyses()
-                stored = contents.results
-                holds = describe_contents(contents.header, contents.sampling())
-                _show_run(
-                    path, contents.header, outcome, readings, stored, nothing, holds, how, debug
-                )
-                if draws:
-                    not_drawn.append(f"{path}: a journal has no figures, its run file has")
-                continue
-            require_hdf5(path)
-            doubts = [f"warning: {path.name}: {found}" for found in checksum_findings(path)]
-            if is_model(path):
-                with ModelFile.open(path) as model:
-                    _say_all(doubts)
-                    _show_model(model, how)
-                if draws:
+            try:
+                drawable, why_nothing = _show_file(path, how, debug)
+                if not draws:
+                    continue
+                report = say if as_json else _print
+                if not why_nothing:
                     say(f"{path}: its figures were drawn when it was computed, beside it")
-                continue
-            if is_processed(path):
-                why_nothing = "it has nothing to draw"
-                with ProcessedFile.open(path) as processed:
-                    _say_all(doubts)
-                    _show_processed(processed, how)
-            else:
-                with RunFile.open(path) as run:
-                    _say_all(doubts)
-                    found = analyse_run(run)
-                    readings = run.readings()
-                    holds = describe_contents(run.header, run.sampling())
-                    why_nothing = _why_nothing_is_drawn(run)
-                    _show_run(
-                        path,
-                        run.header,
-                        run.outcome,
-                        readings,
-                        run.results,
-                        found,
-                        holds,
-                        how,
-                        debug,
-                    )
-            if draws and not _draw(path, figures_to, pdf, say if as_json else _print, debug):
-                not_drawn.append(f"{path}: {why_nothing}")
-        if draws and len(files) == 2:
+                elif not drawable or not _draw(path, figures_to, pdf, report, debug):
+                    not_drawn.append(f"{path}: {why_nothing}")
+            except RigError as error:
+                if len(files) == 1:
+                    raise
+                say_failure(error, debug)
+                failures.append(error)
+        if draws and len(files) == 2 and not failures:
             _draw_beside(files, figures_to, pdf, say if as_json else _print)
         for line in not_drawn:
             say(f"no figure was drawn: {line}")
+        if failures:
+            raise typer.Exit(int(failures[0].code))
         if not_drawn:
             raise typer.Exit(int(ExitCode.FINISHED_WITH_FAILURES))
+
+
+def _show_file(path: Path, how: _How, debug: bool) -> tuple[bool, str]:
+    """Show a file. Return whether its kind can be drawn, and why there may be no figure all the
+    same; the latter is empty for a file of rig skin, which has figures beside it. RigError if the
+    file cannot be read."""
+    from rig.files.checksum import checksum_findings
+    from rig.files.describe import describe_contents, ending_of
+    from rig.files.file_kind import kind_of, require_hdf5
+    from rig.files.journal.reader import read_journal
+    from rig.files.model_file import ModelFile, is_model
+    from rig.files.processed.reader import ProcessedFile, is_processed
+    from rig.files.runfile.reader import RunFile
+    from rig.processing.analyses import Analyses
+    from rig.processing.analyses import analyse as analyse_run
+
+    if kind_of(path) == "journal":
+        contents = read_journal(path)
+        readings = [kept.reading for kept in contents.kept()]
+        outcome, nothing = ending_of(contents), Analyses()
+        holds = describe_contents(contents.header, contents.sampling())
+        _show_run(
+            path, contents.header, outcome, readings, contents.results, nothing, holds, how, debug
+        )
+        return False, "a journal has no figures, its run file has"
+    require_hdf5(path)
+    doubts = [f"warning: {path.name}: {found}" for found in checksum_findings(path)]
+    if is_model(path):
+        with ModelFile.open(path) as model:
+            _say_all(doubts)
+            _show_model(model, how)
+        return False, ""
+    if is_processed(path):
+        with ProcessedFile.open(path) as processed:
+            _say_all(doubts)
+            _show_processed(processed, how)
+        return True, "it has nothing to draw"
+    with RunFile.open(path) as run:
+        _say_all(doubts)
+        found = analyse_run(run)
+        readings = run.readings()
+        holds = describe_contents(run.header, run.sampling())
+        why_nothing = _why_nothing_is_drawn(run)
+        _show_run(path, run.header, run.outcome, readings, run.results, found, holds, how, debug)
+    return True, why_nothing
 
 
 def _why_nothing_is_drawn(run: RunFile) -> str:
@@ -342,7 +348,6 @@ def verify(files: Files, debug: Debug = False) -> None:
 def recover(files: Files, debug: Debug = False) -> None:
     """Rebuild the run file of a crashed run from its journal."""
     with reported(debug):
-        from rig.core.errors import RigError
         from rig.files.runfile.recover import recover as rebuild
 
         failed: RigError | None = None
@@ -362,7 +367,6 @@ def _recomputed(header: RunHeader, readings: Sequence[Reading]) -> Results | Non
     from pydantic import ValidationError
 
     from rig.core.entry_points import PROCEDURES, names
-    from rig.core.errors import RigError, is_stop
     from rig.run.checked_procedure import internal
     from rig.run.load_procedure import load_procedure
     from rig.run.results import results_of
