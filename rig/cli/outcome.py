@@ -51,7 +51,7 @@ def reported(debug: bool = False, as_json: bool = False) -> Iterator[None]:
     except (OSError, ImportError, MemoryError) as error:
         raise typer.Exit(report(_of_the_computer(error), debug, as_json)) from None
     except KeyboardInterrupt:
-        say("stopped by Ctrl-C; nothing was left running")
+        say("stopped by Ctrl-C; this command left nothing running")
         raise typer.Exit(int(ExitCode.SIGINT)) from None
 
 

@@ -74,6 +74,9 @@ STUCK_S = 60.0
 """Time after which a viewer that takes nothing is dropped."""
 MOST_BODY_BYTES = 1024
 MAKE_SAFE_S = 180.0
+LOOKS_FOR_END_EVERY_S = 0.1
+ENDS_WITHIN_S = 0.5
+"""Time for the last message to a viewer when the server ends."""
 NICENESS = 10
 """Below a run: the page must not cost it ticks."""
 
@@ -95,6 +98,8 @@ class PageState:
     """The latest answer about the batch, for all viewers."""
     night_s: float = -math.inf
     reading_night: threading.Lock = field(default_factory=threading.Lock)
+    ending: Callable[[], bool] = lambda: False
+    """Returns whether the server is to end: answers without an end then end as well."""
 
 
 def application(state: PageState) -> ASGIApp:
@@ -189,14 +194,22 @@ class _Live(Response):
         self._state.viewers += 1
         sending = asyncio.ensure_future(self._send_all(send))
         leaving = asyncio.ensure_future(_left(receive))
+        ending = asyncio.ensure_future(self._ended())
         try:
-            await asyncio.wait((sending, leaving), return_when=asyncio.FIRST_COMPLETED)
+            await asyncio.wait((sending, leaving, ending), return_when=asyncio.FIRST_COMPLETED)
         finally:
             self._state.viewers -= 1
-            for task in (sending, leaving):
+            for task in (sending, leaving, ending):
                 task.cancel()
                 with contextlib.suppress(asyncio.CancelledError, TimeoutError, OSError):
                     await task
+        if self._state.ending():  # else the server would cancel the answer, with a traceback
+            with contextlib.suppress(TimeoutError, OSError):
+                await asyncio.wait_for(send({"type": "http.response.body"}), ENDS_WITHIN_S)
+
+    async def _ended(self) -> None:
+        while not self._state.ending():
+            await asyncio.sleep(LOOKS_FOR_END_EVERY_S)
 
     async def _send_all(self, send: Send) -> None:
         async for event in self._events():
@@ -406,10 +419,11 @@ def serve(state: PageState, port: int, ready: Callable[[str], None]) -> None:
             access_log=False,
             server_header=False,
             proxy_headers=False,
-            timeout_graceful_shutdown=1,
+            timeout_graceful_shutdown=2,
             ws="none",
         )
     )
+    state.ending = lambda: server.should_exit
     # A page that a script starts in the background inherits that Ctrl-C is ignored. The server ends
     # by it all the same, and then the page has to say so by its exit code.
     signal.signal(signal.SIGINT, signal.default_int_handler)

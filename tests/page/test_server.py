@@ -324,3 +324,20 @@ def test_a_page_ends_only_after_what_reads_files_has(tmp_path: Path) -> None:
     said, _ = page.communicate(timeout=60)
     assert "looked" in said
     assert page.returncode == 130
+
+
+@pytest.mark.parametrize(("ends", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_a_page_that_is_ended_under_a_viewer_says_so_without_a_traceback(
+    tmp_path: Path, ends: signal.Signals, code: int
+) -> None:
+    process, page = serve(tmp_path / "results")
+    connection = http.client.HTTPConnection("127.0.0.1", page.port, timeout=PATIENCE_S)
+    connection.request("GET", "/api/live", headers=page.bearer())
+    answer = connection.getresponse()
+    assert answer.readline()
+    process.send_signal(ends)
+    answer.read()  # raises if the answer has no end
+    connection.close()
+    _, said = process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == code
+    assert said.strip() in ("", "stopped by Ctrl-C; this command left nothing running")

@@ -82,5 +82,5 @@ def monitor(
 def _say_if(terminated: threading.Event) -> None:
     """Say that the monitor was ended by SIGTERM, which `rig make-safe` sends, and exit."""
     if terminated.is_set():
-        say("ended by SIGTERM, such as rig make-safe sends; nothing was left running")
+        say("ended by SIGTERM, such as rig make-safe sends; the monitor left nothing running")
         raise typer.Exit(int(ExitCode.SIGTERM))
