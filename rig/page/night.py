@@ -12,6 +12,7 @@ from rig.batch.queue_view import QueueView
 from rig.batch.report.heartbeat import read_heartbeat
 from rig.batch.report.status import status_of
 from rig.core.errors import ConfigurationError, RigError
+from rig.core.settings import unit_of
 from rig.run.locks.lock_holder import holder_of
 
 MOST_RUNS = 200
@@ -63,7 +64,7 @@ def night(results: Path) -> dict[str, Any]:
                 "queued": [_row(row) for row in _first(queue, "queued")],
                 "running": [_row(row) for row in _first(queue, "running")],
                 "failed": [_row(row) for row in queue.latest(("failed",), MOST_RUNS)],
-                "set_aside": [_row(row) for row in _first(queue, "set-aside")],
+                "left_out": [_row(row) for row in _first(queue, "set-aside")],
                 "done": [_row(row) for row in queue.latest(("done",), MOST_RUNS)],
             }
             drift = _drift(queue)
@@ -142,6 +143,7 @@ def _drift(queue: QueueView) -> list[dict[str, Any]]:
                         "figure": figure.what,
                         "key": key,
                         "tolerance": figure.tolerance,
+                        "unit": unit_of(key) or "",
                         "runs": [number for number, _ in values],
                         "change": [value - values[0][1] for _, value in values],
                     }

@@ -148,3 +148,13 @@ def test_the_bench_is_called_safe_only_where_that_is_known() -> None:
     assert _ended(unsafe).bench == "Bench is NOT safe (see above)."
     unsafe.taken_over = TakenOver(True, "the guard has stopped it")
     assert _ended(unsafe).bench == "Bench was made safe by the guard (see above)."
+
+
+def test_runs_that_were_not_taken_after_failures_are_called_left_out(tmp_path: Path) -> None:
+    folder, (plan, estimates) = BatchFolder(tmp_path), three_runs()
+    with Queue.create(folder.queue, plan, estimates, {"name": "night", "state": ""}) as queue:
+        queue.finish(queue.claim(1), AttemptResult("failed", bench_s=10.0), "failed")
+        queue.set_aside("sweep-001", "1 run failed")
+    status = status_of(folder)
+    assert "0 of 3 runs done, 1 failed, 2 left out" in status.lines()
+    assert any("0 of 3 runs, 1 failed, 2 left out" in line for line in status.closing_lines(""))

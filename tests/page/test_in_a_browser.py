@@ -330,3 +330,82 @@ def test_in_a_batch_this_run_is_stopped_and_the_next_follows_until_the_night_is_
     assert states[2] != "done"
     assert states[3] == "queued"
     word(browser, "safe")
+
+
+CUT_NUMBERS = """
+const cut = [];
+for (const [name, {plot}] of Object.entries(charts)) {
+  const axis = plot.axes[1];
+  plot.ctx.font = axis.font[0];
+  for (const text of axis._values) {
+    const width = plot.ctx.measureText(text ?? "").width / devicePixelRatio;
+    if (width + axis.ticks.size + axis.gap > axis._size) cut.push(`${name}: ${text}`);
+  }
+}
+return cut;
+"""
+
+
+def test_small_voltages_keep_their_sign_and_a_paused_view_its_charts_when_it_gets_dark(
+    rig, browser
+):
+    day = rig.results / "2026-11-21"
+    day.mkdir()
+    with JournalWriter.create(
+        day / "2026-11-21T22-00-00_sweep_r001.rigj", recorded_run.header()
+    ) as writer:
+        writer.event(recorded_run.event() | {"level": "error", "code": "failure"})
+        writer.point_begin(recorded_run.POINTS[0], {"time": 0.0})
+        writer.stream(recorded_run.state(scale=[7e-9, 7e-9], offset=[0.0, 0.0]))
+        writer.block(0, 0, 0.1, recorded_run.samples(0))
+        writer.point_keep(recorded_run.POINTS[0], recorded_run.reading(0))
+        writer.end(recorded_run.end(points=1))
+    wait_for(browser, "#facts", lambda text: "complete" in text)
+    browser.execute_script("draw(last.run)")
+    assert browser.execute_script("return charts.daq.plot.axes[1]._values.some(v => v < 0)")
+    assert browser.execute_script(CUT_NUMBERS) == []
+    browser.find_element("id", "pause").click()
+    before = len(browser.find_elements("css selector", "#charts canvas"))
+    dark = {"name": "prefers-color-scheme", "value": "dark"}
+    browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": [dark]})
+    wait_for(browser, "#pause", lambda text: text == "Continue the view")
+    assert len(browser.find_elements("css selector", "#charts canvas")) == before > 0
+
+
+def test_what_is_being_read_of_the_night_stays_in_its_place_when_it_is_read_again(browser):
+    """Every 5 s a long list went back to its first run."""
+    night = {
+        "name": "night", "state": "running", "running": True, "simulated": True,
+        "runs": {"queued": 100, "running": 0, "done": 0, "failed": 0, "set-aside": 0},
+        "retried": 0, "holds": 0, "presses": 0, "left_s": 1.0, "drift": [], "events": [],
+        "bench_warnings": [],
+        "lists": {"queued": [{"run": n, "condition": "sweep-001"} for n in range(100)]},
+    }  # fmt: skip
+    browser.execute_script("night = arguments[0]; readNight = () => {};", night)
+    browser.find_element("css selector", "[data-tab=night]").click()
+    browser.execute_script("showNight(); document.querySelector('.wide[data-of]').scrollTop = 300;")
+    browser.execute_script("night.lists.queued.shift(); showNight();")
+    assert (
+        browser.execute_script("return document.querySelector('.wide[data-of]').scrollTop") == 300
+    )
+
+
+def test_the_chosen_run_of_the_history_is_not_hidden_under_the_state_of_the_bench(rig, browser):
+    day = rig.results / "2026-11-21"
+    day.mkdir()
+    header = recorded_run.header(settings={f"n{n}": n for n in range(100)}, setting_units={})
+    journal = day / "2026-11-21T22-00-00_sweep_r001.rigj"
+    with JournalWriter.create(journal, header) as writer:
+        recorded_run.take_point(writer, 0)
+        writer.end(recorded_run.end())
+    compile_run(journal, retire=True)
+    browser.find_element("css selector", "[data-tab=history]").click()
+    wait_for(browser, "#runs", lambda text: "complete" in text)
+    browser.find_element("css selector", "#runs tbody tr").click()
+    wait_for(browser, "#detail", lambda text: "n99" in text)
+    gap = """
+    const bottom = id => document.getElementById(id).getBoundingClientRect();
+    return [scrollY, bottom("detail").top - bottom("top").bottom];
+    """
+    wait_for(browser, "#detail", lambda _: browser.execute_script(gap)[0] > 100)
+    wait_for(browser, "#detail", lambda _: 0 <= browser.execute_script(gap)[1] < 30)

@@ -89,7 +89,9 @@ class BatchStatus:
         shown = [f"warning: {text}" for text in self.bench_warnings]
         shown.append(f"{marker}batch {self.name}: {self._state()} ({self.folder.path})")
         parts = [f"{self.counts['done']} of {counted(total, 'run')} done"]
-        parts += [f"{n} {state}" for state, n in self.counts.items() if n and state != "done"]
+        parts += [
+            f"{n} {_in_words(state)}" for state, n in self.counts.items() if n and state != "done"
+        ]
         shown.append(", ".join(parts))
         if self.current is not None and self.running:
             run = self.current
@@ -124,7 +126,11 @@ class BatchStatus:
         ended, _, why = self.state.partition(": ")
         ended = {"complete": "Finished"}.get(ended, f"{ended[:1].upper()}{ended[1:]}")
         done = f"{self.counts['done']} of {counted(sum(self.counts.values()), 'run')}"
-        lost = [f"{n} {state}" for state in ("failed", "set-aside") if (n := self.counts[state])]
+        lost = [
+            f"{n} {_in_words(state)}"
+            for state in ("failed", "set-aside")
+            if (n := self.counts[state])
+        ]
         time = ""
         if self.bench_s:
             time = f"{',' * bool(lost)} in {time_span(self.bench_s)}"
@@ -204,3 +210,8 @@ def _bench_warnings(bench_file: str) -> tuple[str, ...]:
     except RigError as error:
         return (f"the state of the bench is not known: {error.one_line()}",)
     return tuple(mark.in_words() for mark in marks if not mark.lives)
+
+
+def _in_words(state: str) -> str:
+    """Return what a person reads of a run's state in the queue."""
+    return "left out" if state == "set-aside" else state

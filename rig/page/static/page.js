@@ -229,7 +229,7 @@ function addEvents(news) {
 
 // --- drawing ------------------------------------------------------------------------------------
 
-const EVENT_COLOURS = {error: "--unsafe", warning: "--holding", slip: "--slip"};
+const EVENT_COLOURS = {error: "--error", warning: "--warning", slip: "--slip"};
 const TITLES = {signals: "PVDF strips", force: "Forces", position: "Positions", servo_error: "Servo error", waveform: "Waveform", load_rate: "Load rate"};
 const fits = new ResizeObserver(() => {
   for (const one of Object.values(charts)) {
@@ -238,6 +238,14 @@ const fits = new ResizeObserver(() => {
   }
 });
 const colour = name => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
+
+function wideEnough(plot, values, axis, cycle) { // for its longest number: one that is cut loses its sign
+  const {ticks, gap, font, _size} = plot.axes[axis];
+  if (cycle > 1) return _size;
+  plot.ctx.font = font[0];
+  const widest = Math.max(0, ...(values || []).map(text => plot.ctx.measureText(text ?? "").width));
+  return Math.max(58, Math.ceil(ticks.size + gap + widest / devicePixelRatio));
+}
 
 function chart(id, title, labels, scales, axes, opts = {}) {
   if (charts[id] && charts[id].named === title + labels) return charts[id];
@@ -291,7 +299,7 @@ function draw(run) {
     const mine = series[name];
     if (!mine || !mine.k.length) continue;
     const labels = about.channels;
-    const one = chart(name, (TITLES[name] || name) + (about.units ? ` (${about.units})` : ""), labels, {x: {time: false}}, [{label: "s since the run's start", labelSize: 18, size: 34}, {size: 58, values: (_, ticks) => ticks.map(v => String(Number(v.toPrecision(6))))}], {events: true});
+    const one = chart(name, (TITLES[name] || name) + (about.units ? ` (${about.units})` : ""), labels, {x: {time: false}}, [{label: "s since the run's start", labelSize: 18, size: 34}, {size: wideEnough, values: (_, ticks) => ticks.map(v => String(Number(v.toPrecision(6))))}], {events: true});
     const last = mine.k[mine.k.length - 1] * BIN_S;
     const to = Math.max(newest - last > length ? last : newest, length), from = to - length;
     let first = mine.k.length;
@@ -310,11 +318,11 @@ function draw(run) {
   }
   if (run.curve && curve.length) {
     const sorted = curve.filter(point => point[0] !== null && (!run.curve.log || point[0] > 0)).sort((a, b) => a[0] - b[0]);
-    const one = chart("curve", run.curve.y, [run.curve.y], {x: {time: false, distr: run.curve.log ? 3 : 1}}, [{label: run.curve.x, labelSize: 18, size: 34}, {size: 58}], {points: true});
+    const one = chart("curve", run.curve.y, [run.curve.y], {x: {time: false, distr: run.curve.log ? 3 : 1}}, [{label: run.curve.x, labelSize: 18, size: 34}, {size: wideEnough}], {points: true});
     one.plot.setData([sorted.map(point => point[0]), sorted.map(point => point[1])]);
   }
   if (spectrum) {
-    const one = chart("spectrum", "Spectrum of " + spectrum.channel, [`${spectrum.channel} (V, peak)`], {x: {time: false, distr: 3}, y: {distr: 3}}, [{label: "Hz", labelSize: 18, size: 34}, {size: 64, values: (_, ticks) => ticks.map(v => v === null ? "" : v.toExponential(0))}]);
+    const one = chart("spectrum", "Spectrum of " + spectrum.channel, [`${spectrum.channel} (V, peak)`], {x: {time: false, distr: 3}, y: {distr: 3}}, [{label: "Hz", labelSize: 18, size: 34}, {size: wideEnough, values: (_, ticks) => ticks.map(v => v === null ? "" : v.toExponential(0))}]);
     one.plot.setData([spectrum.x, spectrum.y.map(value => Math.max(value, 1e-12))]);
   }
 }
@@ -322,7 +330,7 @@ function draw(run) {
 function redrawAll() {
   for (const one of Object.values(charts)) { one.plot.destroy(); one.box.remove(); }
   charts = {};
-  if (last) show();
+  if (last) draw(last.run); // also of a view that is paused
 }
 
 function isHeld(frame) {
@@ -410,7 +418,7 @@ async function readNight() {
   if (tab === "night") showNight();
 }
 
-function table(heads, rows) {
+function table(of, heads, rows) {
   const made = element("table"), head = element("tr");
   heads.forEach(name => head.append(element("th", name)));
   made.append(element("thead"), element("tbody"));
@@ -420,7 +428,7 @@ function table(heads, rows) {
     row.forEach(value => line.append(element("td", value, {class: String(value).length > 30 ? "text" : ""})));
     made.tBodies[0].append(line);
   }
-  const wide = element("div", undefined, {class: "wide"});
+  const wide = element("div", undefined, {class: "wide", "data-of": of});
   wide.append(made);
   return wide;
 }
@@ -442,7 +450,7 @@ function showNight() {
   parts.push(element("h2", `${night.simulated ? "SIMULATED " : ""}batch ${night.name}: ${night.state}${night.running ? "" : " (not running)"}`));
   parts.push(element("progress", undefined, {max: total(night.runs), value: ended(night.runs)}));
   const list = element("dl");
-  const facts = [["done", `${night.runs.done} of ${total(night.runs)}`], ["queued", night.runs.queued], ["running", night.runs.running], ["failed", night.runs.failed], ["set aside", night.runs["set-aside"]], ["retried", night.retried], ["holds", night.holds], ["presses", night.presses], ["left", span(night.left_s)], ["expected end", night.running && !night.simulated ? night.finish.slice(0, 16).replace("T", " ") : "–"]];
+  const facts = [["done", `${night.runs.done} of ${total(night.runs)}`], ["queued", night.runs.queued], ["running", night.runs.running], ["failed", night.runs.failed], ["left out", night.runs["set-aside"]], ["retried", night.retried], ["holds", night.holds], ["presses", night.presses], ["time left", span(night.left_s)], ["expected end", night.running && !night.simulated ? night.finish.slice(0, 16).replace("T", " ") : "–"]];
   if (night.heartbeat) facts.push(["now", `${night.heartbeat.state}: ${night.heartbeat.message}`]);
   for (const [name, value] of facts) {
     const pair = element("div");
@@ -451,19 +459,22 @@ function showNight() {
   }
   parts.push(list);
   for (const drift of night.drift) {
-    parts.push(element("h2", `Reference ${drift.condition}: ${drift.figure}, change since run ${drift.runs[0]} (tolerance ${drift.tolerance})`));
-    parts.push(table(["run", ...drift.runs.slice(-12)], [[drift.key, ...drift.change.slice(-12).map(value => value.toFixed(3))]]));
+    parts.push(element("h2", `Reference ${drift.condition}: ${drift.figure}, change since run ${drift.runs[0]} (tolerance ${`${drift.tolerance} ${drift.unit}`.trim()})`));
+    parts.push(table(`${drift.condition} ${drift.key}`, ["run", ...drift.runs.slice(-12)], [[drift.key, ...drift.change.slice(-12).map(value => value.toFixed(3))]]));
   }
   for (const [name, rows] of Object.entries(night.lists)) {
     if (!rows.length) continue;
     parts.push(element("h2", `${name.replace("_", " ")} (${rows.length}${rows.length === 200 ? " shown" : ""})`));
-    parts.push(table(["run", "condition", "points", "attempts", "time", "reason"], rows.map(row => [row.run, row.condition, row.points, row.attempts, row.bench_s ? span(row.bench_s) : "", row.reason])));
+    parts.push(table(name, ["run", "condition", "points", "attempts", "time", "reason"], rows.map(row => [row.run, row.condition, row.points, row.attempts, row.bench_s ? span(row.bench_s) : "", row.reason])));
   }
   if (night.events.length) {
     parts.push(element("h2", "Latest events"));
-    parts.push(table(["time", "level", "text"], night.events.map(event => [event.time.slice(0, 19).replace("T", " "), event.level, event.text])));
+    parts.push(table("events", ["time", "level", "text"], night.events.map(event => [event.time.slice(0, 19).replace("T", " "), event.level, event.text])));
   }
+  const tables = () => [...body.querySelectorAll(".wide")];
+  const scrolled = new Map(tables().map(one => [one.dataset.of, [one.scrollLeft, one.scrollTop]]));
   body.replaceChildren(...parts);
+  for (const one of tables()) one.scrollTo(...(scrolled.get(one.dataset.of) || [0, 0])); // what is being read stays
 }
 
 // --- history ------------------------------------------------------------------------------------
@@ -523,6 +534,7 @@ async function showRun(id) {
   if (run.summary) parts.push(element("h2", "Summary"), element("pre", lines(run.summary)));
   $("detail").replaceChildren(...parts);
   $("detail").hidden = false;
+  $("detail").style.scrollMarginTop = `${$("top").offsetHeight + 8}px`; // the state stays above it
   $("detail").scrollIntoView({behavior: "smooth"});
 }
 
