@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import matplotlib as mpl
 import numpy as np
 
+from rig.figures.circumstances import circumstances
 from rig.figures.pressed import seconds
 from rig.figures.style import (
     BLUE,
@@ -67,7 +68,8 @@ def draw_recording(run: RunFile) -> Figure:
         for panel in axes:
             legend_above(panel)
         letter(axes)
-        top = set_heading(figure, run.header.marked(run.header.title), run.path.name)
+        title = run.header.marked(run.header.title)
+        top = set_heading(figure, title, circumstances(run), run.path.name)
         set_margins(figure, top=top + 0.14, gap_mm=4.0)
         figure.align_ylabels(axes)
     return figure

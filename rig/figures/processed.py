@@ -66,7 +66,7 @@ def draw_trial(processed: ProcessedFile, trial: DetectedTrial) -> Figure:
         low.plot(t, 1e3 * predictive, linewidth=0.8, color=PURPLE, label="low-passed $v_d$")
         low.set_ylabel("Predictive (mV)")
         _mark_events((signal, low), confidence, trial)
-        confidence.set_ylim(0.0, 1.05)
+        confidence.set_ylim(0.0, 1.15)  # the dot of a confidence of 1 is whole
         confidence.set_ylabel("Confidence")
         confidence.set_xlabel("Time since the record's start (s)")
         if trial.events:

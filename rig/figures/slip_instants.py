@@ -48,6 +48,8 @@ ROWS_LEFT = 0.66
 BANDS = {"true": (0.88, 1.0), "measured": (0.76, 0.88), "detected": (0.0, 0.12)}
 """Parts of a panel's height in which several slips of a record are marked, by account: as lines
 through the panel those of two accounts, some ms apart, would hide each other and the signal."""
+OVER_MARKS = {"facecolor": "white", "edgecolor": "none", "pad": 0.4}
+"""Ground of what is written in a row, which a bar would strike through."""
 ROOM_FOR_A_TIME = 0.25
 """Share of the time axis that a time needs when it is written."""
 
@@ -401,6 +403,7 @@ def _write_count(axes: Axes, row: int, count: int, colour: str) -> None:
     axes.annotate(
         f"{count} ×", (0, row), (2, 0), xycoords=("axes fraction", "data"),
         textcoords="offset points", ha="left", va="center", color=colour, fontsize=SMALLEST_PT,
+        bbox=OVER_MARKS,
     )  # fmt: skip
 
 
@@ -422,5 +425,5 @@ def _write_time(
     axes.annotate(
         text, (at, row), (4 if side == "left" else -4, 0), textcoords="offset points",
         ha=side, va="center", color=colour, fontsize=SMALLEST_PT,
-        bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.4},
+        bbox=OVER_MARKS,
     )  # fmt: skip

@@ -221,7 +221,8 @@ def set_heading(figure: Figure, title: str, *details: str) -> float:
 
 def wrapped(text: str, size_pt: float, width_pt: float) -> list[str]:
     """Return text as lines that are no wider than `width_pt` at that size. Lines end at spaces that
-    are not `NO_BREAK`; a word that is wider, such as a long file name, is broken."""
+    are not `NO_BREAK`. What is wider between two of them ends at a `NO_BREAK`; a word that is
+    wider, such as a long file name, is broken."""
     lines: list[str] = []
     for word in text.split(" "):
         line = f"{lines[-1]} {word}" if lines else word
@@ -232,8 +233,10 @@ def wrapped(text: str, size_pt: float, width_pt: float) -> list[str]:
             fits = next(
                 n for n in range(len(word), 0, -1) if width_of(word[:n], size_pt) <= width_pt
             )
-            lines.append(word[:fits])
-            word = word[fits:]
+            blank = word.rfind(NO_BREAK, 1, fits + 1)
+            end = blank if blank > 0 else fits
+            lines.append(word[:end])
+            word = word[end:].removeprefix(NO_BREAK)
         lines.append(word)
     return [line.replace(NO_BREAK, " ") for line in lines]
 

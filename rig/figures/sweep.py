@@ -160,9 +160,10 @@ def draw_measured(run: RunFile) -> Figure:
 def _heading(run: RunFile) -> tuple[str, ...]:
     """Return the mark with the film and the load of the sweep, its circumstances, and the file."""
     film = film_of(run)
-    of = f" of {film if 'film' in film else f'film {film}'}" if film else ", film not named"
+    # With "at": films may be numbered, and "film 0, 0.5, 2 N" would read as three loads.
+    of = f" of {film if 'film' in film else f'film {film}'} at" if film else ", film not named,"
     peak = ", ".join(f"{load:g}" for load in loads_of(run))
-    title = run.header.marked(f"sweep{of}, {peak} N peak load")
+    title = run.header.marked(f"sweep{of} {peak} N peak load")
     return title, circumstances(run), run.path.name
 
 

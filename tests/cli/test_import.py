@@ -26,7 +26,14 @@ def test_an_import_can_be_verified_and_shown_like_any_run(rig: Any) -> None:
     (rig.folder / "finger $7$.csv").write_text(EXPORT)
     ended = rig.run(
         *("import", "finger $7$.csv", "--time", "1", "--sensor", "skin 9", "--json"),
-        *("--channels", "v_1=left, front [mV],v_2=3", "--scale", "v_1=1mV,v_2=-0.5mV"),
+        *(
+            "--object",
+            "glass",
+            "--channels",
+            "v_1=left, front [mV],v_2=3",
+            "--scale",
+            "v_1=1mV,v_2=-0.5mV",
+        ),
     )
     assert ended.code == 0, ended.stderr
     reported = ended.object
@@ -49,7 +56,9 @@ def test_an_import_can_be_verified_and_shown_like_any_run(rig: Any) -> None:
     file.with_suffix(".svg").unlink()
     shown = rig.run("show", str(file), "--figures", "--all")
     assert shown.code == 0, shown.stderr
-    assert "IMPORTED recording finger $7$.csv" in file.with_suffix(".svg").read_text("utf-8")
+    drawn = file.with_suffix(".svg").read_text("utf-8")
+    assert "IMPORTED recording finger $7$.csv" in drawn
+    assert "object: glass" in drawn
     lines = [line.strip() for line in shown.stdout.splitlines()]
     for line in (
         "title: IMPORTED recording finger $7$.csv",

@@ -51,6 +51,16 @@ def test_events_are_marked_where_they_were_decided_and_counted():
     assert f", version {PROCESSED.version}, " in " ".join(one.get_text() for one in figure.texts)
 
 
+def test_the_dot_of_an_event_that_is_certain_is_whole():
+    certain = SlipEvent("incipient slip", 1300, 1.3, 1.0)
+    figure = draw_trial(PROCESSED, trial(certain))
+    confidence = figure.axes[2]
+    figure.draw_without_rendering()
+    _, y = confidence.transData.transform((1.3, 1.0))
+    radius = confidence.get_lines()[0].get_markersize() / 2 * figure.dpi / 72
+    assert y + radius <= confidence.bbox.y1
+
+
 def test_a_trial_without_events_is_shown_whole():
     figure = draw_trial(PROCESSED, trial())
     low, high = figure.axes[0].get_xlim()

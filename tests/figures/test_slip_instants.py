@@ -184,6 +184,7 @@ def test_every_slip_of_a_record_is_marked_in_its_accounts_row_and_band() -> None
     names = [label.get_text() for label in axes.get_yticklabels()]
     written = [text.get_text() for text in axes.texts]
     assert written == ["1.150 s", "4 ×", "1.250 s", "1.300 s", "2 ×", "4 ×"]
+    assert all(text.get_bbox_patch() for text in axes.texts), "a bar strikes none through"
 
     def marked_s(name: str, marker: str) -> set[float]:
         lines = [line for line in axes.lines if line.get_marker() == marker]

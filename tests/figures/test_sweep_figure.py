@@ -9,6 +9,8 @@ import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from tiers import mostly_thorough
 
+from rig.figures.circumstances import in_one_line
+from rig.figures.style import wrapped
 from rig.figures.sweep import PAPER, draw_measured
 
 
@@ -95,9 +97,18 @@ def test_a_sweep_stopped_above_the_reference_draws_without_a_word():
     assert legend(figure.axes[0]) == ["1 N peak load"]
 
 
+def test_a_long_name_in_a_heading_is_wrapped_between_its_words():
+    name = "sample " + "a long name of a sample " * 5
+    lines = wrapped(in_one_line(["25 N preload", name.strip(), "bench b"]), 6.0, 200.0)
+    assert len(lines) > 3
+    assert {word for line in lines for word in line.split(" ")} <= set(
+        f"25 N preload, {name.strip()}, bench b".split(" ")
+    )
+
+
 def test_the_title_names_the_film_and_the_load_and_the_lines_below_it_the_rest():
     figure = draw_measured(run_of((100, 1000)))
-    assert figure.get_suptitle() == "SIMULATED sweep of film f1, 1 N peak load"
+    assert figure.get_suptitle() == "SIMULATED sweep of film f1 at 1 N peak load"
     (below,) = figure.texts[1:] if figure.texts[0] is figure._suptitle else figure.texts
     assert (
         below.get_text() == f"25 N preload, sample s1, bench b, 2026-11-25 10:00\nrun.h5\n{PAPER}"
