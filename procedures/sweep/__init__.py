@@ -71,7 +71,7 @@ class Sweep(Procedure):
         "points": "number of points",
         "median_gain_standard_error_dB": "standard error of the gain, median",
         "largest_gain_standard_error_dB": "standard error of the gain, largest",
-        "largest_deviation_of_load_percent": "largest deviation of the load from its set value",
+        "largest_deviation_of_load_percent": "largest deviation of the load from its set point",
         "gain_near_200_Hz_error_dB": "gain near 200 Hz, standard error; dB",
         "gain_near_200_Hz_at_Hz": "gain near 200 Hz, measured at; Hz",
     }

@@ -9,7 +9,6 @@ import time
 from collections.abc import Callable, Sequence
 
 from rich.console import Console, Group
-from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
@@ -17,7 +16,7 @@ from rig.bench.plan import BenchPlan
 from rig.core.errors import ConfigurationError
 from rig.core.text import printable
 from rig.page.live_links import LiveLink, SensorLink, StageLink, links_of, reading
-from rig.page.terminal import DRAWN_EVERY_S, add_value, plain, value_table
+from rig.page.terminal import DRAWN_EVERY_S, add_value, drawn_in_place, plain, value_table
 
 
 def show_bench(plan: BenchPlan, console: Console, go_on: Callable[[], bool]) -> None:
@@ -33,7 +32,7 @@ def show_bench(plan: BenchPlan, console: Console, go_on: Callable[[], bool]) -> 
             f"{plan.source}: the bench has neither a stage nor a force sensor nor a DAQ to read",
             "name another bench file with --bench",
         )
-    with reading(links), Live(console=console, auto_refresh=False) as live:
+    with reading(links), drawn_in_place(console) as live:
         live.update(panel(plan, links, unreadable), refresh=True)
         while go_on():
             time.sleep(DRAWN_EVERY_S)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
@@ -36,13 +37,25 @@ OLD_S = 2.0
 
 def show_run(watch: BenchWatch, console: Console, go_on: Callable[[], bool]) -> None:
     """Show what the watch sees, at least once, until `go_on` returns False."""
-    with Live(console=console, auto_refresh=False, transient=False) as live:
+    with drawn_in_place(console) as live:
         live.update(run_panel(watch), refresh=True)
         while go_on():
             watch.poll()
             live.update(run_panel(watch), refresh=True)
             if not watch.behind:
                 time.sleep(DRAWN_EVERY_S)
+
+
+@contextmanager
+def drawn_in_place(console: Console) -> Iterator[Live]:
+    """Give what draws in the same place again and again. In a file, too, its last line is whole:
+    rich ends it on a terminal only."""
+    try:
+        with Live(console=console, auto_refresh=False, transient=False) as live:
+            yield live
+    finally:
+        if not console.is_terminal:
+            console.line()
 
 
 def run_panel(watch: BenchWatch) -> Group:

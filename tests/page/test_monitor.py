@@ -14,7 +14,7 @@ from rig.files.journal.values import End, JournalEvent, RunHeader
 from rig.files.runfile.compile import compile_run
 from rig.page import live_bench
 from rig.page.ring import Ring
-from rig.page.terminal import add_value, bars, run_panel, value_table
+from rig.page.terminal import add_value, bars, run_panel, show_run, value_table
 from rig.page.watch import BenchWatch
 from rig.page.word import BenchWord
 
@@ -99,6 +99,12 @@ def test_a_channel_with_the_name_of_its_stream_is_named_once_and_no_empty_table_
     shown = panel_of(watch)
     assert "servo_error -0.2" in " ".join(shown.split())
     assert shown.count("servo_error") == 1
+
+
+def test_what_is_shown_in_a_file_ends_with_a_whole_line(tmp_path):
+    shown = StringIO()
+    show_run(BenchWatch(tmp_path), Console(file=shown, width=200), lambda: False)
+    assert shown.getvalue().endswith("nothing was read yet\n")
 
 
 def test_a_bench_is_shown_at_least_once_however_short_the_time(monkeypatch):

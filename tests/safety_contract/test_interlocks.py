@@ -80,7 +80,7 @@ def test_whatever_reads_as_open_ends_the_run(rig, how):
     assert rig.outputs() == [True, False], "off, and not on again"
     if reported == "cannot be read at":
         (why,) = (line for line in ended.errors if reported in line)
-        assert "which counts as open: daq" in why, "the instrument that reads it is named"
+        assert "which is treated as open: daq" in why, "the instrument that reads it is named"
         assert "check daq, which reads it" in why, "and is what to look at"
 
 

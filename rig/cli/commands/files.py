@@ -37,6 +37,10 @@ Files = Annotated[
         metavar="FILE",
     ),
 ]
+ToRecover = Annotated[
+    list[Path],
+    typer.Argument(help="Journals (.rigj), or run files of interrupted runs.", metavar="FILE"),
+]
 Debug = Annotated[bool, typer.Option("--debug", help="Show tracebacks.")]
 
 
@@ -345,7 +349,7 @@ def verify(files: Files, debug: Debug = False) -> None:
             raise FoundWrongError(f"{wrong} of {of} failed verification")
 
 
-def recover(files: Files, debug: Debug = False) -> None:
+def recover(files: ToRecover, debug: Debug = False) -> None:
     """Rebuild the run file of a crashed run from its journal."""
     with reported(debug):
         from rig.files.runfile.recover import recover as rebuild

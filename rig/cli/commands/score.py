@@ -56,10 +56,10 @@ Tuning = Annotated[
 Kinds = Annotated[
     str | None,
     typer.Option(
-        help="Kinds of trials, separated by commas: slide, roll, hold, tap (default), again, "
-        "reversal, tremor, falling force, re-grip, lift-off; with --wire slide, ramp, hold, roll "
-        "a, roll b, reversal, tremor, re-grip, falling force, tap, lift-off, rest, "
-        "re-grip in a slide (default: all).",
+        help="Kinds of trials, separated by commas: slide, roll, hold, tap (these four by "
+        "default), again, reversal, tremor, falling force, re-grip, lift-off; with --wire slide, "
+        "ramp, hold, roll a, roll b, reversal, tremor, re-grip, falling force, tap, lift-off, "
+        "rest, re-grip in a slide (all by default).",
         metavar="LIST",
     ),
 ]

@@ -69,7 +69,7 @@ async function watch() {
     } catch (error) { /* the server is gone or restarts: said by the word, tried again */
       if (reader) {
         console.warn(error);
-        reader.cancel().catch(() => {}); // else the server goes on sending to nobody
+        reader.cancel().catch(() => {}); // else the server continues to send
       }
     }
     await new Promise(go => setTimeout(go, 1000));

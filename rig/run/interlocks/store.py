@@ -75,7 +75,7 @@ class InterlockStore:
                 text = folder.read(file)
             return None if text is None else ContactRecord(**json.loads(text))
         except (OSError, ValueError, TypeError, RigError) as error:
-            why = f"its record {file} cannot be read ({error}), which counts as open"
+            why = f"its record {file} cannot be read ({error}), which is treated as open"
             return ContactRecord(name, self._bench, opened=now(), why=why)
 
     def check_writable(self) -> None:

@@ -265,7 +265,7 @@ class InterlockWatch:
         if contact.readable:
             return f"{what} opened {at}"
         cause = self._readings.failure(declared.role) or f"{declared.role} does not answer in time"
-        return f"{what} cannot be read {at}, which counts as open: {cause}"
+        return f"{what} cannot be read {at}, which is treated as open: {cause}"
 
     def _report(self) -> None:
         """Record what has happened; from the procedure's thread."""
