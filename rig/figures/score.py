@@ -23,6 +23,8 @@ from rig.figures.style import (
 )
 
 COLOURS = (*PALETTE, GREY)
+MARKERS = ("o", "s", "^")
+"""Of contenders beyond the colours, which come a second and a third time."""
 SHOWN_TRAITS = {
     "noise_mV": "noise, rms (mV)",
     "friction_ratio": "friction ratio, $μ_k / μ_s$",
@@ -36,6 +38,8 @@ TITLE_PT = 225.0
 DELAYS_MS = (-1e3 * EARLY_WITHIN_S, 1e3 * FOUND_WITHIN_S)
 """Range of the histograms: the time in which a slip is found."""
 BAR_MS = 2.0
+ROOM_ABOVE_BARS = 1.5
+"""Height of a histogram's axis relative to its highest bar, with room for what is written in it."""
 SHARES = (-0.04, 1.04)
 """Range of an axis of shares, with room for the whole marker at 0 and at 1."""
 
@@ -47,17 +51,19 @@ def draw_roc(results: Sequence[ContenderResult], title: str) -> Figure:
         panels = list(np.atleast_1d(figure.subplots(len(AXES), 1, sharey=True)))
         for axes, (name, among) in zip(panels, AXES.items(), strict=True):
             ends = [FEWEST_SHOWN_ALARMS]
-            for one, colour in _coloured(results):
+            for one, colour, marker in _looks(results):
                 if name not in one.rocs:
                     continue
                 curve = one.rocs[name]
                 order = np.lexsort((curve.found, curve.alarms))
                 axes.plot(
-                    curve.alarms[order], curve.found[order], ".-", ms=3, lw=1.0, color=colour,
-                    label=one.contender.name,
+                    curve.alarms[order], curve.found[order], f"{marker}-", ms=1.5, lw=1.0,
+                    color=colour, label=one.contender.name,
                 )  # fmt: skip
                 own = int(np.abs(curve.threshold - 1).argmin())
-                axes.plot(curve.alarms[own], curve.found[own], "o", ms=6, mfc="none", color=colour)
+                axes.plot(
+                    curve.alarms[own], curve.found[own], marker, ms=6, mfc="none", color=colour
+                )
                 ends.append(1.5 * float(curve.alarms[own]))
             end = min(MOST_SHOWN_ALARMS, max(ends))
             axes.set_xlim(-0.02 * end, end)
@@ -69,7 +75,7 @@ def draw_roc(results: Sequence[ContenderResult], title: str) -> Figure:
             axes.set_ylabel("share of slips found")
         figure.legend(
             *panels[-1].get_legend_handles_labels(), loc="outside lower center", ncols=2,
-            title="circle: own threshold",
+            title="large marker: own threshold",
         )  # fmt: skip
     return figure
 
@@ -84,7 +90,7 @@ def draw_found(results: Sequence[ContenderResult], title: str) -> Figure:
         panels = figure.subplots(len(SHOWN_TRAITS), 1, sharey=True)
         for axes, (trait, name) in zip(panels, SHOWN_TRAITS.items(), strict=True):
             bins: list[str] = []
-            for at, (one, colour) in enumerate(_coloured(results)):
+            for at, (one, colour, marker) in enumerate(_looks(results)):
                 groups = [g for g in one.groups if g.trait == trait and "found" in g.score]
                 bins = [group.bin for group in groups]
                 shift = 0.6 * ((at + 0.5) / len(results) - 0.5)
@@ -93,7 +99,7 @@ def draw_found(results: Sequence[ContenderResult], title: str) -> Figure:
                 axes.errorbar(
                     np.arange(len(groups)) + shift, value,
                     [value - [each.low for each in found], [each.high for each in found] - value],
-                    fmt="o", ms=4, lw=1.0, color=colour, label=one.contender.name,
+                    fmt=marker, ms=4, lw=1.0, color=colour, label=one.contender.name,
                 )  # fmt: skip
             axes.set_xticks(range(len(bins)), [each.replace(" and ", "\nand ") for each in bins])
             axes.set_xlabel(name)
@@ -112,10 +118,11 @@ def draw_delays(results: Sequence[ContenderResult], title: str) -> Figure:
         figure = _column(22 + 18 * len(results), f"Delay of the alarms that found a slip, {title}")
         panels = figure.subplots(len(results), 1, sharex=True, squeeze=False)[:, 0]
         edges = np.arange(DELAYS_MS[0], DELAYS_MS[1] + BAR_MS, BAR_MS)
-        for axes, (one, colour) in zip(panels, _coloured(results), strict=True):
+        for axes, (one, colour, _) in zip(panels, _looks(results), strict=True):
             slips = [each for each in one.outcomes if each.label in SLIPS]
             delays = np.array([1e3 * each.after_ridge_s for each in slips if each.found])
-            axes.hist(np.clip(delays, *DELAYS_MS), edges, color=colour)
+            counts, _, _ = axes.hist(np.clip(delays, *DELAYS_MS), edges, color=colour)
+            axes.set_ylim(0, ROOM_ABOVE_BARS * max(1.0, float(np.max(counts))))
             axes.axvline(0, color="0.3", lw=0.8)
             axes.annotate(
                 f"{one.contender.name}: {delays.size} of {len(slips)} found", (0.99, 0.8),
@@ -137,8 +144,10 @@ def _column(height_mm: float, title: str) -> Figure:
     return figure
 
 
-def _coloured(results: Sequence[ContenderResult]) -> list[tuple[ContenderResult, str]]:
-    return [(one, COLOURS[at % len(COLOURS)]) for at, one in enumerate(results)]
+def _looks(results: Sequence[ContenderResult]) -> list[tuple[ContenderResult, str, str]]:
+    """Return each contender with its colour and its marker: no two look alike."""
+    looks = [(colour, marker) for marker in MARKERS for colour in COLOURS]
+    return [(one, *looks[at % len(looks)]) for at, one in enumerate(results)]
 
 
 def _whole_numbers(axes: Axes) -> None:

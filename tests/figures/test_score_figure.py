@@ -51,6 +51,21 @@ def test_the_axis_of_false_alarms_fits_the_detectors_own_thresholds(
         assert axes.get_xlim()[1] == pytest.approx(end)
 
 
+def test_no_two_contenders_look_alike_and_counts_begin_at_0() -> None:
+    """The ideal observer, the ninth, had colour and marker of the first detector."""
+    results = cast("Any", contenders(0.05, 9))
+    looks = {
+        (bars.lines[0].get_color(), bars.lines[0].get_marker())
+        for bars in draw_found(results, TITLE).axes[0].containers
+    }
+    assert len(looks) == 9
+    results[0].outcomes[:] = [SimpleNamespace(label="slip", found=False, after_ridge_s=0.0)]
+    for axes in draw_delays(results, TITLE).axes:
+        low, high = axes.get_ylim()
+        assert low == 0
+        assert high >= 1
+
+
 def test_the_markers_of_none_and_of_all_are_whole_and_the_ratio_is_called_one() -> None:
     for figure in (
         draw(cast("Any", contenders(0.05, 2)), TITLE) for draw in (draw_roc, draw_found)
