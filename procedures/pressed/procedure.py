@@ -30,7 +30,8 @@ import inspect
 import itertools
 import math
 from abc import abstractmethod
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from numbers import Real
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from procedures.pressed.approach.way_down import require_possible
@@ -44,7 +45,7 @@ from procedures.pressed.settings import (
 )
 from procedures.pressed.trial_procedure import TrialProcedure
 from rig.bench.limits import require
-from rig.core.errors import ConfigurationError
+from rig.core.errors import ConfigurationError, shortened
 from rig.files.journal.layout import Column, Layout, Plot, Trace
 
 if TYPE_CHECKING:
@@ -103,6 +104,7 @@ class PressedProcedure(TrialProcedure):
         TypeError for a method with the wrong arguments, ValueError for columns that cannot be.
         """
         super().__init_subclass__(**keywords)
+        _require_columns(cls)
         for hook in HOOKS:
             arguments = tuple(inspect.signature(getattr(PressedProcedure, hook)).parameters)
             try:
@@ -195,7 +197,7 @@ class PressedProcedure(TrialProcedure):
 
         Raises ConfigurationError for a motion that is too short.
         """
-        motion_s = float(self.motion_s())
+        (motion_s,) = self._numbers("motion_s", (self.motion_s(),))
         if not (math.isfinite(motion_s) and motion_s >= LEAST_MOTION_S):
             raise ConfigurationError(
                 f"{self.name}: what is done under the force would take {motion_s:g} s; a trial "
@@ -203,12 +205,17 @@ class PressedProcedure(TrialProcedure):
                 "ask for a longer one",
             )
         self._refuse_force_without_effect()
-        return trial_points(self.settings, self.moves(), motion_s, 0.0, len(self._conditions()))
+        moves = self.moves()
+        if not isinstance(moves, (tuple, list)):
+            raise self._wrong_return(
+                "moves", moves, "a tuple of Move, with a comma after one alone"
+            )
+        return trial_points(self.settings, tuple(moves), motion_s, 0.0, len(self._conditions()))
 
     def overhead_s(self, fixture: FixtureSettings, homed: bool) -> float:
         """Return the bench time in s that the ways in z, homing and parking are expected to
         take."""
-        offsets, x_mm = self._offsets(), self.start_mm(fixture)
+        offsets, x_mm = self._offsets(), self._start_mm(fixture)
         presses = self.settings.trials * len(self._conditions())
         apart_mm = (max(offsets) - min(offsets)) / max(len(offsets) - 1, 1)
         return pressed_overhead_s(self.settings, fixture, homed, presses, x_mm, apart_mm)
@@ -217,7 +224,7 @@ class PressedProcedure(TrialProcedure):
         """Refuse a fixture that does not state where contact is, or a begin that x cannot reach."""
         super().check(bench)
         require_possible(bench, self.settings.largest_force_N, max(self._forces()))
-        start_mm = self.start_mm(bench.settings.fixture)
+        start_mm = self._start_mm(bench.settings.fixture)
         for offset_mm in self._offsets():
             require("stage_x position", start_mm + offset_mm, bench.reach()["stage_x.position"])
 
@@ -242,7 +249,7 @@ class PressedProcedure(TrialProcedure):
         force_N, offset_mm = conditions[(number - 1) % len(conditions)]
         record = TrialRecord(number, series.rates.tick_Hz, run.force.rate_S_s, force_N)
         trial = PressedTrial(run, series, record)
-        trial.make_ready(self.start_mm(run.bench.settings.fixture) + offset_mm)
+        trial.make_ready(self._start_mm(run.bench.settings.fixture) + offset_mm)
         trial.start_recording()
         trial.press()
         trial.begin_motion()
@@ -258,9 +265,30 @@ class PressedProcedure(TrialProcedure):
         run.check_stop()  # computing takes a while: still alive
         return reading | plain(own, {column.key for column in self.columns}, self.name)
 
+    def _start_mm(self, fixture: FixtureSettings) -> float:
+        """Return `start_mm`, which has to be a number."""
+        (start_mm,) = self._numbers("start_mm", (self.start_mm(fixture),))
+        return start_mm
+
+    def _numbers(self, hook: str, found: Any) -> tuple[float, ...]:
+        """Return the numbers that a hook has returned. Raises ConfigurationError, which names the
+        hook, for anything else."""
+        if isinstance(found, Iterable):
+            found = tuple(found)
+            if all(isinstance(one, Real) for one in found):
+                return tuple(map(float, found))
+        one_alone = hook in ("motion_s", "start_mm")
+        shown = found[0] if one_alone else found
+        raise self._wrong_return(hook, shown, "a number" if one_alone else "a tuple of numbers")
+
+    def _wrong_return(self, hook: str, found: Any, wanted: str) -> ConfigurationError:
+        return ConfigurationError(
+            f"{self.name}: {hook}() returned {shortened(repr(found))}", f"let it return {wanted}"
+        )
+
     def _offsets(self) -> tuple[float, ...]:
         """Return `offsets_mm`, of which there has to be one at least."""
-        offsets = tuple(float(offset) for offset in self.offsets_mm())
+        offsets = self._numbers("offsets_mm", self.offsets_mm())
         if not offsets or not all(map(math.isfinite, offsets)):
             raise ConfigurationError(
                 f"{self.name}: offsets_mm() returned {offsets}, in which no trial can be made",
@@ -270,7 +298,7 @@ class PressedProcedure(TrialProcedure):
 
     def _forces(self) -> tuple[float, ...]:
         """Return `normal_forces_N`, of which there has to be one at least, all possible."""
-        forces = tuple(float(force) for force in self.normal_forces_N())
+        forces = self._numbers("normal_forces_N", self.normal_forces_N())
         largest_N = self.settings.largest_force_N
         if not forces:
             raise ConfigurationError(
@@ -306,6 +334,20 @@ class PressedProcedure(TrialProcedure):
     def _conditions(self) -> tuple[tuple[float, float], ...]:
         """Return normal force in N and offset in mm of the trials, one after the other."""
         return tuple(itertools.product(self._forces(), self._offsets()))
+
+
+def _require_columns(procedure: type[PressedProcedure]) -> None:
+    """Raise TypeError where the columns are not a tuple of columns, ValueError for two of one
+    name."""
+    columns: Any = procedure.columns
+    if not (isinstance(columns, (tuple, list)) and all(isinstance(c, Column) for c in columns)):
+        raise TypeError(
+            f"{procedure.__name__}.columns has to be a tuple of Column(name, unit, meaning), with "
+            f"a comma after one alone; it is {shortened(repr(columns))}"
+        )
+    names = [column.name for column in columns]
+    if twice := [name for name in names if names.count(name) > 1]:
+        raise ValueError(f"{procedure.__name__}.columns has {twice[0]!r} twice; rename one of them")
 
 
 def layout_of(procedure: type[PressedProcedure]) -> Layout:

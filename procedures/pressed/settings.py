@@ -207,16 +207,17 @@ def trial_points(
     force with its preparation, `first_s` an additional time of the first trial. There are
     `settings.trials` for each of `places` along x. The ways in z depend on the fixture:
     `pressed_overhead_s`."""
-    held = (
+    asked = (
         Move("force_sensor.force", settings.largest_force_N, ("largest_force_N",)),
         Move("stage_z.update_rate", settings.updates_Hz, ("tick_Hz",)),
+        *moves,
     )
     trial_s = pressing_s(settings) + motion_s + AFTER_S
     return tuple(
         Point(
             id=point_name(number),
             condition=number,
-            moves=(*held, *moves),
+            moves=asked,
             acquisitions=(settings.acquisition,),
             acquisitions_given=("range_V", "rate_S_s"),
             duration_s=trial_s + (first_s if number == 1 else 0.0),

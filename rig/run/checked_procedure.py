@@ -30,9 +30,9 @@ from rig.core.errors import (
     shortened,
 )
 from rig.core.toml_files import check_nesting
-from rig.files.journal.format import unlike_json
+from rig.files.journal.format import MAX_JSON, to_json, unlike_json
 from rig.run.passing import KeptBackError
-from rig.run.points import Point, Reading
+from rig.run.points import Move, Point, Reading
 
 if TYPE_CHECKING:
     from rig.bench.connected import Bench
@@ -180,10 +180,30 @@ class CheckedProcedure:
 
     def _points(self, hook: str, found: Any) -> tuple[Point, ...]:
         points = tuple(found) if isinstance(found, (tuple, list)) else (found,)
+        moves: Any = ()
         for point in points:
             if not isinstance(point, Point):
                 raise self._fault(f"{hook}() returned {_kind(point)} in place of points")
+            if point.moves is not moves:
+                moves = point.moves
+                self._require_moves(point)
         return points
+
+    def _require_moves(self, point: Point) -> None:
+        """Raise ProcedureFaultError for moves that cannot be checked against the limits."""
+        settings = self._procedure.settings
+        for move in point.moves:
+            where = f"point {point.id} asks for {_quoted(move)}"
+            if not isinstance(move, Move):
+                raise self._fault(f"{where}, which is not a Move")
+            if not isinstance(move.value, Real):
+                raise self._fault(f"{where}, whose value is not a number")
+            if isinstance(move.given, str):
+                raise self._fault(
+                    f"{where}: its settings are a text", f"write them as ({move.given!r},)"
+                )
+            if strangers := [name for name in move.given if not hasattr(settings, name)]:
+                raise self._fault(f"{where}, but there is not a setting {strangers[0]!r}")
 
     def _values(self, hook: str, found: Any) -> Mapping[str, Any]:
         """Return a mapping of values that a run file can hold."""
@@ -197,6 +217,11 @@ class CheckedProcedure:
             name, value, why = unlike
             shown = f"{name!r} = {_quoted(value)}" if name else _quoted(value)
             raise self._fault(f"{hook}() returned {shown} ({_kind(value)}), which {why}", SIMPLER)
+        if (size := len(to_json(found))) > MAX_JSON:
+            raise self._fault(
+                f"{hook}() returned values of {size} bytes as JSON; a run file holds {MAX_JSON}",
+                "return fewer; a value for each point belongs in a column",
+            )
         return found
 
     @contextlib.contextmanager

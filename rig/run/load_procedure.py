@@ -73,6 +73,7 @@ def _faults(procedure: Any, entry_point: str) -> Iterator[str]:
     if missing := [*missing, *sorted(procedure.__abstractmethods__)]:
         yield f"lacks {', '.join(missing)}"
         return
+    yield from _doing_nothing(procedure)
     for hook, arguments in HOOKS.items():
         yield from _wrong_signature(procedure, hook, arguments)
     try:
@@ -121,12 +122,33 @@ def _one_edit_apart(one: str, other: str) -> bool:
     return one[1:] == other or one == other[1:] or one[1:] == other[1:] or swapped == other
 
 
+def _doing_nothing(procedure: type[Procedure]) -> Iterator[str]:
+    """Yield a fault for each method in place of a base's plain one whose call would do nothing but
+    return a generator or coroutine: a trial would look complete although nothing was done."""
+    for name in dict.fromkeys(name for cls in procedure.__mro__ for name in vars(cls)):
+        if name.startswith("_"):
+            continue
+        own, *replaced = (vars(cls)[name] for cls in procedure.__mro__ if name in vars(cls))
+        if replaced and not _is_deferred(replaced[-1]) and _is_deferred(own):
+            word = "yield" if inspect.isgeneratorfunction(own) else "async"
+            yield f"has {name!r} with {word!r}, so that its lines would not be run; leave that out"
+
+
+def _is_deferred(member: Any) -> bool:
+    """Return whether a call of a method only returns something that would do it."""
+    return (
+        inspect.isgeneratorfunction(member)
+        or inspect.iscoroutinefunction(member)
+        or inspect.isasyncgenfunction(member)
+    )
+
+
 def _wrong_signature(
     procedure: type[Procedure], hook: str, arguments: tuple[str, ...]
 ) -> Iterator[str]:
     member = inspect.getattr_static(procedure, hook)
     expected = f"{hook}({', '.join(('self', *arguments))})"
-    if not isinstance(member, FunctionType) or inspect.iscoroutinefunction(member):
+    if not isinstance(member, FunctionType):
         yield f"has {hook!r} that is not a plain method {expected}"
         return
     signature = inspect.signature(member)

@@ -18,11 +18,13 @@ from rig.cli.options.groups import group_parameters
 from rig.core.entry_points import PROCEDURES, names
 from rig.core.errors import ConfigurationError, ExitCode
 from rig.core.settings import Settings
+from rig.files.journal.format import MAX_JSON
 from rig.files.journal.layout import Column, Layout, Plot, Trace
 from rig.files.journal.reader import read_journal
 from rig.files.runfile.reader import RunFile
-from rig.run.checked_procedure import ProcedureFaultError, reading_fault
+from rig.run.checked_procedure import CheckedProcedure, ProcedureFaultError, reading_fault
 from rig.run.load_procedure import COMMON_OPTIONS, fault_of, load_procedure
+from rig.run.points import Move, Point
 from rig.run.procedure import Procedure, StreamPlan
 from rig.run.results import differences, results_of
 
@@ -67,6 +69,10 @@ def misspelt(self: Any, fixture: Any, homed: bool) -> float:
     return 1.0
 
 
+def generator(self: Any, run: Any) -> Any:
+    yield run
+
+
 async def coroutine(self: Any, run: Any, point: Any) -> dict[str, Any]:
     return {}
 
@@ -87,7 +93,11 @@ FAULTS: dict[str, tuple[dict[str, Any], str]] = {
         "has refine(self, settings, readings), which has to be refine(self, readings)",
     ),
     "a value in place of a method": ({"arm": 1}, "has 'arm' that is not a plain method"),
-    "a coroutine": ({"take": coroutine}, "has 'take' that is not a plain method"),
+    "a coroutine": ({"take": coroutine}, "has 'take' with 'async', so that its lines would not be"),
+    "a generator": (
+        {"arm": generator},
+        "has 'arm' with 'yield', so that its lines would not be run",
+    ),
     "no settings in __init__": ({"__init__": lambda self: None}, "has an __init__() that does not"),
     "another name": ({"name": "exampel"}, "has the name 'exampel', which has to be that"),
     "an unknown fixture": ({"fixtures": ("table",)}, "has the fixture 'table'; known are film-"),
@@ -140,6 +150,38 @@ def test_a_class_that_cannot_be_used_is_refused_with_the_reason(case: str) -> No
     fault = fault_of(made(**members), "example")
     assert fault is not None
     assert reported in fault
+
+
+def test_a_method_of_another_base_that_would_do_nothing_is_refused() -> None:
+    def under_force(self: Any, trial: Any) -> Any:
+        yield trial.hold(1.0)
+
+    base = type("Base", (Example,), {"under_force": lambda self, trial: None})
+    own = type("Own", (base,), {"__module__": __name__, "under_force": under_force})
+    assert "has 'under_force' with 'yield'" in str(fault_of(own, "example"))
+
+
+MOVES: dict[str, tuple[Any, str]] = {
+    "a number": (3.0, "point first asks for 3.0, which is not a Move"),
+    "a text for the value": (Move("stage_x.position", "3"), "whose value is not a number"),  # type: ignore[arg-type]
+    "a text for the settings": (
+        Move("stage_x.position", 3.0, "hold_s"),  # type: ignore[arg-type]
+        "its settings are a text; write them as ('hold_s',)",
+    ),
+    "an unknown setting": (
+        Move("stage_x.position", 3.0, ("way_mm",)),
+        "there is not a setting 'way_mm'",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", MOVES)
+def test_a_move_that_cannot_be_checked_is_refused_with_the_plan(case: str) -> None:
+    move, reported = MOVES[case]
+    procedure = made(points=lambda self: (Point("first", 1, (move,)),))(Settings())
+    with pytest.raises(ProcedureFaultError) as refused:
+        CheckedProcedure(procedure).points()
+    assert reported in refused.value.one_line()
 
 
 def test_what_is_not_a_procedure_is_refused() -> None:
@@ -299,6 +341,12 @@ def test_a_result_that_a_run_file_cannot_hold_is_named_with_its_package(
     assert said.startswith("procedure example of package test_procedure: summarise() returned ")
     assert words in said
     assert "return numbers, texts, truth values or None, or lists and dicts of them" in said
+
+
+def test_results_that_are_too_long_for_a_run_file_are_the_fault_of_their_package() -> None:
+    long = {"text": "x" * (MAX_JSON + 1)}
+    with pytest.raises(ProcedureFaultError, match=r"summarise\(\) returned values of \d+ bytes"):
+        results_of(made(summarise=lambda *_: long)(Settings()), [], simulated=False)
 
 
 def test_results_with_a_number_beyond_the_floats_are_compared_exactly() -> None:

@@ -244,8 +244,9 @@ class Layout:
             raise ValueError(f"definition {self.definition!r}: expected a name such as NXrig_sweep")
         names = [column.name for column in self.columns]
         groups = [plot.group for plot in self.plots] + [trace.group for trace in self.traces]
-        if len(set(names)) != len(names) or len(set(groups)) != len(groups):
-            raise ValueError("two columns or two plots of one name")
+        for what, given in (("columns", names), ("plots or traces", groups)):
+            if twice := [name for name in given if given.count(name) > 1]:
+                raise ValueError(f"two {what} have the name {twice[0]!r}")
         if self.default not in groups:
             raise ValueError(f"default {self.default!r} is none of the plots and traces {groups}")
         numbers = {column.name for column in self.columns if column.kind == "number"}

@@ -15,8 +15,10 @@ from procedures.pressed import PressedProcedure, PressedSettings
 from procedures.pressed.hold import LOST_STEPS, ForceHold
 from procedures.pressed.record.reading import TrialRecord
 from rig.core.errors import ConfigurationError, InstrumentError
+from rig.files.journal.layout import Column
 from rig.files.runfile.reader import RunFile
 from rig.run.job import RunJob
+from rig.run.points import Move
 
 REGISTERED = "[rig.procedures]\nrelaxation = lab.relaxation:Relaxation\n"
 MODULE = '''
@@ -176,3 +178,57 @@ def test_a_force_may_relax_by_half_while_z_holds_its_place_and_no_further() -> N
 def test_a_z_stage_that_is_silent_while_it_holds_its_place_ends_the_run() -> None:
     with pytest.raises(InstrumentError, match=r"stage_z.*no answer for 0\.6 s"):
         hold_of([], silent_s=0.6).rest(4.0)
+
+
+RETURNS: dict[str, tuple[str, Any, str]] = {
+    "no duration": ("motion_s", None, "motion_s() returned None; let it return a number"),
+    "a text for the duration": ("motion_s", "3", "motion_s() returned '3'; let it return a number"),
+    "one place": ("offsets_mm", 1.0, "offsets_mm() returned 1.0; let it return a tuple of numbers"),
+    "a text for a force": ("normal_forces_N", ("2",), "normal_forces_N() returned ('2',)"),
+    "one move": (
+        "moves",
+        Move("stage_x.position", 10.0),
+        "let it return a tuple of Move, with a comma after one alone",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", RETURNS)
+def test_what_a_hook_must_not_return_is_refused_with_its_name(case: str) -> None:
+    hook, found, reported = RETURNS[case]
+
+    def method(self: Any) -> Any:
+        return found
+
+    procedure = type("Odd", (Forces,), {hook: method})(PressedSettings())
+    with pytest.raises(ConfigurationError) as refused:
+        procedure.points()
+    assert reported in refused.value.one_line()
+
+
+def test_a_place_that_is_not_a_number_is_refused_with_its_name() -> None:
+    class Odd(Forces):
+        def start_mm(self, fixture: Any) -> Any:
+            return "10"
+
+    with pytest.raises(ConfigurationError, match=r"start_mm\(\) returned '10'"):
+        Odd(PressedSettings()).overhead_s(SimpleNamespace(), homed=True)
+
+
+CREEP = Column("creep", "um", "Travel of z")
+
+
+@pytest.mark.parametrize(
+    ("columns", "reported"),
+    [
+        (CREEP, "columns has to be a tuple of Column(name, unit, meaning), with a comma after one"),
+        (("creep_um",), "columns has to be a tuple of Column"),
+        ((CREEP, CREEP), "columns has 'creep' twice; rename one of them"),
+    ],
+)
+def test_columns_that_cannot_be_are_refused_where_the_class_is_made(
+    columns: Any, reported: str
+) -> None:
+    with pytest.raises((TypeError, ValueError)) as refused:
+        type("Odd", (Forces,), {"columns": columns})
+    assert reported in str(refused.value)
