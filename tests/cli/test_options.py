@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import math
-from typing import Literal
+import re
+from typing import Any, Literal
 
 import numpy as np
 import pytest
-from pydantic import Field, ValidationError
+from pydantic import Field, ValidationError, model_validator
 
 from procedures.sweep.settings import LISTEN_S, SweepSettings
 from rig.analysis.response.sine_fit import fit_sine, mains_lines
 from rig.cli.options.settings import option_name, parameters, settings_from, texts_of
-from rig.core.errors import ConfigurationError, ExitCode
+from rig.core.errors import ConfigurationError, ExitCode, RigError
 from rig.core.settings import Settings
 from rig.core.units import parse, quantity
 from rig.run.load_procedure import load_procedure
@@ -306,6 +307,24 @@ def test_bounds_in_the_help_are_words(rig) -> None:
     assert "x<=" not in shown
     assert "x>=" not in shown
     assert "1 to 1000" in shown
+
+
+def test_a_validator_that_fails_is_a_fault_of_its_package_in_one_line() -> None:
+    class Ratio(Settings):
+        way_mm: float = 1.0
+        part_mm: float = 1.0
+
+        @model_validator(mode="after")
+        def _fits(self) -> Any:
+            if self.way_mm / self.part_mm < 1:
+                raise ValueError("too short")
+            return self
+
+    with pytest.raises(RigError) as failed:
+        settings_from(Ratio, {"way_mm": None, "part_mm": "0"})
+    line = failed.value.one_line()
+    assert re.search(r"Ratio cannot check these settings: .*test_options.py line \d+: Zero", line)
+    assert failed.value.code is ExitCode.INTERNAL
 
 
 def test_a_list_may_be_given_in_parts_and_of_anything_else_the_last_holds() -> None:

@@ -23,6 +23,7 @@ from rig.batch.plan.settings import MOST_RUNS, BatchFile, Experiment, SpaceSampl
 from rig.core.errors import MOST_FINDINGS, ConfigurationError, finding, shortened
 from rig.core.settings import Settings, name_without_unit, unit_of
 from rig.core.units import parse
+from rig.core.validated import validated
 
 MOST_CONDITIONS = 100_000
 """Each has settings of its own; a night has time for fewer."""
@@ -310,7 +311,7 @@ class Expansion:
             varied = combination.varied
             name = f"{self.label}-{combination.number:03d}"
             try:
-                settings = model.model_validate({**base, **varied}).model_dump(mode="json")
+                settings = validated(model, {**base, **varied}).model_dump(mode="json")
             except ValidationError as error:
                 self._refuse(error, name, combination)
                 if len(set(self.findings)) > MOST_FINDINGS:

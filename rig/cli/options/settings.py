@@ -18,6 +18,7 @@ from pydantic.fields import FieldInfo
 from rig.core.errors import ConfigurationError, finding
 from rig.core.settings import Settings, descriptions, option_name, unit_of
 from rig.core.units import parse
+from rig.core.validated import validated
 from rig.run.bench_selector import require_variant, simulated_variants
 
 STATED_DEFAULT = "Default: "
@@ -130,7 +131,7 @@ def settings_from(model: type[Settings], given: Mapping[str, str | None]) -> Set
     if findings:
         raise ConfigurationError("; ".join(findings), "see --help for the units")
     try:
-        settings = model.model_validate(values)
+        settings = validated(model, values)
     except ValidationError as error:
         items = error.errors()
         places = [item["loc"] for item in items]

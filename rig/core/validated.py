@@ -1,0 +1,35 @@
+"""Make settings from values; a validator that fails is reported as a fault of its package."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, TypeVar
+
+from pydantic import ValidationError
+
+from rig.core.entry_points import place_in
+from rig.core.errors import ExitCode, RigError
+from rig.core.settings import Settings
+
+T = TypeVar("T", bound=Settings)
+
+
+def validated(model: type[T], values: Mapping[str, Any]) -> T:
+    """Return settings of these values, by field.
+
+    Raises pydantic's ValidationError for values that are refused; RigError where a validator fails
+    with any other exception than ValueError, which is a fault of the package that it belongs to.
+    """
+    try:
+        return model.model_validate(values)
+    except (ValidationError, RigError):
+        raise
+    except Exception as error:
+        place = place_in(model.__module__.split(".")[0], error)
+        raise RigError(
+            f"{model.__module__}.{model.__qualname__} cannot check these settings: "
+            f"{place}{type(error).__name__}: {error}",
+            "a validator has to raise ValueError for what it refuses; report it to whoever "
+            "maintains that package",
+            ExitCode.INTERNAL,
+        ) from error
