@@ -9,13 +9,14 @@ from __future__ import annotations
 import contextlib
 import io
 import locale
+import logging
 import os
 import queue
 import select
 import sys
 import threading
 from collections.abc import Callable
-from typing import Self
+from typing import NoReturn, Self
 
 from rig.core.threads import start_thread
 
@@ -119,6 +120,15 @@ class LinesInTurn:
         while (text := self._lines.get()) is not None:
             with contextlib.suppress(OSError):
                 self._show(text)
+
+
+def leave_at_once(code: int) -> NoReturn:
+    """End the process with an exit code although threads of packages run; what was printed and
+    logged is complete."""
+    code = int(code_after_output(code) or 0)
+    sys.stderr.flush()
+    logging.shutdown()
+    os._exit(code)
 
 
 def say_at_once(text: str) -> None:

@@ -13,6 +13,7 @@ for a list of commands that has to appear at once.
 from __future__ import annotations
 
 import ast
+import contextlib
 import importlib
 import importlib.metadata
 import sys
@@ -113,7 +114,9 @@ def load(group: str, name: str, find_fault: Callable[[Any], str | None] | None =
     if entry.pattern.match(entry.value) is None:
         raise BrokenPackageError(entry, "does not name a module")
     try:
-        loaded = entry.load()
+        # What a module prints as it is imported must not mix with what a command prints.
+        with contextlib.redirect_stdout(sys.stderr):
+            loaded = entry.load()
     except (Exception, SystemExit) as error:
         if is_stop(error):  # a signal that came while the module was imported
             raise

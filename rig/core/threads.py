@@ -1,10 +1,15 @@
-"""Start a thread, or report why the computer cannot start one."""
+"""Start a thread, or report why it cannot be; wait for threads of packages, but not for ever."""
 
 from __future__ import annotations
 
 import threading
+import time
+from collections.abc import Callable
 
 from rig.core.errors import RigError
+
+SOON_S, PATIENCE_S = 0.5, 10.0
+"""After how long a thread that is waited for is named, and when it is no longer waited for."""
 
 
 def start_thread(thread: threading.Thread) -> None:
@@ -17,3 +22,28 @@ def start_thread(thread: threading.Thread) -> None:
             "memory is reached",
             "end other programs, or raise the limit (ulimit -u), and start again",
         ) from error
+
+
+def thread_remains(say: Callable[[str], object], patience_s: float = PATIENCE_S) -> bool:
+    """Wait for threads that packages have left running; return whether one still runs after
+    `patience_s`. `say` takes a warning that names it.
+
+    Python would wait for such a thread for ever. Threads of this program are daemons, for which it
+    does not wait.
+    """
+    begun_s = time.monotonic()
+    mine = (threading.current_thread(), threading.main_thread())
+    left = [one for one in threading.enumerate() if one not in mine and not one.daemon]
+    for until_s in (SOON_S, patience_s):
+        for thread in left:
+            thread.join(max(0.0, begun_s + until_s - time.monotonic()))
+        left = [thread for thread in left if thread.is_alive()]
+        if not left:
+            return False
+        if until_s == SOON_S:
+            names = ", ".join(repr(thread.name) for thread in left)
+            say(
+                f"warning: a package has left a thread running ({names}); it is waited for at most "
+                f"{patience_s:g} s, then the program ends without it"
+            )
+    return True

@@ -8,7 +8,6 @@ figure that is drawn next, "" at the end. Where the input ends without a path no
 
 from __future__ import annotations
 
-import contextlib
 import faulthandler
 import json
 import os
@@ -35,9 +34,7 @@ def main() -> None:
     # The run that waits ends it as well, unless it was killed meanwhile.
     faulthandler.dump_traceback_later(TIMEOUT_S + GRACE_S, exit=True)
     try:
-        # Text that a figure function prints must not mix with the answer.
-        with contextlib.redirect_stdout(sys.stderr):
-            drawn = draw(Path(json.loads(asked)), begins=_answer)
+        drawn = draw(Path(json.loads(asked)), begins=_answer)
     except RigError as error:
         drawn = Drawn(warnings=(f"no figure was drawn: {error.one_line()}",))
     _answer(drawn)
@@ -51,3 +48,4 @@ def _answer(drawn: Drawn, figure: str = "") -> None:
 
 if __name__ == "__main__":
     main()
+    os._exit(0)  # without the threads that a figure's function has left

@@ -203,7 +203,8 @@ class _Drawing:
             self._warn(f"{registered} was left out: {limit}")
             return
         try:
-            with time_limit(left_s):
+            # Text that a figure's function prints must not mix with the answer.
+            with time_limit(left_s), contextlib.redirect_stdout(sys.stderr):
                 self._add(registered, opened)
         except _NoPlaceError:
             raise

@@ -144,9 +144,11 @@ def test_a_complete_procedure_of_another_package_is_listed_and_runs(
     shown = rig.run("--help")
     assert shown.code == 0, "nothing is imported for it"
     assert "Hold a force and watch the skin creep" in " ".join(shown.stdout.split())
-    (site / "lab" / "__init__.py").write_text("")
+    (site / "lab" / "__init__.py").write_text("print('imported')")
     done = rig.run("creep", "--frequencies", "200", "--no-figures", "--json")
     assert done.code == 0, done.stderr
+    assert json.loads(done.stdout)["points_done"] == 1, "what it prints is not for stdout"
+    assert "imported" in done.stderr
 
 
 def everything_broken(site: Path) -> Path:

@@ -238,7 +238,7 @@ class Supervisor:
         worker.send(command)
 
     def _handle(self, line: bytes) -> None:
-        """One line from the worker; what a library has printed goes to the log."""
+        """One line from the worker; one that is not a report goes to the log."""
         try:
             event = json.loads(line)
             handler = getattr(self, f"_on_{event['event']}")

@@ -41,6 +41,7 @@ from rig.batch.queue import Queue, give_up
 from rig.batch.queue_file import QueueWriteError
 from rig.batch.queue_records import AttemptResult, Claim
 from rig.core.errors import ExitCode, RigError
+from rig.core.threads import thread_remains
 from rig.core.units import counted
 from rig.run.stopping import MAKING_SAFE_S, StopFlag, StopRequestedError
 
@@ -374,15 +375,16 @@ def main(arguments: Sequence[str]) -> int:
     """Run the worker program."""
     folder = BatchFolder(Path(arguments[0]))
     lines = threading.Lock()
+    # What a package or a library prints goes to the log: in a line of a report it would spoil it.
+    reports = os.fdopen(os.dup(sys.stdout.fileno()), "w")
+    os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
 
     def send(event: str, **fields: Any) -> None:
         line = json.dumps({"event": event, **fields}) + "\n"
-        with lines:
-            try:
-                sys.stdout.write(line)
-                sys.stdout.flush()
-            except OSError:  # the supervisor has died: the end of standard input says so, too
-                sys.stdout = Path(os.devnull).open("w")  # noqa: SIM115 - until the process ends
+        # Where it cannot be sent the supervisor has died: the end of standard input says so, too.
+        with lines, contextlib.suppress(OSError):
+            reports.write(line)
+            reports.flush()
 
     signal.signal(signal.SIGTSTP, signal.SIG_IGN)  # between runs; a run has its own switch
     with StopFlag() as stop:
@@ -400,4 +402,7 @@ def main(arguments: Sequence[str]) -> int:
 
 if __name__ == "__main__":
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    sys.exit(main(sys.argv[1:]))
+    ended = main(sys.argv[1:])
+    if thread_remains(lambda line: os.write(2, f"{line}\n".encode())):
+        os._exit(ended)
+    sys.exit(ended)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import inspect
+import sys
 import tempfile
 from collections.abc import Callable
 from contextlib import ExitStack
@@ -100,7 +102,8 @@ def perform(
     """Run a procedure, made with its settings, on the bench that was asked for, and end the process
     with the run's exit code."""
     from rig.cli.report import ConsoleObserver, finish, finish_dry_run
-    from rig.cli.streams import say_at_once
+    from rig.cli.streams import leave_at_once, say_at_once
+    from rig.core.threads import thread_remains
     from rig.figures.drawing import DrawingProcess
     from rig.run.stopping import StopFlag
 
@@ -141,7 +144,10 @@ def perform(
         drawing = None
         if request.figures and not request.dry_run:
             drawing = stack.enter_context(DrawingProcess())
-        with ConsoleObserver(type(procedure), simulated=simulated) as console:
+        with (
+            contextlib.redirect_stdout(sys.stderr),  # what a driver prints is not for stdout
+            ConsoleObserver(type(procedure), simulated=simulated) as console,
+        ):
             outcome = execute(job, bench.plan, bench.clock, stop, console)
         if bench.started is not None:
             bench.started.wait()
@@ -149,6 +155,8 @@ def perform(
             finish_dry_run(type(procedure), outcome, request.as_json, request.debug)
         else:
             finish(type(procedure), outcome, request.as_json, drawing, request.debug)
+    if thread_remains(say):
+        leave_at_once(int(outcome.code))
     raise typer.Exit(int(outcome.code))
 
 
