@@ -11,8 +11,10 @@ A package that fails loses its own values; each failure is one sentence.
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
+import sys
 import traceback
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -79,7 +81,8 @@ def analyse(run: RunFile) -> Analyses:
             warnings.append(f"{registered} was left out: another one has its name")
             continue
         try:
-            with time_limit(LONGEST_S):
+            # Text that an analysis prints must not mix with the answer.
+            with time_limit(LONGEST_S), contextlib.redirect_stdout(sys.stderr):
                 values = _analysis(registered, run)
             found.append(values)
         # A package may raise anything, and call sys.exit() where it was meant as a program.
@@ -137,7 +140,10 @@ def keep(run: RunFile, analyses: Analyses, folder: Path | None = None) -> Path:
 def _analysis(registered: FileEntry, run: RunFile) -> Analysis:
     """Return what one analysis found. TypeError where that is not a mapping of names to values;
     whatever its package raises."""
-    given: Any = registered.load()(run)
+    from rig.files.runfile.reader import RunFile
+
+    with RunFile.open(run.path) as its_own:  # it may close it, as `with run:` does
+        given: Any = registered.load()(its_own)
     if not isinstance(given, Mapping):
         raise TypeError(f"it returned {type(given).__name__} where a mapping is expected")
     values = {}

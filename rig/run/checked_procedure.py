@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import difflib
+import sys
 from collections.abc import Iterator, Mapping, Sequence
 from numbers import Real
 from typing import TYPE_CHECKING, Any
@@ -29,6 +30,7 @@ from rig.core.errors import (
     is_stop,
     shortened,
 )
+from rig.core.time_limit import TimeLimitError, time_limit
 from rig.core.toml_files import check_nesting
 from rig.files.journal.format import MAX_JSON, to_json, unlike_json
 from rig.run.passing import KeptBackError
@@ -44,6 +46,8 @@ if TYPE_CHECKING:
 
 SIMPLER = "return numbers, texts, truth values or None, or lists and dicts of them"
 """Remedy for a value that a run file cannot hold."""
+LONGEST_SUMMARY_S = 120.0
+"""Longest time of a hook that computes when the bench is safe."""
 TRUTH = "simulated_truth"
 """Key that every reading may have: the simulated bench's own record of the point."""
 
@@ -142,7 +146,7 @@ class CheckedProcedure:
         Raises ProcedureFaultError if the procedure returns no mapping, or one with a value that a
         run file cannot hold.
         """
-        with self._blamed():
+        with self._blamed(), self._in_time("summarise"):
             found: Any = self._procedure.summarise(readings)
         return self._values("summarise", found)
 
@@ -151,7 +155,7 @@ class CheckedProcedure:
 
         Raises ProcedureFaultError as `summarise`.
         """
-        with self._blamed():
+        with self._blamed(), self._in_time("put_in"):
             found: Any = self._procedure.put_in(readings, summary)
         return self._values("put_in", found)
 
@@ -160,7 +164,7 @@ class CheckedProcedure:
 
         Raises ProcedureFaultError if the procedure returns no list of lines.
         """
-        with self._blamed():
+        with self._blamed(), self._in_time("in_brief"):
             found: Any = self._procedure.in_brief(summary, put_in)
         if isinstance(found, str) or not isinstance(found, Sequence):
             raise self._fault(f"in_brief() returned {_kind(found)}, not a list of lines")
@@ -225,9 +229,23 @@ class CheckedProcedure:
         return found
 
     @contextlib.contextmanager
+    def _in_time(self, hook: str) -> Iterator[None]:
+        """End a hook that computes when the bench is safe: nothing else would, not even Ctrl-C."""
+        try:
+            with time_limit(LONGEST_SUMMARY_S):
+                yield
+        except TimeLimitError as error:
+            hint = (
+                "compute in it what is quick, and the rest in an analysis (docs/add-an-analysis.md)"
+            )
+            raise self._fault(f"{hook}() was ended: {error.message}", hint) from error
+
+    @contextlib.contextmanager
     def _blamed(self) -> Iterator[None]:
         try:
-            yield
+            # What a hook prints must not mix with what the command prints for other programs.
+            with contextlib.redirect_stdout(sys.stderr):
+                yield
         except RigError:
             raise
         except (Exception, SystemExit) as error:

@@ -212,7 +212,8 @@ class Procedure(ABC):
         `readings` may be empty. It is called for old run files too (``rig show``). The run file has
         the result as ``/entry/results``. There, a table with the keys value, standard_error, low,
         high and unit is an estimate, and a table ``standard_errors`` has the errors of other values
-        by their names. An exception costs the summary and is a warning; the data stay saved.
+        by their names. An exception costs the summary and is a warning, as is more than 120 s; the
+        data stay saved.
         """
         return {}
 

@@ -132,6 +132,23 @@ def test_an_analysis_that_never_returns_is_interrupted(
     )
 
 
+def test_an_analysis_may_print_and_close_its_file(
+    file: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+) -> None:
+    module = "def closes(run):\n    print('look')\n    with run:\n        return {'points': 1}\n"
+    entries = "[rig.analyses]\nlab-trial.closes = lab_closes:closes"
+    site = install(tmp_path / "closes", "lab-closes", entries, {"lab_closes.py": module})
+    monkeypatch.syspath_prepend(str(site))
+    with RunFile.open(file) as run:
+        (found,) = (one for one in analyse(run).found if one.package == "lab-closes")
+        assert run.point_ids() == ["trial-1"], "it is still open for who comes next"
+    assert found.values == {"points": 1}
+    assert capsys.readouterr() == ("", "look\n")
+
+
 def test_a_signal_during_an_analysis_ends_the_command_and_is_no_fault_of_the_package(
     rig: Any, tmp_path: Path
 ) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from datetime import date
 from pathlib import Path
@@ -306,6 +307,24 @@ def test_a_summary_that_fails_costs_the_results_and_is_a_warning(
         assert run.outcome.status == "complete"
         assert run.point_ids() == ["first", "second"]
         assert run.results is None
+
+
+def test_a_summary_that_never_returns_is_ended_and_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("rig.run.checked_procedure.LONGEST_SUMMARY_S", 0.5)
+    endless = made(summarise=lambda *_: time.sleep(1e6))(Settings())
+    with pytest.raises(ProcedureFaultError, match=r"summarise\(\) was ended: it took longer than"):
+        results_of(endless, [], simulated=False)
+
+
+def test_what_a_hook_prints_does_not_mix_with_what_the_command_prints(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    def printing(self: Any) -> tuple[Point, ...]:
+        print("planning")
+        return (Point("first", 1, ()),)
+
+    CheckedProcedure(made(points=printing)(Settings())).points()
+    assert capsys.readouterr() == ("", "planning\n")
 
 
 def inside_itself() -> dict[str, Any]:

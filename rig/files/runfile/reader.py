@@ -67,7 +67,10 @@ class Waveform:
     """Unit of scale × count + offset."""
 
     def values(self, channel: str) -> NDArray[np.float64]:
-        """Return a channel in `units`, float64 of shape (n,)."""
+        """Return a channel in `units`, float64 of shape (n,). KeyError for any other."""
+        if channel not in self.counts:
+            there = ", ".join(self.counts)
+            raise KeyError(f"no channel {channel!r} in the stream {self.stream!r}: it has {there}")
         values: NDArray[np.float64] = (
             self.counts[channel] * self.scale[channel] + self.offset[channel]
         )
