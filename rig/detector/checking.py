@@ -12,11 +12,13 @@ import math
 import os
 import sys
 from collections.abc import Callable, Iterator
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.core.entry_points import DETECTORS, find, place_in
 from rig.core.errors import LONGEST_REASON, ExitCode, RigError, is_stop, shortened
 from rig.core.settings import Settings
 from rig.detector.contract import Detector
@@ -120,6 +122,12 @@ class CheckedDetector(Detector):
             fault = event_fault(event, first, end, self.rate_Hz)
             if fault is not None:
                 raise self._error(f"returned {fault}")
+        for before, event in pairwise(found):
+            if event.sample < before.sample:
+                raise self._error(
+                    f"returned an event in row {event.sample} after one in row {before.sample}: "
+                    "events come in the order of their rows"
+                )
         return [_plain(event) for event in found]
 
     def _error(self, reason: str) -> DetectorError:
@@ -167,7 +175,11 @@ def asked(
     except (Exception, SystemExit) as error:
         if is_stop(error):
             raise
-        words = f"{type(error).__name__}: {' '.join(str(error).split())}"
+        place = ""
+        with contextlib.suppress(RigError):  # registered twice
+            if (entry := find(DETECTORS, name)) is not None:
+                place = place_in(entry.module.split(".")[0], error)
+        words = f"{place}{type(error).__name__}: {' '.join(str(error).split())}"
         reason = f"failed at {what}: {shortened(words, LONGEST_REASON)}"
         raise DetectorError(name, package, reason) from error
 

@@ -215,7 +215,7 @@ def test_a_command_reaches_one_of_another_package_at_its_row(
 
 
 DROPPED = {
-    "raises": (SAY, "1 / 0", "failed (failed at judging: ZeroDivisionError: division by zero)"),
+    "raises": (SAY, "1 / 0", "line 30: ZeroDivisionError: division by zero)"),
     "ends": (SAY, "os._exit(3)", "ended (exit code 3)"),
     "crashes": (SAY, "os.kill(os.getpid(), 11)", "ended (SIGSEGV)"),
     "sleeps": (SAY, "__import__('time').sleep(1000)", "fell behind by "),
