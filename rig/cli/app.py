@@ -18,7 +18,14 @@ import typer
 
 from rig.cli.outcome import report, say
 from rig.core import unreadable_packages
-from rig.core.entry_points import PROCEDURES, BrokenPackageError, names, summary
+from rig.core.entry_points import (
+    OWN_PACKAGE,
+    PROCEDURES,
+    BrokenPackageError,
+    names,
+    packages_of,
+    summary,
+)
 from rig.core.errors import ConfigurationError, RigError
 from rig.core.text import printable
 
@@ -97,9 +104,15 @@ def build(arguments: Sequence[str]) -> typer.Typer:
     own = (*COMMANDS, *GROUPS)
     listed = asked not in own and asked not in installed
     for name in installed:
-        if name in own:  # A package must not replace a command of this program.
-            if asked is None:
-                say(f"warning: a procedure {name!r} is installed, which is the name of a command")
+        # A package must not replace a command or a procedure of this program.
+        packages = packages_of(PROCEDURES, name)
+        if asked is None and (name in own or OWN_PACKAGE in packages):
+            for other in (one for one in packages if one != OWN_PACKAGE):
+                say(
+                    f"warning: the procedure {name!r} of the package {printable(other)} is left "
+                    f"out: rig has a command {name!r} already; rename it there"
+                )
+        if name in own:
             continue
         function: Callable[..., None] = _not_asked
         if name == asked:

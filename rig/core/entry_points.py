@@ -97,6 +97,11 @@ def find(group: str, name: str) -> EntryPoint | None:
     return found[0] if found else None
 
 
+def packages_of(group: str, name: str) -> tuple[str, ...]:
+    """Return the packages that register a name; where this one does, the others are left out."""
+    return tuple(package(entry) for entry in _registered(group) if entry.name == name)
+
+
 def load(group: str, name: str, find_fault: Callable[[Any], str | None] | None = None) -> Any:
     """Import what is registered under `name` and check that it has what its group demands.
 
