@@ -97,7 +97,7 @@ raises RefusedError, before it changes anything, with the error code to answer."
 
 
 @dataclass(frozen=True)
-class GsvCommand:
+class SimulatedCommand:
     """One command: what it does, which numbers of parameter bytes it takes, whether it writes."""
 
     act: Act
@@ -117,7 +117,7 @@ def answered(amplifier: GsvAmplifier, request: GsvRequest) -> bytes | None:
     return answer
 
 
-def _command(memory: GsvMemory, request: GsvRequest) -> GsvCommand:
+def _command(memory: GsvMemory, request: GsvRequest) -> SimulatedCommand:
     """Return the table's entry for a request that may be carried out."""
     command = COMMANDS.get(request.number)
     if command is None:
@@ -329,7 +329,7 @@ def _set_input_type(amplifier: GsvAmplifier, request: GsvRequest) -> GsvAnswer:
     return GsvAnswer()
 
 
-def _of_each_channel(read: int, write: int, form: str, name: str) -> dict[int, GsvCommand]:
+def _of_each_channel(read: int, write: int, form: str, name: str) -> dict[int, SimulatedCommand]:
     """Return the commands of a setting that each channel has: one reads it, another writes it."""
 
     def get(amplifier: GsvAmplifier, request: GsvRequest) -> GsvAnswer:
@@ -344,8 +344,8 @@ def _of_each_channel(read: int, write: int, form: str, name: str) -> dict[int, G
         return GsvAnswer()
 
     return {
-        read: GsvCommand(get, (1,)),
-        write: GsvCommand(put, (1 + struct.calcsize(form),), writes=True),
+        read: SimulatedCommand(get, (1,)),
+        write: SimulatedCommand(put, (1 + struct.calcsize(form),), writes=True),
     }
 
 
@@ -367,35 +367,35 @@ def _get_level(amplifier: GsvAmplifier, request: GsvRequest) -> GsvAnswer:
     return GsvAnswer(struct.pack(">H", amplifier.lines.level(request.parameters[0])))
 
 
-COMMANDS: dict[int, GsvCommand] = {
-    0x01: GsvCommand(_get_interface, (0, 1)),
+COMMANDS: dict[int, SimulatedCommand] = {
+    0x01: SimulatedCommand(_get_interface, (0, 1)),
     **_of_each_channel(0x04, 0x05, ">f", "output_offset"),
     **_of_each_channel(0x06, 0x07, ">f", "output_scale"),
-    0x0C: GsvCommand(_set_zero, (1,), writes=True),
+    0x0C: SimulatedCommand(_set_zero, (1,), writes=True),
     **_of_each_channel(0x0D, 0x0E, ">B", "output_type"),
     **_of_each_channel(0x14, 0x15, ">f", "user_scale"),
-    0x1F: GsvCommand(_get_serial_number),
-    0x23: GsvCommand(_stop_transmission),
-    0x24: GsvCommand(_start_transmission),
-    0x26: GsvCommand(_get_mode),
-    0x27: GsvCommand(_set_mode, (4,)),
-    0x2B: GsvCommand(_get_firmware_version),
-    0x3A: GsvCommand(_get_raw_value, (1,)),
-    0x3B: GsvCommand(_get_value),
-    0x42: GsvCommand(_get_last_error, (0, 1)),
-    0x43: GsvCommand(_four_zero_bytes, (0, 1)),
-    0x49: GsvCommand(_get_mapping, (1,)),
-    0x4A: GsvCommand(_set_mapping, (3,), writes=True),
-    0x59: GsvCommand(_get_direction, (1,)),
-    0x5A: GsvCommand(_set_direction, (2,), writes=True),
-    0x5D: GsvCommand(_get_level, (1,)),
-    0x63: GsvCommand(_get_rate_range, (1,)),
-    0x78: GsvCommand(_reset),
-    0x80: GsvCommand(_get_tx_mode, (1,)),
-    0x81: GsvCommand(_set_tx_mode, (3,), writes=True),
-    0x8A: GsvCommand(_get_rate),
-    0x8B: GsvCommand(_set_rate, (4,), writes=True),
-    0xA2: GsvCommand(_get_input_type, (2,)),
-    0xA3: GsvCommand(_set_input_type, (2,), writes=True),
+    0x1F: SimulatedCommand(_get_serial_number),
+    0x23: SimulatedCommand(_stop_transmission),
+    0x24: SimulatedCommand(_start_transmission),
+    0x26: SimulatedCommand(_get_mode),
+    0x27: SimulatedCommand(_set_mode, (4,)),
+    0x2B: SimulatedCommand(_get_firmware_version),
+    0x3A: SimulatedCommand(_get_raw_value, (1,)),
+    0x3B: SimulatedCommand(_get_value),
+    0x42: SimulatedCommand(_get_last_error, (0, 1)),
+    0x43: SimulatedCommand(_four_zero_bytes, (0, 1)),
+    0x49: SimulatedCommand(_get_mapping, (1,)),
+    0x4A: SimulatedCommand(_set_mapping, (3,), writes=True),
+    0x59: SimulatedCommand(_get_direction, (1,)),
+    0x5A: SimulatedCommand(_set_direction, (2,), writes=True),
+    0x5D: SimulatedCommand(_get_level, (1,)),
+    0x63: SimulatedCommand(_get_rate_range, (1,)),
+    0x78: SimulatedCommand(_reset),
+    0x80: SimulatedCommand(_get_tx_mode, (1,)),
+    0x81: SimulatedCommand(_set_tx_mode, (3,), writes=True),
+    0x8A: SimulatedCommand(_get_rate),
+    0x8B: SimulatedCommand(_set_rate, (4,), writes=True),
+    0xA2: SimulatedCommand(_get_input_type, (2,)),
+    0xA3: SimulatedCommand(_set_input_type, (2,), writes=True),
 }
 """The commands that are simulated, by number."""
