@@ -90,7 +90,6 @@ class ZaberAxis:
         )
         self._asked_at_s = -math.inf
         self._seen_deg = 0.0
-        self._seen_busy = False
         self._seen_at_s = -math.inf
         self._idle_from_s = math.inf
         """Since when it has reported no motion; infinite while it moves."""
