@@ -2,12 +2,21 @@
 
 from __future__ import annotations
 
+import errno
 import re
 from pathlib import Path
 
 from rig.core.errors import ConfigurationError, ExitCode, FoundWrongError, RigError
 
 _MISSING = re.compile(r"object '([^']+)' doesn't exist")
+
+
+def room_for(error: OSError) -> str:
+    """Return what to do so that a file can be written where the disk has refused it, as the begin
+    of a hint."""
+    if error.errno == errno.EFBIG:
+        return "raise the limit on the size of a file (ulimit -f), or use another file system"
+    return "free space or write access there"
 
 
 class JournalError(RigError):

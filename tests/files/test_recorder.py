@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import os
 import threading
 import time
 from collections.abc import Callable
@@ -112,6 +114,19 @@ def test_the_threads_first_error_is_raised_everywhere(
         with pytest.raises(ZeroDivisionError, match="the first cause"):
             act()
     recorder.close()
+
+
+def test_a_limit_on_the_size_of_files_is_not_taken_for_a_full_disk(
+    journal: JournalWriter, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def too_large(*_: object) -> int:
+        raise OSError(errno.EFBIG, "File too large")
+
+    monkeypatch.setattr(os, "writev", too_large)
+    with pytest.raises(RecordingError, match="File too large") as caught:
+        journal.append([b"x"])
+    assert "ulimit -f" in str(caught.value.hint)
+    assert "free space" not in str(caught.value.hint)
 
 
 def test_a_refused_put_harms_nothing(journal: JournalWriter) -> None:

@@ -22,7 +22,7 @@ from pydantic import ValidationError
 
 from rig.core.atomic import sync_folder
 from rig.core.errors import ConfigurationError, ExitCode, RigError
-from rig.files.errors import JournalError, JournalMovedError, RecordingError
+from rig.files.errors import JournalError, JournalMovedError, RecordingError, room_for
 from rig.files.journal.format import (
     BLOCK_HEAD,
     MAGIC,
@@ -47,10 +47,8 @@ __all__ = [
 _IOV_MAX = 1024
 _NAME_TRIES = 20
 _COPY_BYTES = 1 << 20
-_BEGIN_HINT = (
-    "free space or write access there, or choose another folder for results; nothing was recorded"
-)
-_DISK_HINT = "free space or write access there, then `rig recover` the journal or resume the run"
+_AND_THEN = "then `rig recover` the journal or resume the run"
+_NOTHING_YET = "or choose another folder for results; nothing was recorded"
 
 
 class JournalEncoder:
@@ -176,7 +174,8 @@ class JournalWriter:
         except FileExistsError:
             raise
         except OSError as error:
-            raise RecordingError(path, error.strerror or str(error), _BEGIN_HINT) from error
+            hint = f"{room_for(error)}, {_NOTHING_YET}"
+            raise RecordingError(path, error.strerror or str(error), hint) from error
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         writer = cls(path, descriptor, JournalEncoder(header), 0)
         try:
@@ -362,7 +361,7 @@ class JournalWriter:
 
     def _fail(self, act: str, error: OSError) -> RecordingError:
         cause = f"{act} failed: {error.strerror or error}"
-        self._failure = RecordingError(self.path, cause, _DISK_HINT)
+        self._failure = RecordingError(self.path, cause, f"{room_for(error)}, {_AND_THEN}")
         return self._failure
 
 

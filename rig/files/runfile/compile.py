@@ -20,7 +20,7 @@ from pathlib import Path
 
 from rig.core.atomic import sync_folder
 from rig.files.checksum import sha256_of
-from rig.files.errors import JournalError, RecordingError, RunFileError
+from rig.files.errors import JournalError, RecordingError, RunFileError, room_for
 from rig.files.hdf5.guarded_file import GuardedFile
 from rig.files.hdf5.nexus import plain_text
 from rig.files.hdf5.publishing import publishing
@@ -59,7 +59,7 @@ def compile_run(
             _publish(contents, target)
         except OSError as error:
             cause = f"cannot be written: {error.strerror or error}"
-            hint = f"free space there, then `rig recover {journal}`; the journal is untouched"
+            hint = f"{room_for(error)}, then `rig recover {journal}`; the journal is untouched"
             raise RecordingError(target, cause, hint) from error
         except (ImportError, MemoryError) as error:
             cause = f"cannot be written: {type(error).__name__}: {error}"
