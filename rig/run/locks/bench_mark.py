@@ -19,15 +19,19 @@ import os
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
 from rig.core.errors import ExitCode, RigError, UnsafeError
+from rig.core.text import printable
 from rig.run.locks.shared_folder import SharedFolder, user_name
 
 SUFFIX = ".mark"
 MarkState = Literal["running", "unsafe", "stopped"]
+Shown = Annotated[str, AfterValidator(printable)]
+"""Text for a person. Names of files may hold bytes that no encoding of a mark has: a mark that is
+refused for them would be missing when it is needed."""
 BOOT_ID = Path("/proc/sys/kernel/random/boot_id")
 
 
@@ -66,13 +70,13 @@ class BenchMark(BaseModel):
     user: str
     run: ProcessStamp | None = None
     guard: ProcessStamp | None = None
-    journal: str | None = None
+    journal: Shown | None = None
     """Journal of the run; None if nothing was recorded."""
-    failures: Mapping[str, str] = Field(default_factory=dict)
+    failures: Mapping[str, Shown] = Field(default_factory=dict)
     """Reasons why the bench could not be made safe, by role."""
     names: tuple[str, ...] = ()
     """All names under which it was written: those of the bench's addresses at that time."""
-    report: str = ""
+    report: Shown = ""
     """Report on what was done and what is known, as a sentence."""
     released: bool = False
     """True if z was seen clear of contact, with nothing pressed."""

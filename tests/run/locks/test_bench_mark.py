@@ -101,6 +101,17 @@ def test_what_could_not_be_made_safe_is_named(marks: BenchMarks) -> None:
         refuse_unsafe(read_marks(NAMES), "bench.toml")
 
 
+def test_a_name_that_is_not_in_the_computers_encoding_does_not_cost_the_mark(shared: Path) -> None:
+    """As a folder of results is called whose name was written in another locale."""
+    odd = "/data/\udcfc/run.rigj"
+    marks = BenchMarks(NAMES, "bench-3", odd)
+    marks.running(os.getpid())
+    assert [mark.state for mark in read_marks(NAMES)] == ["running"]
+    marks.unsafe({"guard": f"{odd}: no report"})
+    with pytest.raises(UnsafeError, match=r"/data/.udcfc/run.rigj: no report"):
+        refuse_unsafe(read_marks(NAMES), "bench.toml")
+
+
 def test_what_was_stopped_is_reported_and_refuses_nothing(marks: BenchMarks) -> None:
     marks.running(dead())
     marks.stopped("the guard had to act")
