@@ -14,6 +14,7 @@ from rich.text import Text
 
 from rig.cli.outcome import log, print_json, say, say_all, say_failure, turning
 from rig.core.entry_points import BrokenPackageError
+from rig.core.text import printable
 from rig.core.units import counted, duration
 from rig.figures.drawing import DrawingProcess, Drawn, LeaveOutError
 from rig.run.checked_procedure import ProcedureFaultError
@@ -35,7 +36,7 @@ class _Eta(ProgressColumn):
     def render(self, task: Task) -> Text:
         """Return the cell of the progress bar."""
         left_s = task.time_remaining
-        return Text("ETA estimating…" if left_s is None else f"ETA {duration(left_s)}")
+        return Text("ETA …" if left_s is None else f"ETA {duration(left_s)}")
 
 
 class ConsoleObserver(RunObserver):
@@ -85,9 +86,9 @@ class ConsoleObserver(RunObserver):
             self._progress.stop()
         if self._console.is_terminal:
             self._progress = Progress(
-                TextColumn("{task.description}"),
+                TextColumn("{task.description}", markup=False),
                 BarColumn(),
-                TextColumn("{task.fields[done]}"),
+                TextColumn("{task.fields[done]}", markup=False),
                 _Eta(),
                 console=self._console,
                 transient=True,
@@ -97,12 +98,12 @@ class ConsoleObserver(RunObserver):
 
     def point_recorded(self, number: int, total: int, point: Point, reading: Reading) -> None:
         """See `RunObserver`."""
+        done = f"{number}/{total} {point.id}"
         if self._progress is not None:
-            self._progress.update(
-                self._task, advance=self._weights[point.id], done=f"{number}/{total} {point.id}"
-            )
+            weight = self._weights[point.id]
+            self._progress.update(self._task, advance=weight, done=printable(done))
         else:
-            self._say(f"{number}/{total} {point.id}")
+            self._say(done)
 
     def event(self, level: str, message: str) -> None:
         """See `RunObserver`."""
@@ -123,7 +124,7 @@ class ConsoleObserver(RunObserver):
             self._progress.stop()
 
     def _say(self, text: str) -> None:
-        self._console.print(text, markup=False, highlight=False, soft_wrap=True)
+        self._console.print(printable(text), markup=False, highlight=False, soft_wrap=True)
 
 
 def finish(

@@ -157,6 +157,19 @@ def test_plans_pauses_and_points_are_one_line_each(capsys: pytest.CaptureFixture
     ]
 
 
+def test_a_points_name_is_shown_as_it_is_on_a_terminal_too(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The bar took brackets for markup, and failed with an exception where they made none."""
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    point = Point("v[/1] [red]\x1b", 0, (), duration_s=2.0)
+    with ConsoleObserver(SlipTrial) as console:
+        console.planned([point], set(), 0.0)
+        console.point_recorded(1, 1, point, {})
+        console.saving()
+    assert r"1/1 v[/1] [red]\x1b" in capsys.readouterr().err
+
+
 class Drawing(DrawingProcess):
     """Draws one picture of each file that it is asked to draw, with one warning."""
 
