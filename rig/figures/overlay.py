@@ -34,6 +34,7 @@ from rig.figures.style import (
     decades,
     legend_above,
     letter,
+    literal,
     save,
     set_heading,
     set_margins,
@@ -53,6 +54,8 @@ BEFORE_MOTION_S, AFTER_S = 0.05, 0.25
 """Time shown before the motion begins and after the instant at which trials are aligned."""
 MOST_NAMED = 2
 """Settings that a legend names; more of them are replaced by the file's name."""
+LONGEST_NAME = 40
+"""Number of characters for which a legend of one column has room."""
 FILES_NAMED = 4
 """Files that the heading names."""
 DASHES = ("-", "--", "-.", ":")
@@ -133,6 +136,8 @@ def _figures_of(runs: Sequence[RunFile]) -> tuple[dict[str, Figure], list[str], 
         try:
             with time_limit(TIMEOUT_S):
                 drawn = figures_by(one, runs)
+                for figure in drawn.values():  # a text that is not a formula fails only here
+                    figure.draw_without_rendering()
             for suffix, figure in drawn.items():
                 if suffix in figures:
                     warnings.append(f"{one} was left out: another one has its file name")
@@ -169,14 +174,19 @@ def _ending(place: Path, suffix: str) -> Path:
 def names_of(runs: Sequence[RunFile]) -> list[str]:
     """Return what distinguishes each run from the others: sample, film or settings that differ
     between them, with units; its file where that is nothing, too much, or the same for two of
-    them."""
+    them. They are labels: dollar signs in them are escaped."""
+    return [literal(name) for name in _distinguishing(runs)]
+
+
+def _distinguishing(runs: Sequence[RunFile]) -> list[str]:
     stated = [_stated(run) for run in runs]
     # Only what all of them state: a file of another version may lack a setting.
     known = [key for key in stated[0] if all(key in each for each in stated)]
     differing = [key for key in known if len({repr(each[key]) for each in stated}) > 1]
     named = [", ".join(_in_words(key, each[key]) for key in differing) for each in stated]
-    if not 0 < len(differing) <= MOST_NAMED or len(set(named)) < len(named):
-        short = differing[:MOST_NAMED] if len(differing) <= MOST_NAMED else []
+    too_much = len(differing) > MOST_NAMED or max(map(len, named)) > LONGEST_NAME
+    if too_much or not differing or len(set(named)) < len(named):
+        short = [] if too_much else differing
         return [
             ", ".join([*(_in_words(key, each[key]) for key in short), run.path.stem])
             for run, each in zip(runs, stated, strict=True)

@@ -22,7 +22,7 @@ from rig.analysis.trial.friction import FrictionError, friction
 from rig.core.errors import RigError
 from rig.detector import DEFAULT_DETECTOR
 from rig.detector.events import SlipEvent, unjudged_s
-from rig.figures.style import BLACK, GREEN, GREY, SMALLEST_PT, VERMILLION
+from rig.figures.style import BLACK, GREEN, GREY, SMALLEST_PT, VERMILLION, literal
 from rig.files.journal.detections import NO_DETECTOR, from_text
 
 if TYPE_CHECKING:
@@ -361,8 +361,8 @@ def _legend(instants: SlipInstants) -> str:
     measured = "measured: largest $F_t/F_n$" if instants.measurable else ""
     found = instants.detected
     grey = ", grey: cannot judge" if any(e.kind == "cannot judge" for e in found.events) else ""
-    by = f"{EVENTS}{grey}, by {found.detector}" if found.detector else found.why_not
-    by = by or "not looked for"
+    by = f"{EVENTS}{grey}, by {literal(found.detector)}" if found.detector else ""
+    by = by or literal(found.why_not) or "not looked for"
     first = ", ".join(text for text in (true, measured) if text)
     return f"{first}\ndetected: {by}" if first else f"detected: {by}"
 

@@ -219,6 +219,12 @@ def set_heading(figure: Figure, title: str, *details: str) -> float:
     return (taken + HEADING_PT) / POINTS_PER_INCH
 
 
+def literal(text: str) -> str:
+    """Return text from a file such that a label shows it as it is: between two dollar signs it
+    would be read as a formula, and one that is not a formula cannot be drawn."""
+    return text.replace("$", r"\$")
+
+
 def wrapped(text: str, size_pt: float, width_pt: float) -> list[str]:
     """Return text as lines that are no wider than `width_pt` at that size. Lines end at spaces that
     are not `NO_BREAK`. What is wider between two of them ends at a `NO_BREAK`; a word that is

@@ -103,6 +103,30 @@ def test_a_setting_that_another_version_lacks_is_no_difference(folder: Path) -> 
         assert names_of([fast, old]) == ["speed 1 mm/s", "speed 0.7 mm/s"]
 
 
+def test_a_name_with_dollar_signs_is_shown_as_it_is(folder: Path) -> None:
+    """It was read as a formula: `rig show --overlay` ended with a traceback."""
+    with RunFile.open(folder / SWEEP) as first, RunFile.open(folder / SWEEP) as second:
+        first.header.settings["price"] = r"5 $\frac{5$"
+        second.header.settings["price"] = "none"
+        figure = draw_sweeps([first, second])
+    figure.draw_without_rendering()
+    shown = legend(figure.axes[0])[0]
+    assert shown.replace(r"\$", "$").startswith(r"price 5 $\frac{5$, 0.5 N peak")
+    assert r"\$" in shown
+
+
+def test_names_that_are_too_long_for_a_legend_are_replaced_by_those_of_the_files(
+    folder: Path,
+) -> None:
+    with RunFile.open(folder / SWEEP) as first, RunFile.open(folder / SWEEP) as second:
+        first.header.settings["remark"] = "what a student typed in on a long afternoon"
+        second.header.settings["remark"] = "none"
+        assert names_of([first, second]) == [Path(SWEEP).stem] * 2
+        figure = draw_sweeps([first, second])
+    with mpl.rc_context(STYLE):
+        assert faults(figure) == []
+
+
 @pytest.mark.thorough
 def test_the_picture_has_a_name_of_its_own_each_time(folder: Path, tmp_path: Path) -> None:
     files = [folder / ROLL, folder / ROLL]
@@ -151,6 +175,11 @@ def fails(runs):
 
 def number(runs):
     return 3
+
+def formula(runs):
+    figure = Figure()
+    figure.suptitle("$\\\\frac{5$")
+    return figure
 """
 
 
@@ -222,6 +251,8 @@ def test_a_packages_overlay_stands_beside_that_of_this_project(
 def test_where_every_overlay_fails_the_command_says_why(
     declare: Callable[[str], None], tmp_path: Path
 ) -> None:
-    declare("lab-trial = lab_overlays:fails")
-    with pytest.raises(ConfigurationError, match=r"no overlay was drawn: .*no such column"):
+    declare("lab-trial = lab_overlays:fails\nlab-trial.x = lab_overlays:formula")
+    with pytest.raises(
+        ConfigurationError, match=r"(?s)no overlay was drawn: .*no such column.*frac"
+    ):
         draw_overlay(lab_trials(tmp_path))
