@@ -9,10 +9,13 @@ from importlib.metadata import EntryPoint
 from pathlib import Path
 
 import pytest
+from made_up import Example, run_of
 
 from rig.core import entry_points
 from rig.core.entry_points import BENCHES, BrokenPackageError, load
 from rig.core.errors import ExitCode
+from rig.core.settings import Settings
+from rig.run.points import Point
 from rig.run.stopping import NOTICE_WITHOUT_DATA, STOP_SIGNALS, StopFlag, StopRequestedError
 
 
@@ -64,6 +67,20 @@ def test_a_signal_that_the_interrupted_code_catches_ends_the_block_all_the_same(
             if made_of_it != "nothing":
                 raise ImportError("the plug-in does not work") from None
     assert stopped.value.code == ExitCode.SIGTERM
+
+
+def test_a_procedure_that_plans_for_ever_is_stopped(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Endless(Example):
+        def points(self) -> tuple[Point, ...]:
+            signal.raise_signal(signal.SIGINT)
+            raise AssertionError("the signal did not interrupt the plan")
+
+    with StopFlag() as stop:
+        outcome = run_of(Endless(Settings()), tmp_path, monkeypatch, stop=stop)
+    assert (outcome.status, outcome.code) == ("stopped", ExitCode.SIGINT)
+    assert "before anything was connected" in outcome.failures[0].message
 
 
 def test_a_command_without_data_does_not_say_that_it_saves_any() -> None:
