@@ -188,7 +188,8 @@ class JournalWriter:
                 path.unlink()
             if isinstance(error, RecordingError):
                 cause = error.message.removeprefix(f"{path}: ")
-                raise RecordingError(path, cause, _BEGIN_HINT) from error
+                hint = (error.hint or "").replace(_AND_THEN, _NOTHING_YET)
+                raise RecordingError(path, cause, hint) from error
             raise
         return writer
 
