@@ -48,7 +48,8 @@ def next_frame(
         if now - polled_s > SILENT_S:
             word, reason = (
                 "unknown",
-                f"for {now - polled_s:.0f} s: the page cannot read the journal",
+                f"for {now - polled_s:.0f} s the page's server has not looked at the bench: this "
+                "computer is too busy, or rig.log says why",
             )
         frame: dict[str, Any] = {
             "gen": watch.generation,

@@ -16,6 +16,7 @@ from rig.bench.plan import parse_bench
 from rig.files.journal.writer import JournalWriter
 from rig.files.runfile.compile import compile_run
 from rig.page.folder import ResultsFolder
+from rig.page.frames import Cursor, next_frame
 from rig.page.watch import BenchWatch, Stop
 from rig.run.locks.bench_mark import BenchMark, write_marks
 from rig.run.locks.lock import address_names
@@ -368,3 +369,12 @@ def test_no_viewer_sees_a_run_at_work_with_the_word_of_the_one_before(results: P
     seen = [word for word, held, begun in observed.seen if held or begun]
     assert "running" in seen
     assert "safe" not in seen
+
+
+def test_a_page_that_gets_no_time_to_look_says_so_and_blames_no_journal(tmp_path: Path) -> None:
+    watch = BenchWatch(tmp_path)
+    watch.poll()
+    frame = next_frame(watch, Cursor(), may_stop=False, polled_s=time.monotonic() - 10.0)
+    assert frame["word"] == "unknown"
+    assert "for 10 s the page's server has not looked at the bench" in frame["reason"]
+    assert "too busy" in frame["reason"]
