@@ -276,11 +276,12 @@ def sides_of(groups: Sequence[tuple[str, str]]) -> list[bool]:
                 part = [part[before] if one == part[at] else one for one in part]
     sizes = {one: part.count(one) for one in dict.fromkeys(part)}
     if len(sizes) < 2:
-        samples = sorted({sample for sample, _ in groups})
+        named = ", ".join(sorted({sample or "without a name" for sample, _ in groups})[:4])
         raise ConfigurationError(
-            f"--files: all {len(groups)} trials share samples or days "
-            f"({', '.join(samples[:4])}), so that none can be held out",
-            "add trials of another sample on another day",
+            f"--files: all {len(groups)} trials share samples or days ({named}), so that none can "
+            "be held out",
+            "add trials of another sample on another day (rig import --sample, --start-time), or "
+            "hold none out with --all",
         )
     kept, chosen = 0, set[int]()
     for one in sorted(sizes, key=lambda one: sizes[one]):

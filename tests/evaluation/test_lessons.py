@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from rig.core.errors import ConfigurationError
 from rig.detector.commands import HeldForce, XMove
 from rig.detector.kernel import INPUTS
 from rig.evaluation.lessons import (
@@ -17,6 +18,7 @@ from rig.evaluation.lessons import (
     bench_lessons,
     front_end_of,
     held_out,
+    sides_of,
 )
 from rig.evaluation.scoring.outcomes import Truth
 from rig.evaluation.wire.kinds import WireKind, drawn
@@ -50,6 +52,14 @@ def test_a_trial_of_the_bench_is_heard_once_as_it_was_recorded_and_then_otherwis
     assert all((one.slips_s == [[1.5, 2.2]]).all() for one in others)
     again = list(bench_lessons(trial, 4))
     assert all((one.volts == two.volts).all() for one, two in zip(again[1:], others, strict=True))
+
+
+def test_recordings_of_which_nothing_is_known_are_refused_with_what_to_state():
+    with pytest.raises(ConfigurationError) as refused:
+        sides_of([("", ""), ("", "")])
+    line = refused.value.one_line()
+    assert "all 2 trials share samples or days (without a name)" in line
+    assert "rig import --sample, --start-time" in line
 
 
 def test_a_roll_on_the_bench_ends_when_it_has_turned():
