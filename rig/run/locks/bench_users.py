@@ -12,19 +12,11 @@ from __future__ import annotations
 
 import signal
 import time
-from collections.abc import Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rig.run.locks.bench_mark import BenchMark, read_marks
-from rig.run.locks.lock import address_names, is_only_read, try_lock
-from rig.run.locks.lock_holder import (
-    NotStoppedError,
-    ask_to_stop,
-    holder_of,
-    lock_file,
-    locked_inodes,
-)
+from rig.run.locks.lock import address_names, in_use, is_only_read, try_lock
+from rig.run.locks.lock_holder import NotStoppedError, ask_to_stop, holder_of, lock_file
 from rig.run.locks.shared_folder import SharedFolder
 
 if TYPE_CHECKING:
@@ -38,13 +30,13 @@ LETS_GO_S = 2.0
 """Longest time in s that is waited for it in all."""
 MADE_SAFE_S = 5.0
 """Longest time in s that is waited for a run to make its bench safe, which takes 1 to 3 s."""
+SAVED_S = 15.0
+"""Longest time in s that is waited for a run in all, once its bench is safe: it saves its data, and
+may have a serial port for itself until then."""
 ALONE_S = 10.0
 """Longest time in s that is waited for another `rig make-safe`, which takes 1 to 2 s where every
 instrument answers."""
 MAKING_SAFE_SUFFIX = ".making-safe"
-LET_GO_S = 15.0
-"""Longest time in s that is waited for it in all, once its bench is safe: it saves its data, and
-may have a serial port for itself until then."""
 
 
 def end_readers(plan: Restable) -> int | None:
@@ -69,14 +61,13 @@ def stop_users(plan: Restable) -> list[NotStoppedError]:
     could not be asked.
 
     The guard of a run that has died is asked nothing: it makes the bench safe, and is waited for
-    as well. What has not let go within `MADE_SAFE_S`, or `LET_GO_S` once its bench is safe, is
+    as well. What has not let go within `MADE_SAFE_S`, or `SAVED_S` once its bench is safe, is
     left: `run_at_work` says whether it may still move something.
     """
     names = address_names(plan)
-    files = [lock_file(name) for name in names]
     asked: set[int] = set()
     failures = []
-    for file in files:
+    for file in map(lock_file, names):
         holder = holder_of(file)
         if holder is None or holder.pid in asked:
             continue
@@ -86,9 +77,9 @@ def stop_users(plan: Restable) -> list[NotStoppedError]:
         except NotStoppedError as error:
             failures.append(error)
     begun_s = time.monotonic()
-    while not failures and _is_any_locked(files):
+    while not failures and in_use(plan) is not None:
         safe = not any(mark.lives for mark in read_marks(names))
-        if time.monotonic() - begun_s > (LET_GO_S if safe else MADE_SAFE_S):
+        if time.monotonic() - begun_s > (SAVED_S if safe else MADE_SAFE_S):
             break
         time.sleep(LOOK_EVERY_S)
     return failures
@@ -117,9 +108,3 @@ def run_at_work(plan: Restable) -> BenchMark | None:
         if mark.state == "running" and mark.run is not None and mark.run.lives:
             return mark
     return None
-
-
-def _is_any_locked(files: Sequence[Path]) -> bool:
-    """Return whether a process holds the lock of one of the files; takes none."""
-    locked = locked_inodes()
-    return any(file.exists() and file.stat().st_ino in locked for file in files)

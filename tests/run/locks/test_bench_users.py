@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
-from rig.run.locks import bench_users, lock_holder
+from rig.run.locks import bench_users, lock, lock_holder
 from rig.run.locks.bench_mark import BenchMarks
 from rig.run.locks.bench_users import run_at_work, stop_users, take_turn
 from rig.run.locks.lock import try_lock
@@ -36,7 +36,8 @@ Hold = Callable[..., "subprocess.Popen[str]"]
 @pytest.fixture(autouse=True)
 def names(tmp_path, monkeypatch) -> tuple[str, ...]:
     monkeypatch.setenv("RIG_SHARED_FOLDER", str(tmp_path / "shared"))
-    monkeypatch.setattr(bench_users, "address_names", lambda _: ("z", "x"))
+    for module in (bench_users, lock):
+        monkeypatch.setattr(module, "address_names", lambda _: ("z", "x"))
     return ("z", "x")
 
 
