@@ -139,14 +139,14 @@ def test_a_killed_run_leaves_a_bench_that_the_guard_made_safe(rig, bench_file):
 @pytest.mark.parametrize("moment", ["homing", "pressed", "paused"])
 def test_make_safe_on_a_run_ends_it_lifted_and_nothing_moves_afterwards(rig, bench_file, moment):
     """Instruments that were only stopped behind its back would be moved by its next command."""
-    many = ",".join(str(f) for f in range(300, 3300, 100))
+    many = ",".join(str(f) for f in range(300, 12300, 100))
     running = rig.start(
         "sweep", "--bench", str(bench_file), "--json", "--no-figures", "--frequencies", many
     )
     if moment == "homing":
         rig.await_world("homing")
     else:
-        running.wait_for("^1/30 ")
+        running.wait_for("^1/120 ")
     if moment == "paused":
         running.send(signal.SIGTSTP)
         running.wait_for("^PAUSED")
