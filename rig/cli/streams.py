@@ -118,7 +118,7 @@ class LinesInTurn:
 
     def _run(self) -> None:
         while (text := self._lines.get()) is not None:
-            with contextlib.suppress(OSError):
+            with contextlib.suppress(Exception):  # the lines that follow are still wanted
                 self._show(text)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import threading
 import time
 from collections.abc import Callable
@@ -29,11 +30,12 @@ def thread_remains(say: Callable[[str], object], patience_s: float = PATIENCE_S)
     `patience_s`. `say` takes a warning that names it.
 
     Python would wait for such a thread for ever. Threads of this program are daemons, for which it
-    does not wait.
+    does not wait. Those of a ThreadPoolExecutor end when Python asks them to, at its end.
     """
     begun_s = time.monotonic()
-    mine = (threading.current_thread(), threading.main_thread())
-    left = [one for one in threading.enumerate() if one not in mine and not one.daemon]
+    pools = getattr(sys.modules.get("concurrent.futures.thread"), "_threads_queues", {})
+    not_left = (threading.current_thread(), threading.main_thread(), *pools)
+    left = [one for one in threading.enumerate() if one not in not_left and not one.daemon]
     for until_s in (SOON_S, patience_s):
         for thread in left:
             thread.join(max(0.0, begun_s + until_s - time.monotonic()))

@@ -6,14 +6,13 @@ from pathlib import Path
 from typing import Any
 
 from rig.batch.folder import QUEUE, BatchFolder
-from rig.batch.queue import Queue
 from rig.batch.queue_records import RunRow
 from rig.batch.queue_view import QueueView
 from rig.batch.report.heartbeat import read_heartbeat
 from rig.batch.report.status import status_of
-from rig.core.errors import ConfigurationError, RigError
+from rig.batch.running import is_running
+from rig.core.errors import RigError
 from rig.core.settings import unit_of
-from rig.run.locks.lock_holder import holder_of
 
 MOST_RUNS = 200
 """Runs of the queue that are listed of each state."""
@@ -38,17 +37,6 @@ def running_batch(results: Path) -> BatchFolder | None:
     """Return the batch of a results folder that a supervisor runs now, None if there is none."""
     folder = latest_batch(results)
     return folder if folder is not None and is_running(folder) else None
-
-
-def batch_of(journal: Path) -> BatchFolder | None:
-    """Return the batch that runs now and takes the run of this journal; None if there is none."""
-    folder = BatchFolder(journal.parent.parent)
-    return folder if folder.queue.exists() and is_running(folder) else None
-
-
-def is_running(folder: BatchFolder) -> bool:
-    """Return whether the kernel knows a supervisor of the batch; no lock is taken for it."""
-    return holder_of(folder.path / "supervisor.lock") is not None
 
 
 def night(results: Path) -> dict[str, Any]:
@@ -79,22 +67,6 @@ def night(results: Path) -> dict[str, Any]:
         "drift": drift,
         "heartbeat": None if beat is None else {"state": beat.state, "message": beat.message},
     }
-
-
-def ask_batch(folder: BatchFolder, request: str) -> str:
-    """Leave a request for the supervisor of a batch; return the batch's name. Raises
-    ConfigurationError if it does not run, or is another user's."""
-    holder = holder_of(folder.path / "supervisor.lock")
-    if holder is None:
-        raise ConfigurationError(f"the batch {folder.path.name} is not running", "stop the run")
-    if not holder.own:  # also where the folder may be written by all
-        raise ConfigurationError(
-            f"the batch {folder.path.name} belongs to {holder.user} (process {holder.pid})",
-            f"only {holder.user} and an administrator can end it",
-        )
-    with Queue.open(folder.queue) as queue:
-        queue.add_request(request)
-        return queue.meta("name")
 
 
 def _first(queue: QueueView, state: Any) -> list[RunRow]:

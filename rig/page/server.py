@@ -40,13 +40,14 @@ from starlette.routing import Route
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from rig.batch.folder import BatchFolder
+from rig.batch.running import ask_batch, batch_of, is_running
 from rig.core.errors import RigError
 from rig.core.json_text import finite
 from rig.core.threads import start_thread
 from rig.page.access import HEADERS, Access, AccessRefusedError
 from rig.page.frames import Cursor, as_event, next_frame
 from rig.page.history import RunIndex
-from rig.page.night import ask_batch, batch_of, is_running, night, running_batch
+from rig.page.night import night, running_batch
 from rig.page.slips import SlipFollower
 from rig.page.watch import BenchWatch, Stop
 from rig.run.locks.lock_holder import LockHolder, NotStoppedError, holder_of

@@ -126,6 +126,7 @@ class StopFlag:
         """
         self._nothing_connected = True
         try:
+            self._check_nothing_connected()  # a signal that came before the block
             yield
         except StopRequestedError:
             raise

@@ -5,11 +5,13 @@ from __future__ import annotations
 import contextlib
 import os
 import signal
+import subprocess
 import time
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from nights import QUICK_NIGHT, await_answer, await_point, folder_of, worker_of, write_night
 
 from rig.batch.execute.between_runs import SUPERVISOR_S, BetweenRuns
 from rig.batch.execute.worker_process import BEAT, send_beat
@@ -94,3 +96,34 @@ def test_a_worker_that_reads_nothing_gets_one_sign_of_life_and_no_more() -> None
         send_beat(writes)  # it may have died
     finally:
         os.close(writes)
+
+
+@pytest.mark.thorough
+def test_under_nohup_a_worker_whose_supervisor_has_died_stops_as_well(rig: Any) -> None:
+    """It learns of it by SIGHUP, which nohup has ignored."""
+    sweeps = """
+[[experiment]]
+procedure = "sweep"
+repeat = 20
+settings = { frequencies_Hz = [200, 220, 240], load_N = 0.5 }
+"""
+    write_night(rig, QUICK_NIGHT + sweeps)
+    batch = subprocess.Popen(
+        ["nohup", *rig.command("batch", "run", "night.toml")],
+        cwd=rig.folder, env=rig.env, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+    )  # fmt: skip
+    try:
+        deadline_s = time.monotonic() + 60
+        while not list(rig.results.glob("*/queue.sqlite")) and time.monotonic() < deadline_s:
+            time.sleep(0.1)
+        folder = folder_of(rig.results)
+        await_answer(folder, "SELECT state FROM run WHERE number = 1", "running")
+        await_point(folder, 1)
+        assert (worker := worker_of(folder)) is not None
+    finally:
+        batch.kill()
+        batch.wait()
+    deadline_s = time.monotonic() + 60
+    while worker_of(folder) is not None and time.monotonic() < deadline_s:
+        time.sleep(0.1)
+    assert worker_of(folder) is None, f"process {worker} still takes runs"

@@ -287,7 +287,7 @@ def test_make_safe_clears_the_mark_that_kept_runs_from_starting_if_no_run_lives(
     rig.mark_running(rig.folder / "sim.toml")
     at_work = rig.run("make-safe", "--bench", "sim.toml")
     assert at_work.code == 7
-    assert f"(process {os.getpid()}) has not ended and may move it again" in at_work.errors[-1]
+    assert f"(process {os.getpid()}) still uses the bench and may move it" in at_work.errors[-1]
     assert {mark["state"] for mark in rig.marks()} == {"running"}, "it is the run's to remove"
     simulator.send(signal.SIGTERM)
     assert simulator.finish().code == 0

@@ -18,9 +18,10 @@ import pytest
 from rig.batch.folder import QUEUE, BatchFolder
 from rig.batch.plan.conditions import BatchPlan
 from rig.batch.queue import Queue
+from rig.batch.running import ask_batch, batch_of
 from rig.core.errors import ConfigurationError
 from rig.page import server
-from rig.page.night import ask_batch, batch_of, latest_batch, running_batch
+from rig.page.night import latest_batch, running_batch
 from rig.page.server import PageState
 from rig.page.watch import BenchWatch
 from rig.run.locks.lock_holder import LockHolder
@@ -212,7 +213,7 @@ def test_a_batch_of_another_user_is_asked_nothing_although_its_queue_can_be_writ
     folder.queue.unlink()
     Queue.create(folder.queue, BatchPlan({}, ()), {}, {"name": "friction"}).close()
     owner = LockHolder(4242, "somebody", own=False)
-    monkeypatch.setattr("rig.page.night.holder_of", lambda _: owner)
+    monkeypatch.setattr("rig.batch.running.holder_of", lambda _: owner)
     with pytest.raises(ConfigurationError, match=r"belongs to somebody \(process 4242\)"):
         ask_batch(folder, "stop-now")
     with Queue.open(folder.queue) as queue:

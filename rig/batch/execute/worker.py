@@ -387,6 +387,9 @@ def main(arguments: Sequence[str]) -> int:
             reports.flush()
 
     signal.signal(signal.SIGTSTP, signal.SIG_IGN)  # between runs; a run has its own switch
+    # By it the worker learns that its supervisor has died. nohup has it ignored; but no terminal
+    # reaches this process, whose session is its own.
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)
     with StopFlag() as stop:
         try:
             with folder.held_by("worker", GUARD_PATIENCE_S) as lock, Queue.open(folder.queue) as q:
@@ -400,9 +403,14 @@ def main(arguments: Sequence[str]) -> int:
             return int(error.code)
 
 
+def _say_at_the_end(line: str) -> None:
+    with contextlib.suppress(OSError):  # a full disk
+        os.write(2, f"{line}\n".encode())
+
+
 if __name__ == "__main__":
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     ended = main(sys.argv[1:])
-    if thread_remains(lambda line: os.write(2, f"{line}\n".encode())):
+    if thread_remains(_say_at_the_end):
         os._exit(ended)
     sys.exit(ended)

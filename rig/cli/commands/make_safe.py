@@ -4,19 +4,20 @@ other parts of the program or of the installation are broken."""
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from rig.cli.outcome import reported, say, say_failure
+from rig.cli.outcome import reported, say_all, say_failure
 from rig.cli.streams import say_at_once
+from rig.core.entry_points import cause
 from rig.core.errors import ConfigurationError, ExitCode, RigError, UnsafeError
 from rig.core.text import printable
 
 if TYPE_CHECKING:
-    from rig.bench.plan import Restable
+    from rig.run.locks.bench_users import StopRequests
 
 
 BENCH_FILE = Path("bench.toml")
@@ -29,15 +30,17 @@ def make_safe(
     """Put every instrument of a bench into its safe state: motion stopped, outputs off.
 
     An instrument whose driver is broken, or whose table in the bench file is wrong, does not
-    prevent making the others safe. A run, batch or rig jog on the bench is asked to stop first and
-    gets a few seconds to make the bench safe itself. A rig monitor on the bench is ended. Ctrl-C
-    does not interrupt it.
+    prevent making the others safe. A run, batch or rig jog on the bench is asked to stop first, and
+    is waited for while it makes the bench safe itself, 1 to 3 s as a rule and 25 s at most. A rig
+    monitor on the bench is ended. Ctrl-C does not interrupt it.
     """
     from rig.run.stopping import StopFlag
 
     with reported(debug), StopFlag():
         from rig.bench.plan import parse_to_make_safe
         from rig.core.toml_files import MAX_TOML_BYTES, read_text
+        from rig.run.locks.bench_users import StopRequests, take_turn
+        from rig.run.locks.lock import address_names
         from rig.run.making_safe.guard import make_bench_safe
 
         if not bench.exists():
@@ -53,30 +56,40 @@ def make_safe(
                 f"the bench file {bench} names no instruments: nothing was made safe",
                 "add their tables, or name the file of your bench with --bench",
             )
+        names: Sequence[str] = ()
+        requests = StopRequests()
+        with _only_warning():  # once, because it may ask a name server
+            names = address_names(described)
         with _only_warning():
-            _end_readers(described)
+            _end_readers(names)
         with _only_warning():
-            _stop_users(described)
+            _stop_users(names, requests)
         with _only_warning():
-            _take_turn(described)
+            take_turn(names)
         with _only_warning():
-            _report_what_is_known(described)
+            _report_what_is_known(names)
         failures, safe = make_bench_safe(text, str(bench))
         roles = [part.role for part in described.instruments if part.role not in failures]
         name = str(bench) if described.settings is None else described.settings.name
-        if roles:
-            say(f"{name}: {', '.join(roles)} made safe")
+        made_safe = f"{name}: {', '.join(roles)} made safe" if roles else ""
+        # Marks before words, for which a terminal may have to be waited for.
         if not safe or described.settings is None:
+            with _only_warning():
+                _mark_unsafe(names, name, failures)
+            say_all(made_safe)
             for role, why in failures.items():
                 say_failure(UnsafeError(f"{role}: {why}"), debug)
-            with _only_warning():
-                _mark_unsafe(described, name, failures)
             raise UnsafeError(
                 f"NOT SAFE: {', '.join(failures) or name}. Switch the bench off by hand and find "
                 "out why"
             )
-        _refuse_a_run_at_work(described)
-        _clear_marks(described)
+        if (at_work := _at_work(names, requests)) is not None:
+            say_all(made_safe)
+            raise at_work
+        try:
+            _clear_marks(names)
+        finally:
+            say_all(made_safe)
         if failures:
             raise RigError(
                 "; ".join(f"{role}: {why}" for role, why in failures.items()),
@@ -90,8 +103,9 @@ def _only_warning() -> Iterator[None]:
     """Show what the block raises, since it must not prevent making the bench safe."""
     try:
         yield
-    except RigError as error:
-        _say_first(f"warning: {error.one_line()}")
+    except Exception as error:  # noqa: BLE001 - whatever it is, the instruments come next
+        text = error.one_line() if isinstance(error, RigError) else cause(error)
+        _say_first(f"warning: {text}")
 
 
 def _say_first(text: str) -> None:
@@ -100,74 +114,83 @@ def _say_first(text: str) -> None:
     say_at_once(printable(text))
 
 
-def _end_readers(described: Restable) -> None:
+def _end_readers(names: Sequence[str]) -> None:
     """End a `rig monitor` of this bench: it may have a serial port for itself."""
     from rig.run.locks.bench_users import end_readers
 
-    if (pid := end_readers(described)) is not None:
+    if (pid := end_readers(names)) is not None:
         _say_first(f"ended rig monitor (process {pid}), which was reading this bench")
 
 
-def _stop_users(described: Restable) -> None:
-    """Ask the program that uses the bench now to stop, and wait for it for some seconds."""
-    from rig.run.locks.bench_users import stop_users
-    from rig.run.locks.lock import in_use
+def _stop_users(names: Sequence[str], requests: StopRequests) -> None:
+    """Ask the program that uses the bench now to stop, and wait until it has made the bench
+    safe."""
+    from rig.run.locks.bench_users import ask_users, await_users
+    from rig.run.locks.lock import names_in_use
 
-    if (user := in_use(described)) is None:
+    if (user := names_in_use(names)) is None:
         return
     _say_first(f"{user}; waiting for it to stop and to make the bench safe ...")
-    for error in stop_users(described):
+    ask_users(names, requests)
+    for error in requests.failures:
         _say_first(f"warning: it could not be asked: {error.one_line()}")
+    for journal in requests.runs:
+        with _only_warning():
+            _stop_batch(journal)
+    await_users(names, requests)
 
 
-def _take_turn(described: Restable) -> None:
-    """Let another `rig make-safe` of this bench finish first."""
-    from rig.run.locks.bench_users import take_turn
+def _stop_batch(journal: Path) -> None:
+    """End the whole batch where the run is one of a batch, which would take its next run."""
+    from rig.batch.running import ask_batch, batch_of
 
-    with contextlib.suppress(OSError):  # a full disk: both act at the same time
-        take_turn(described)
+    if (batch := batch_of(journal)) is not None:
+        ask_batch(batch, "stop-now")
 
 
-def _report_what_is_known(described: Restable) -> None:
+def _report_what_is_known(names: Sequence[str]) -> None:
     """Print the reports of earlier runs, and of one that has just stopped."""
     from rig.run.locks.bench_mark import read_marks
-    from rig.run.locks.lock import address_names
 
-    for mark in read_marks(address_names(described)):
+    for mark in read_marks(names):
         if not mark.lives:
             _say_first(mark.in_words())
 
 
-def _refuse_a_run_at_work(described: Restable) -> None:
-    """Raise UnsafeError if a run lives that may move again what has just been stopped."""
-    from rig.run.locks.bench_users import run_at_work
+def _at_work(names: Sequence[str], requests: StopRequests) -> UnsafeError | None:
+    """Return an error if a program may move again what has just been stopped, or if that is not
+    known."""
+    from rig.run.locks.bench_users import still_at_work
 
-    if (mark := run_at_work(described)) is not None and mark.run is not None:
-        raise UnsafeError(
-            f"NOT SAFE: everything was stopped, but the run of {mark.user} (process "
-            f"{mark.run.pid}) has not ended and may move it again",
-            f"end it (kill -9 {mark.run.pid}), then run this command again",
-        )
+    try:
+        if not names:
+            raise LookupError("its addresses are not known")
+        user = still_at_work(names, requests)
+    except Exception as error:  # noqa: BLE001 - whatever it is, it is not known
+        user = f"another program ({cause(error)})", "make sure that none uses the bench"
+    if user is None:
+        return None
+    return UnsafeError(
+        f"NOT SAFE: everything was stopped, but {user[0]} still uses the bench and may move it "
+        "again",
+        f"{user[1]}, then run this command again",
+    )
 
 
-def _mark_unsafe(described: Restable, name: str, failures: Mapping[str, str]) -> None:
+def _mark_unsafe(names: Sequence[str], bench: str, failures: Mapping[str, str]) -> None:
     """Refuse the bench to every run until this command has succeeded. The mark of a run that is
     still at work stays its own: the run fails, and says itself how it leaves the bench."""
     from rig.run.locks.bench_mark import BenchMarks, read_marks
-    from rig.run.locks.lock import address_names
 
-    names = address_names(described)
     free = [one for one in names if not any(mark.lives for mark in read_marks([one]))]
-    BenchMarks(free, name, None).unsafe(failures)
+    BenchMarks(free, bench, None).unsafe(failures)
 
 
-def _clear_marks(described: Restable) -> None:
+def _clear_marks(names: Sequence[str]) -> None:
     """Remove the marks of earlier runs, also where the bench had other addresses then; that of one
     that is still at work is its own to remove."""
     from rig.run.locks.bench_mark import clear_marks, read_marks
-    from rig.run.locks.lock import address_names
 
-    names = address_names(described)
     then = {name for mark in read_marks(names) for name in mark.names}
     clear_marks(
         [

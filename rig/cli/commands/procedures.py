@@ -149,6 +149,10 @@ def perform(
             ConsoleObserver(type(procedure), simulated=simulated) as console,
         ):
             outcome = execute(job, bench.plan, bench.clock, stop, console)
+            if bench.lock is not None:
+                # The bench is safe, or its guard has it. What is printed next may have to wait for
+                # a terminal that is held, and figures take their time.
+                bench.lock.release()
         if bench.started is not None:
             bench.started.wait()
         if request.dry_run:

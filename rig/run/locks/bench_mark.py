@@ -231,9 +231,11 @@ def _started(pid: int) -> str:
     """Return the 22nd field of the process's status; empty if there is no such process. A process
     that has ended and that its parent has not asked for yet is gone."""
     try:
-        fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+        # A long name of a process may end within a character.
+        status = Path(f"/proc/{pid}/stat").read_text(errors="replace")
     except OSError:
         return ""
+    fields = status.rpartition(")")[2].split()
     return "" if fields[0] in "ZX" else fields[19]
 
 

@@ -25,7 +25,7 @@ import hashlib
 import json
 import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
@@ -133,7 +133,12 @@ class BenchLock:
 
 def in_use(plan: BenchPlan | Restable) -> str | None:
     """Return which program uses an instrument of this bench, in words; None if none does."""
-    names = address_names(plan)
+    return names_in_use(address_names(plan))
+
+
+def names_in_use(names: Sequence[str]) -> str | None:
+    """Return which program uses an instrument with one of these addresses, in words; None if none
+    does."""
     with SharedFolder() as folder:
         for name in names:
             try:
@@ -147,6 +152,19 @@ def in_use(plan: BenchPlan | Restable) -> str | None:
                 os.close(file)
     user = _living(read_marks(names))
     return None if user is None else user[0]
+
+
+def run_named_in(name: str) -> Path | None:
+    """Return the journal of the latest run of the program that holds the lock of an address; None
+    if it has begun none, or is none."""
+    with SharedFolder() as folder, contextlib.suppress(OSError):
+        file = folder.open_file(name + SUFFIX, create=False)
+        try:
+            journal = _entry_of(file).get("file")
+        finally:
+            os.close(file)
+        return Path(journal) if isinstance(journal, str) else None
+    return None
 
 
 def is_only_read(name: str) -> bool:
@@ -264,7 +282,7 @@ def _runs(pid: object) -> bool:
         return False
     try:
         os.kill(pid, 0)
-    except ProcessLookupError:
+    except (ProcessLookupError, OverflowError):  # the latter: a damaged entry
         return False
     except PermissionError:  # another user's
         pass

@@ -142,10 +142,11 @@ def ask_to_stop(path: Path, number: signal.Signals = signal.SIGTERM) -> LockHold
 def lives(pid: int) -> bool:
     """Return whether a process runs; one that has ended and was not asked for yet does not."""
     try:
-        state = (PROC / str(pid) / "stat").read_text().rpartition(")")[2].split()[0]
+        # A long name of a process may end within a character.
+        status = (PROC / str(pid) / "stat").read_text(errors="replace")
     except OSError:
         return False
-    return state not in "ZX"
+    return status.rpartition(")")[2].split()[0] not in "ZX"
 
 
 def guard_of(pid: int) -> int | None:

@@ -1,0 +1,38 @@
+"""Batches that run now, as the kernel knows their supervisors, and requests to them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from rig.batch.folder import BatchFolder
+from rig.core.errors import ConfigurationError
+from rig.run.locks.lock_holder import holder_of
+
+
+def batch_of(journal: Path) -> BatchFolder | None:
+    """Return the batch that runs now and takes the run of this journal; None if there is none."""
+    folder = BatchFolder(journal.parent.parent)
+    return folder if folder.queue.exists() and is_running(folder) else None
+
+
+def is_running(folder: BatchFolder) -> bool:
+    """Return whether the kernel knows a supervisor of the batch; no lock is taken for it."""
+    return holder_of(folder.path / "supervisor.lock") is not None
+
+
+def ask_batch(folder: BatchFolder, request: str) -> str:
+    """Leave a request for the supervisor of a batch; return the batch's name. Raises
+    ConfigurationError if it does not run, or is another user's."""
+    from rig.batch.queue import Queue
+
+    holder = holder_of(folder.path / "supervisor.lock")
+    if holder is None:
+        raise ConfigurationError(f"the batch {folder.path.name} is not running", "stop the run")
+    if not holder.own:  # also where the folder may be written by all
+        raise ConfigurationError(
+            f"the batch {folder.path.name} belongs to {holder.user} (process {holder.pid})",
+            f"only {holder.user} and an administrator can end it",
+        )
+    with Queue.open(folder.queue) as queue:
+        queue.add_request(request)
+        return queue.meta("name")
