@@ -99,7 +99,7 @@ class ApproachWatch:
             self._compare_torque(self._torque, position_mm)
 
     def _refuse_pull(self, position_mm: float, force_N: float) -> None:
-        """Refuse a force that pulls for half of `CONFIRMED_S`: nothing pulls so much before contact."""
+        """Refuse a pull that lasts for half of `CONFIRMED_S`: before contact nothing pulls so."""
         if force_N > -PULLED_N:
             return
         usual_N = float(np.median(self._run.force.latest_N(CONFIRMED_S)[:, 2]))
