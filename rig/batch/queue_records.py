@@ -13,6 +13,8 @@ Ending = Literal["complete", "stopped", "failed", "died"]
 HOLDS, PRESSES = "holds", "presses"
 """Entries about the batch: how many holds its runs have had, and how often they have pressed
 the object."""
+TIME_OVER = "time over"
+"""The entry that is not empty after a batch has ended because of its `stop_by`."""
 
 
 class RunEstimate(NamedTuple):

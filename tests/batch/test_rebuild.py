@@ -119,6 +119,16 @@ def test_a_queue_that_lacks_something_is_not_sound(
     assert not is_sound(batch)
 
 
+def test_a_batch_whose_stop_by_has_passed_since_is_rebuilt(tmp_path: Path) -> None:
+    """Of a batch that an earlier version has begun it is not recorded when that was."""
+    folder = BatchFolder(tmp_path)
+    folder.batch_file.write_text(
+        '[batch]\nname = "night"\nstop_by = 2026-01-14T07:00:00\n'
+        '[[experiment]]\nprocedure = "slip-trial"\nsettings = { trials = 1 }\n'
+    )
+    assert rebuild(folder, None, None, datetime.now().astimezone(), print)["queued"] == 1
+
+
 def test_a_queue_that_cannot_be_read_or_is_missing_is_not_sound(batch: BatchFolder) -> None:
     content = bytearray(batch.queue.read_bytes())
     content[3000:9000] = b"\xa5" * 6000

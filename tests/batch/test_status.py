@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
 import pytest
@@ -9,8 +10,9 @@ import pytest
 from rig.batch.execute.worker import _ended
 from rig.batch.folder import BatchFolder
 from rig.batch.plan.conditions import BatchCondition, BatchPlan, PlannedRun
+from rig.batch.plan.settings import BatchFile
 from rig.batch.queue import Queue
-from rig.batch.queue_records import AttemptResult, RunEstimate, RunState
+from rig.batch.queue_records import TIME_OVER, AttemptResult, RunEstimate, RunState
 from rig.batch.report.status import status_of
 from rig.bench.plan import read_bench
 from rig.core.errors import ExitCode
@@ -69,10 +71,17 @@ def three_runs() -> tuple[BatchPlan, dict[str, RunEstimate]]:
     return BatchPlan({"sweep-001": condition}, runs), {"sweep-001": RunEstimate(10.0, 2.0)}
 
 
-def ended(tmp_path: Path, state: str, *outcomes: RunState, bench: str = "") -> list[str]:
-    """The closing lines of a batch of three runs of a simulated bench, 10 s each."""
+def ended(
+    tmp_path: Path,
+    state: str,
+    *outcomes: RunState,
+    bench: str = "",
+    entries: Mapping[str, str] | None = None,
+) -> list[str]:
+    """The closing lines of a batch of three runs of a simulated bench, 10 s each; `entries` are
+    further ones of its queue."""
     folder, (plan, estimates) = BatchFolder(tmp_path), three_runs()
-    meta = {"name": "night", "state": state, "simulated": "yes"}
+    meta = {"name": "night", "state": state, "simulated": "yes", **(entries or {})}
     with Queue.create(folder.queue, plan, estimates, meta) as queue:
         for number, outcome in enumerate(outcomes, 1):
             queue.finish(queue.claim(number), AttemptResult("complete", bench_s=10.0), outcome)
@@ -115,6 +124,58 @@ def test_a_batch_that_left_its_bench_unsafe_is_continued_once_that_is_safe(tmp_p
         "Bench is NOT safe (see above).",
         f"Once the bench is safe, continue with: rig batch resume {tmp_path}",
     ]
+
+
+def file_until(stop_by: str) -> str:
+    """The queue's entry of a batch file with this `stop_by`."""
+    given = {"batch": {"name": "night", "stop_by": stop_by}}
+    return BatchFile.model_validate(
+        {**given, "experiment": [{"procedure": "sweep"}]}
+    ).model_dump_json()
+
+
+def test_runs_left_by_a_stop_by_with_a_date_are_not_sent_to_a_resume_that_takes_none(
+    tmp_path: Path,
+) -> None:
+    new = "egin a new batch with the runs that are left: rig batch resume does not change a "
+    new += "stop_by with a date"
+    passed = {"file": file_until("2026-01-14T07:00:00"), "bench": str(tmp_path / "bench.toml")}
+    assert ended(tmp_path, "stopped: stop_by", "done", entries=passed)[-1] == f"B{new}"
+    assert status_of(BatchFolder(tmp_path)).lines()[-1] == f"b{new}"
+    (tmp_path / "unsafe").mkdir()
+    unsafe = ended(
+        tmp_path / "unsafe", "stopped", bench="Bench is NOT safe (see above).", entries=passed
+    )
+    assert unsafe[-1] == f"Once the bench is safe, b{new}"
+
+
+@pytest.mark.parametrize(
+    ("stop_by", "over", "words"),
+    [
+        ("2026-01-14T07:00:00", "yes", "Begin a new batch"),
+        ("2026-01-14T07:00:00", "", "Continue with: rig batch resume"),  # its time is virtual
+        ("07:00:00", "yes", "Continue with: rig batch resume"),
+    ],
+)
+def test_a_simulated_batch_is_over_where_its_own_time_is(
+    tmp_path: Path, stop_by: str, over: str, words: str
+) -> None:
+    lines = ended(tmp_path, "stopped", entries={"file": file_until(stop_by), TIME_OVER: over})
+    assert lines[-1].startswith(words)
+
+
+def test_files_still_to_be_made_are_made_by_a_resume_also_after_stop_by(tmp_path: Path) -> None:
+    folder, (plan, estimates) = BatchFolder(tmp_path), three_runs()
+    meta = {"name": "night", "state": "", "file": file_until("2026-01-14T07:00:00")}
+    with Queue.create(folder.queue, plan, estimates, meta | {TIME_OVER: "yes"}) as queue:
+        queue.finish(queue.claim(1), AttemptResult("complete"), "done")
+    assert status_of(folder).lines()[-1] == (
+        f"make the missing files with: rig batch resume {tmp_path}"
+    )
+    with Queue.open(folder.queue) as queue:
+        for number in (2, 3):
+            queue.finish(queue.claim(number), AttemptResult("complete"), "done")
+    assert status_of(folder).lines()[-1] == f"continue with: rig batch resume {tmp_path}"
 
 
 def test_only_a_run_without_its_run_file_is_called_not_compiled(tmp_path: Path) -> None:

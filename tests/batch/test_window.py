@@ -10,11 +10,12 @@ from typing import Any
 
 import pytest
 
-from rig.batch.execute.batch_clock import PASSED_S, TIME_OVER, clock_of, renew_window, window_of
+from rig.batch.execute.batch_clock import PASSED_S, clock_of, renew_window, window_of
 from rig.batch.plan.conditions import BatchPlan
 from rig.batch.plan.settings import BatchFile, BatchSettings
 from rig.batch.plan.window import does_not_fit, fault_of, how_to_continue, window
 from rig.batch.queue import Queue
+from rig.batch.queue_records import TIME_OVER
 
 TEN = datetime(2026, 11, 21, 22, 0, tzinfo=timezone(timedelta(hours=1)))
 
@@ -122,7 +123,7 @@ def test_a_stop_by_that_leaves_no_time_is_found_before_the_night_is_waited_for(
 
 
 def test_a_batch_whose_date_has_passed_is_not_sent_to_a_resume_that_cannot_help() -> None:
-    assert how_to_continue(batch(stop_by="07:00:00")) == "rig batch resume"
+    assert how_to_continue(batch(stop_by="07:00:00")) == "continue with rig batch resume"
     assert "begin a new batch" in how_to_continue(batch(stop_by="2026-11-14T07:00:00"))
 
 

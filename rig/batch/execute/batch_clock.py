@@ -14,14 +14,13 @@ from typing import Protocol
 from rig.batch.plan.settings import BatchFile
 from rig.batch.plan.window import window
 from rig.batch.queue import Queue
+from rig.batch.queue_records import TIME_OVER
 from rig.batch.queue_view import QueueView
 
 PASSED_S = "night_s"
 """The queue's entry of the virtual time since the batch began."""
 SINCE = "window since"
 """The queue's entry of when the present window was counted from, if not from the beginning."""
-TIME_OVER = "time over"
-"""The queue's entry that is not empty after a batch has ended because of its `stop_by`."""
 CHECK_EVERY_S = 0.2
 """Interval in s at which a rest in real time checks for commands."""
 

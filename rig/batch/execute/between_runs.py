@@ -8,12 +8,13 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING, Literal
 
-from rig.batch.execute.batch_clock import TIME_OVER, window_of
+from rig.batch.execute.batch_clock import window_of
 from rig.batch.execute.disk_room import LEAST_B, has_room
 from rig.batch.plan.settings import BatchFile
 from rig.batch.plan.window import does_not_fit, how_to_continue
 from rig.batch.queue import Queue, give_up
 from rig.batch.queue_file import QueueWriteError
+from rig.batch.queue_records import TIME_OVER
 from rig.core.errors import ExitCode, RigError
 from rig.run.interlocks.store import InterlockStore
 from rig.run.interlocks.watch import InterlockError, InterlockWatch, watched

@@ -61,10 +61,16 @@ class PreparedBatch:
 
 
 def prepare(
-    path: Path, given: Path | None, now: datetime, say: Callable[[str], None]
+    path: Path,
+    given: Path | None,
+    now: datetime,
+    say: Callable[[str], None],
+    *,
+    begun: bool = False,
 ) -> PreparedBatch:
     """Read a batch file, expand it, validate all of it on its bench and forecast it as if it began
     `now`. `given`: the bench file of the command line; `say` gets lines for a person.
+    The window of a batch that was `begun` earlier may have passed.
 
     RefusedBatchError lists all that is wrong, each with its line.
     """
@@ -75,7 +81,7 @@ def prepare(
         *_simulation(batch, path, chosen),
         *_bad_records(batch, real, now),
         *_unusable_notifications(batch),
-        *_no_window(batch, now),
+        *(() if begun else _no_window(batch, now)),
     ]
     with tempfile.TemporaryDirectory(prefix="rig-batch-plan-") as results:
         request = _request(batch, path, chosen, real, Path(results))

@@ -66,9 +66,9 @@ def rebuild(
     _require_same(path, folder.batch_file)
     if bench is None and terms.get("bench"):
         bench = Path(terms["bench"])
-    # As it was begun: window and calibration records may have expired since.
+    # As it was begun: calibration records may have expired since.
     begun = datetime.fromisoformat(terms["begun"]) if "begun" in terms else now
-    prepared = prepare(path, bench, begun, say)
+    prepared = prepare(path, bench, begun, say, begun=True)
     meta = terms or terms_of(path, prepared, now)
     new = folder.path / "queue.rebuilt.sqlite"
     new.unlink(missing_ok=True)

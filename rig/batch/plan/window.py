@@ -54,13 +54,14 @@ def does_not_fit(
 
 
 def how_to_continue(batch: BatchSettings) -> str:
-    """Return how the runs are taken for which there was no time before `stop_by`."""
+    """Return how the runs are taken for which there was no time before `stop_by`, as an
+    instruction without a capital."""
     if isinstance(batch.stop_by, datetime):
         return (
-            "stop_by has a date, which rig batch resume does not change: begin a new batch with "
-            "the runs that are left"
+            "begin a new batch with the runs that are left: rig batch resume does not change a "
+            "stop_by with a date"
         )
-    return "rig batch resume"
+    return "continue with rig batch resume"
 
 
 def _shown(instant: datetime) -> str:

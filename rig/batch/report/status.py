@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
 
 from rig.batch.folder import BatchFolder
-from rig.batch.queue_records import HOLDS, PRESSES, RemainingWork, RunRow, RunState
+from rig.batch.plan.settings import BatchFile
+from rig.batch.plan.window import how_to_continue, window
+from rig.batch.queue_records import HOLDS, PRESSES, TIME_OVER, RemainingWork, RunRow, RunState
 from rig.batch.queue_view import QueueView
 from rig.batch.report.heartbeat import read_heartbeat
 from rig.bench.plan import read_bench
@@ -50,6 +53,9 @@ class BatchStatus:
     bench_warnings: tuple[str, ...] = ()
     """Warnings about the bench of the bench file from an earlier run: not safe, or still
     pressed."""
+    for_want_of_time: str = ""
+    """What to do about the remaining runs where `stop_by` has a date and leaves no time for them;
+    else empty."""
 
     @property
     def finish(self) -> datetime:
@@ -111,9 +117,7 @@ class BatchStatus:
             shown += self._files_to_make()
         shown += [f"failed: run {r.number} {r.condition}: {r.reason}" for r in self.failures]
         shown += [f"{time[:19]} {level}: {text}" for time, level, text in self.events]
-        if not self.running and (self.remaining.runs or self.unprocessed):
-            shown.append(f"continue with: rig batch resume {self.folder.path}")
-        return shown
+        return shown if self.running else [*shown, *self.to_continue()]
 
     def closing_lines(self, bench: str) -> list[str]:
         """Return the lines with which the command ends that has run the batch. `bench` says how the
@@ -141,10 +145,21 @@ class BatchStatus:
         shown.append(f"Saved: {self.folder.path}")
         if bench:
             shown.append(bench)
-        if self.remaining.runs or self.unprocessed:
-            safe = "Once the bench is safe, continue" if "NOT safe" in bench else "Continue"
-            shown.append(f"{safe} with: rig batch resume {self.folder.path}")
+        for line in self.to_continue():
+            unsafe = "NOT safe" in bench
+            shown.append(
+                f"Once the bench is safe, {line}" if unsafe else f"{line[0].upper()}{line[1:]}"
+            )
         return shown
+
+    def to_continue(self) -> list[str]:
+        """Return what to do about a batch that is not running, one instruction a line, without a
+        capital; empty where nothing is left to do."""
+        resume = f"rig batch resume {self.folder.path}"
+        if self.remaining.runs and self.for_want_of_time:
+            files = [f"make the missing files with: {resume}"] if self.unprocessed else []
+            return [self.for_want_of_time, *files]
+        return [f"continue with: {resume}"] if self.remaining.runs or self.unprocessed else []
 
     def _holds_and_presses(self) -> str:
         return f"{counted(self.holds, 'hold')}, {counted(self.presses, 'press', 'presses')}"
@@ -197,7 +212,23 @@ def status_of(folder: BatchFolder, running: bool | None = None) -> BatchStatus:
             queue.events(LATEST),
             datetime.now().astimezone(),
             _bench_warnings(queue.meta("bench", "")),
+            _for_want_of_time(queue),
         )
+
+
+def _for_want_of_time(queue: QueueView) -> str:
+    """Return what to do about the remaining runs if a `stop_by` with a date is over."""
+    with suppress(ValueError):  # no file, or one that this version does not read: resume says so
+        batch = BatchFile.model_validate_json(queue.meta("file", "")).batch
+        if not isinstance(batch.stop_by, datetime):
+            return ""
+        now = datetime.now().astimezone()
+        _, until = window(batch, now)
+        # The time of a batch without a bench file is virtual.
+        passed = until is not None and until <= now and bool(queue.meta("bench", ""))
+        if passed or queue.meta(TIME_OVER, ""):
+            return how_to_continue(batch)
+    return ""
 
 
 def _bench_warnings(bench_file: str) -> tuple[str, ...]:

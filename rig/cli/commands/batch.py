@@ -140,12 +140,14 @@ def rebuild(
 
         from rig.batch.execute.rebuild import rebuild as make_anew
         from rig.batch.folder import find_folder
+        from rig.batch.report.status import status_of
 
         found = find_folder(folder, results)
         counts = make_anew(found, file, bench, datetime.now().astimezone(), say)
         states = ", ".join(f"{n} {state}" for state, n in counts.items() if n)
         say(f"the queue of {found.path} was made anew: {states}")
-        say(f"continue with: rig batch resume {found.path}")
+        for line in status_of(found).to_continue():
+            say(line)
 
 
 @app.command()
@@ -228,14 +230,14 @@ def _request(command: str, shown: str, folder: Path | None, results: Path, debug
     with reported(debug):
         from rig.batch.folder import find_folder
         from rig.batch.queue import Queue
+        from rig.batch.report.status import status_of
 
         found = find_folder(folder, results)
         with Queue.open(found.queue) as queue:
             if not found.is_held("supervisor"):
-                remaining = queue.remaining().runs
                 raise ConfigurationError(
                     f"batch {found.path} is not running ({queue.meta('state')})",
-                    f"continue it: rig batch resume {found.path}" if remaining else "it has ended",
+                    "; ".join(status_of(found).to_continue()) or "it has ended",
                 )
             queue.add_request(command)
         say(f"batch {found.path}: {shown}")
