@@ -27,6 +27,8 @@ HOOKS = {
     if isinstance(member, FunctionType) and not name.startswith("_")
 }
 """Hooks of a procedure, with the names of their arguments."""
+PROGRAM = ("rig", "procedures")
+"""The packages of this program whose base classes declare hooks."""
 ATTRIBUTES = tuple(name for name in Procedure.__annotations__ if name != "settings")
 COMMON_OPTIONS = frozenset(
     {
@@ -123,15 +125,27 @@ def _one_edit_apart(one: str, other: str) -> bool:
 
 
 def _doing_nothing(procedure: type[Procedure]) -> Iterator[str]:
-    """Yield a fault for each method in place of a base's plain one whose call would do nothing but
-    return a generator or coroutine: a trial would look complete although nothing was done."""
-    for name in dict.fromkeys(name for cls in procedure.__mro__ for name in vars(cls)):
+    """Yield a fault for each method in place of a plain one of this program whose call would do
+    nothing but return a generator or coroutine: a trial would look complete although nothing was
+    done. A generator of numbers is as good as a tuple of them."""
+    program = [cls for cls in procedure.__mro__ if cls.__module__.split(".")[0] in PROGRAM]
+    for name in dict.fromkeys(name for cls in program for name in vars(cls)):
         if name.startswith("_"):
             continue
-        own, *replaced = (vars(cls)[name] for cls in procedure.__mro__ if name in vars(cls))
-        if replaced and not _is_deferred(replaced[-1]) and _is_deferred(own):
-            word = "yield" if inspect.isgeneratorfunction(own) else "async"
+        own = inspect.getattr_static(procedure, name)
+        plain = next(vars(cls)[name] for cls in reversed(program) if name in vars(cls))
+        if not _is_deferred(own) or _is_deferred(plain):
+            continue
+        generator = inspect.isgeneratorfunction(own)
+        if not (generator and _returns_numbers(plain)):
+            word = "yield" if generator else "async"
             yield f"has {name!r} with {word!r}, so that its lines would not be run; leave that out"
+
+
+def _returns_numbers(member: Any) -> bool:
+    """Return whether a method is declared to return several numbers, which are then iterated."""
+    declared = str(getattr(member, "__annotations__", {}).get("return", ""))
+    return declared.startswith(("tuple[float,", "Sequence[float]"))
 
 
 def _is_deferred(member: Any) -> bool:

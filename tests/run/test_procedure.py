@@ -153,13 +153,49 @@ def test_a_class_that_cannot_be_used_is_refused_with_the_reason(case: str) -> No
     assert reported in fault
 
 
-def test_a_method_of_another_base_that_would_do_nothing_is_refused() -> None:
-    def under_force(self: Any, trial: Any) -> Any:
-        yield trial.hold(1.0)
+def under_force(self: Any, trial: Any) -> Any:
+    yield trial.hold(1.0)
 
-    base = type("Base", (Example,), {"under_force": lambda self, trial: None})
-    own = type("Own", (base,), {"__module__": __name__, "under_force": under_force})
-    assert "has 'under_force' with 'yield'" in str(fault_of(own, "example"))
+
+async def offsets_mm(self: Any) -> tuple[float, ...]:
+    return (0.0,)
+
+
+@pytest.mark.parametrize(
+    ("hook", "word"), [(under_force, "yield"), (offsets_mm, "async"), (generator, "yield")]
+)
+def test_a_hook_of_another_base_of_this_program_that_would_do_nothing_is_refused(
+    hook: Any, word: str
+) -> None:
+    name = "refine" if hook is generator else hook.__name__
+    own = type("Own", (Pressing,), {"__module__": "lab.own", name: hook})
+    assert f"has {name!r} with {word!r}" in str(fault_of(own, "example"))
+
+
+class Pressing(Example):
+    """A base class of this program, with hooks of its own."""
+
+    def under_force(self, trial: Any) -> None:
+        """Do what the procedure is about."""
+
+    def offsets_mm(self) -> tuple[float, ...]:
+        """Return how far along x the trials begin."""
+        return (0.0,)
+
+
+Pressing.__module__ = "procedures.pressed.procedure"
+
+
+def numbers(self: Any) -> Any:
+    yield 1.0
+    yield 2.0
+
+
+def test_numbers_may_be_generated_and_a_package_names_its_own_helpers() -> None:
+    helping = {"__module__": "lab.base", "windows": lambda self: ()}
+    base = type("Base", (Pressing,), helping)
+    own = {"__module__": "lab.own", "offsets_mm": numbers, "values_in_title": numbers}
+    assert fault_of(type("Own", (base,), {**own, "windows": numbers}), "example") is None
 
 
 MOVES: dict[str, tuple[Any, str]] = {
