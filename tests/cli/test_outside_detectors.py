@@ -197,9 +197,6 @@ NONSENSE = {
         "an event whose time 9.0 s is not that of its row 3",
     ),
     "too many events": ("0.75)]", "0.75)] * 1000000", "returned 1000000 events for"),
-    "a wrong order": (
-        "0.75)]", "0.75), self.event('roll', 0, 0.5)]", "an event in row 0 after one in row",
-    ),
     "it raises": ("above.argmax()", "1 // 0", "py line 29: ZeroDiv"),
     "it ends the program": ("above.argmax()", "exit(0)", "py line 29: SystemExit"),
     "it changes the rows": ("above.argmax()", "volts.fill(0) or 5", ""),

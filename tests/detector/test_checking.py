@@ -1,0 +1,36 @@
+"""What the detector of another package returns is put in order and checked."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from rig.core.settings import Settings
+from rig.detector.checking import CheckedDetector
+from rig.detector.contract import Detector, Reals
+from rig.detector.events import SlipEvent
+
+
+class ByChannel(Detector):
+    """Looks for what it looks for in one channel after the other."""
+
+    version = "1"
+
+    def reset(self) -> None:
+        """Nothing is kept."""
+
+    def judge(self, volts: Reals) -> list[SlipEvent]:
+        """Return events out of order, two of them in one row."""
+        kinds = (("roll", 7), ("incipient slip", 2), ("roll", 2), ("cannot judge", 5))
+        return [self.event(kind, row, 0.5) for kind, row in kinds]  # type: ignore[arg-type]
+
+
+def test_events_of_a_block_are_taken_in_the_order_of_their_rows() -> None:
+    settings = Settings()
+    checked = CheckedDetector(lambda rate: ByChannel(settings, rate), "x", "x", settings, 1000.0)
+    found = checked.add(np.zeros((10, 2)), 0)
+    assert [(event.kind, event.sample) for event in found] == [
+        ("incipient slip", 2),
+        ("roll", 2),
+        ("cannot judge", 5),
+        ("roll", 7),
+    ]
