@@ -49,7 +49,42 @@ def test_a_file_that_was_renamed_together_with_its_checksum_is_the_one_that_was_
     assert list(checksum_findings(renamed)) == []
     renamed.write_bytes(b"Data")
     (finding,) = checksum_findings(renamed)
-    assert finding.endswith("the one in run 17, torn film.h5.sha256, which is that of run.h5")
+    beside = "run 17, torn film.h5.sha256"
+    assert finding == (
+        f"its SHA-256 differs from the one in {beside}, which is of a file named run.h5: it has "
+        f"changed, or {beside} belongs to another file"
+    )
+
+
+OTHER = "0" * 64
+
+
+@pytest.mark.parametrize(
+    ("lines", "finding"),
+    [
+        (["{sha256}"], None),
+        (["{upper} *run.h5"], None),
+        ([f"{OTHER}  a.h5", "{sha256}  run.h5"], None),
+        ([f"{OTHER}  a.h5", "{sha256}  ./night/run.h5", ""], None),
+        ([f"{OTHER}  a.h5", f"{OTHER}  run.h5"], "the file is not the one that was written: "),
+        ([f"{OTHER}"], "the file is not the one that was written: "),
+        (["{sha256}  a.h5", "{sha256}  b.h5"], "run.h5.sha256 has checksums of 2 files, but not"),
+        (["e80b5017098950fc58aad83c8c14978e  run.h5"], "is not a SHA-256"),
+        (["<html>"], "run.h5.sha256: '<html>' is not a SHA-256"),
+        (["", " "], "run.h5.sha256 is empty"),
+    ],
+)
+def test_a_checksum_that_is_not_of_this_file_is_said_to_be_just_that(
+    tmp_path: Path, lines: list[str], finding: str | None
+) -> None:
+    file = tmp_path / "run.h5"
+    file.write_bytes(b"data")
+    sha256 = sha256_of(file)
+    text = "\n".join(lines).format(sha256=sha256, upper=sha256.upper())
+    (tmp_path / "run.h5.sha256").write_text(text)
+    found = list(checksum_findings(file))
+    assert len(found) == (finding is not None)
+    assert all(str(finding) in one for one in found)
 
 
 def test_a_link_to_a_file_is_checked_against_the_checksum_beside_the_file(tmp_path: Path) -> None:
