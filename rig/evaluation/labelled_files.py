@@ -36,6 +36,8 @@ Floats = NDArray[np.float64]
 
 TIMES = ("motion_s", "node_slip_s", "ridge_slip_s", "gross_slip_s", "lift_off_s")
 """Columns of the truth that are times, in s of the record."""
+TEXTS = ("file", "point", "label", *NAMES)
+"""Columns that are not numbers."""
 MAX_LIST_BYTES = 16 << 20
 """Largest size of a list."""
 
@@ -164,7 +166,7 @@ def listed_trials(listing: Path) -> Iterator[tuple[ListedTrial, int]]:
 
 
 def _rows(listing: Path) -> list[ListRow]:
-    heads, rows = read_list(listing, "list of labelled files", MAX_LIST_BYTES)
+    heads, rows = read_list(listing, "list of labelled files", MAX_LIST_BYTES, TEXTS)
     if "file" not in heads:
         raise ConfigurationError(
             f"{listing}: has no column 'file'", "its first line names the columns"

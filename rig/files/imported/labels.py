@@ -35,7 +35,7 @@ Label = dict[str, str | float]
 def read_labels(path: Path) -> dict[str, dict[str, str]]:
     """Return the lines of a list of labels by the name of the file. ConfigurationError for one that
     cannot be used."""
-    heads, rows = read_list(path, "list of labels", MAX_LIST_BYTES)
+    heads, rows = read_list(path, "list of labels", MAX_LIST_BYTES, ("file", "label"))
     known = ("file", "label", *TIMES)
     if "file" not in heads or not set(heads) - {"file"}:
         raise ConfigurationError(
