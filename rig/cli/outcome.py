@@ -49,13 +49,13 @@ def reported(debug: bool = False, as_json: bool = False) -> Iterator[None]:
     except RigError as error:
         raise typer.Exit(report(error, debug, as_json)) from None
     except (OSError, ImportError, MemoryError) as error:
-        raise typer.Exit(report(_of_the_computer(error), debug, as_json)) from None
+        raise typer.Exit(report(of_the_computer(error), debug, as_json)) from None
     except KeyboardInterrupt:
         say("stopped by Ctrl-C; this command left nothing running")
         raise typer.Exit(int(ExitCode.SIGINT)) from None
 
 
-def _of_the_computer(error: OSError | ImportError | MemoryError) -> RigError:
+def of_the_computer(error: OSError | ImportError | MemoryError) -> RigError:
     """Return what the computer refuses as an error in one line: a name that is too long, a library
     for which there is no memory, a process too many."""
     if isinstance(error, OSError):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import stat
 from pathlib import Path
@@ -59,10 +60,11 @@ def described(path: Path, kind: FileKind) -> tuple[str, str | None]:
     command or file helps. Raises nothing."""
     if kind == "journal":
         return "a journal, not a run file", "`rig recover` compiles it"
-    if kind == "folder" and (path / BATCH_QUEUE).is_file():
-        return "the folder of a batch, not a file", f"`rig batch status {path}` shows the batch"
-    if kind == "folder" and any(path.glob(f"*{RUN_SUFFIX}")):
-        return IN_WORDS[kind], f"name the files in it: {path / f'*{RUN_SUFFIX}'}"
+    with contextlib.suppress(OSError):  # a folder that may not be looked into
+        if kind == "folder" and (path / BATCH_QUEUE).is_file():
+            return "the folder of a batch, not a file", f"`rig batch status {path}` shows the batch"
+        if kind == "folder" and any(path.glob(f"*{RUN_SUFFIX}")):
+            return IN_WORDS[kind], f"name the files in it: {path / f'*{RUN_SUFFIX}'}"
     if kind == "other" and path.name == BATCH_QUEUE:
         return "the queue of a batch", f"`rig batch status {path.parent}` shows the batch"
     if kind == "other" and path.name.endswith(CHECKSUM_SUFFIX):

@@ -12,8 +12,10 @@ from typing import Any
 
 import h5py
 import pytest
+import typer
 from benches import declare_soft_contact
 
+from rig.cli.commands import files
 from rig.files.runfile.reader import RunFile
 from rig.files.verify import verify
 
@@ -137,6 +139,24 @@ def test_one_file_that_cannot_be_shown_does_not_hide_the_others(rig: Any, run_fi
     ]
     shown = [line for line in ended.stdout.splitlines() if line.startswith("file: ")]
     assert shown == ["file: b.h5", "file: c.h5"]
+
+
+def test_a_file_that_the_computer_refuses_does_not_hide_the_others(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def shown(path: Path, *_: object) -> tuple[bool, str]:
+        if path.name == "locked":
+            raise PermissionError(13, "Permission denied", str(path))
+        print(path)
+        return True, ""
+
+    monkeypatch.setattr(files, "_show_file", shown)
+    with pytest.raises(typer.Exit) as ended:
+        files.show([Path("locked"), Path("b.h5")])
+    assert ended.value.exit_code == 2
+    said = capsys.readouterr()
+    assert said.out == "b.h5\n"
+    assert said.err == "error: locked: Permission denied; give another name or place\n"
 
 
 def test_an_import_of_a_missing_file_says_so_in_the_same_words(rig: Any) -> None:

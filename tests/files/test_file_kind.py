@@ -12,7 +12,7 @@ import pytest
 from rig.batch.folder import QUEUE
 from rig.core.errors import ExitCode
 from rig.files.errors import RunFileError
-from rig.files.file_kind import BATCH_QUEUE, require_hdf5
+from rig.files.file_kind import BATCH_QUEUE, described, require_hdf5
 from rig.files.runfile.reader import RunFile
 from rig.files.verify import verify
 
@@ -36,6 +36,16 @@ def test_the_folder_and_the_queue_of_a_batch_name_the_command_that_shows_them(
     folder, file = refused(tmp_path), refused(queue)
     assert (folder.reason, folder.hint) == ("the folder of a batch, not a file", hint)
     assert (file.reason, file.hint) == ("the queue of a batch", hint)
+
+
+def test_a_folder_that_may_not_be_looked_into_is_a_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def locked(path: Path) -> bool:
+        raise PermissionError(13, "Permission denied", str(path))
+
+    monkeypatch.setattr(Path, "is_file", locked)
+    assert described(tmp_path, "folder") == ("a folder, not a file", None)
 
 
 def test_a_checksum_names_its_file(tmp_path: Path) -> None:

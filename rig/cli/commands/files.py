@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from rig.cli.outcome import print_json, reported, say, say_all, say_failure
+from rig.cli.outcome import of_the_computer, print_json, reported, say, say_all, say_failure
 from rig.cli.show.words import in_words
 from rig.core.errors import ConfigurationError, ExitCode, FoundWrongError, RigError, is_stop
 from rig.core.text import printable
@@ -139,11 +139,11 @@ def show(
                     say(f"{path}: its figures were drawn when it was computed, beside it")
                 elif not drawable or not _draw(path, figures_to, pdf, report, debug):
                     not_drawn.append(f"{path}: {why_nothing}")
-            except RigError as error:
+            except (RigError, OSError) as error:
                 if len(files) == 1:
                     raise
-                say_failure(error, debug)
-                failures.append(error)
+                failures.append(error if isinstance(error, RigError) else of_the_computer(error))
+                say_failure(failures[-1], debug)
         if draws and len(files) == 2 and not failures:
             _draw_beside(files, figures_to, pdf, say if as_json else _print)
         for line in not_drawn:
