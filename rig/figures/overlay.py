@@ -186,12 +186,22 @@ def _distinguishing(runs: Sequence[RunFile]) -> list[str]:
     named = [", ".join(_in_words(key, each[key]) for key in differing) for each in stated]
     too_much = len(differing) > MOST_NAMED or max(map(len, named)) > LONGEST_NAME
     if too_much or not differing or len(set(named)) < len(named):
-        short = [] if too_much else differing
-        return [
-            ", ".join([*(_in_words(key, each[key]) for key in short), run.path.stem])
-            for run, each in zip(runs, stated, strict=True)
-        ]
+        files = _file_names([run.path for run in runs])
+        joined = [", ".join(filter(None, both)) for both in zip(named, files, strict=True)]
+        return files if too_much or max(map(len, joined)) > LONGEST_NAME else joined
     return named
+
+
+def _file_names(paths: Sequence[Path]) -> list[str]:
+    """Return the names of files without their endings; where files of several folders have one
+    name, behind that of the folder."""
+    folders: dict[str, set[str]] = {}
+    for path in paths:
+        folders.setdefault(path.stem, set()).add(path.absolute().parent.name)
+    return [
+        f"{path.absolute().parent.name}/{path.stem}" if len(folders[path.stem]) > 1 else path.stem
+        for path in paths
+    ]
 
 
 def _stated(run: RunFile) -> dict[str, Any]:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import shutil
 import sys
 from collections.abc import Callable
+from contextlib import ExitStack
 from importlib import invalidate_caches
 from pathlib import Path
 
@@ -125,6 +127,28 @@ def test_names_that_are_too_long_for_a_legend_are_replaced_by_those_of_the_files
         figure = draw_sweeps([first, second])
     with mpl.rc_context(STYLE):
         assert faults(figure) == []
+
+
+def test_names_that_would_be_too_long_with_their_files_are_those_of_the_files(folder: Path) -> None:
+    with ExitStack() as stack:
+        runs = [stack.enter_context(RunFile.open(folder / SWEEP)) for _ in range(3)]
+        for run, remark in zip(runs, ("dry", "wiped with acetone", "dry"), strict=True):
+            run.header.settings["remark"] = remark
+        assert names_of(runs) == [Path(SWEEP).stem] * 3
+        for run in runs:
+            run.header.settings["remark"] = run.header.settings["remark"][:1]
+        assert names_of(runs)[1] == f"remark w, {Path(SWEEP).stem}"
+
+
+def test_files_of_one_name_are_distinguished_by_their_folders(folder: Path, tmp_path: Path) -> None:
+    paths = []
+    for day in ("2026-11-13", "2026-11-14"):
+        (tmp_path / day).mkdir()
+        paths.append(shutil.copy(folder / SWEEP, tmp_path / day / "a.h5"))
+    paths.append(shutil.copy(folder / SWEEP, tmp_path / "b.h5"))
+    with ExitStack() as stack:
+        runs = [stack.enter_context(RunFile.open(path)) for path in paths]
+        assert names_of(runs) == ["2026-11-13/a", "2026-11-14/a", "b"]
 
 
 @pytest.mark.thorough
