@@ -104,11 +104,14 @@ def quantity(text: str, unit: str | None) -> float:
     number, written = float(match[1]), match[2]
     if written in ("", unit):
         return number
+    if decimals := re.match(r",([0-9]+)", written):
+        # 1,000 may be a thousand as well as one.
+        thousands = len(decimals[1]) == 3
+        instead = "the number without a comma" if thousands else f"{match[1]}.{decimals[1]}"
+        raise ValueError(f"a comma is not a decimal point: write {instead}")
     if unit is None:
         raise ValueError(f"takes a bare number, not {written!r}")
     if not _follows_grammar(written):
-        if decimals := re.match(r",([0-9]+)", written):
-            raise ValueError(f"write a decimal point: {match[1]}.{decimals[1]}")
         shown = written if len(written) <= _LONGEST_UNIT else written[:_LONGEST_UNIT] + "..."
         raise ValueError(f"{shown!r} is not a unit; write it as {unit}")
     import pint

@@ -85,7 +85,10 @@ def test_a_quantity_may_carry_any_unit_that_converts(
         ("", None, "is not a number$"),
         ("3N", None, "takes a bare number, not 'N'"),
         ("1.2.3", "N", "is not a unit"),
-        ("0,5 mm/s", "mm/s", "write a decimal point: 0.5$"),
+        ("0,5 mm/s", "mm/s", "a comma is not a decimal point: write 0.5$"),
+        ("0,5", None, "a comma is not a decimal point: write 0.5$"),
+        ("1,000 N", "N", "not a decimal point: write the number without a comma$"),
+        ("12,000,000", "N", "not a decimal point: write the number without a comma$"),
     ],
 )
 def test_anything_else_is_refused_with_the_reason(
