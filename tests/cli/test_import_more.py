@@ -112,6 +112,16 @@ def test_a_mask_of_any_type_marks_when_something_begins(tmp_path: Path, dtype: s
     assert found.labels_s["motion"] == 0.008
 
 
+def test_a_mask_is_no_signal_and_is_listed_for_what_it_can_mark(tmp_path: Path) -> None:
+    path = tmp_path / "a.npz"
+    np.savez(path, left=TABLE[:, 1], right=TABLE[:, 2], moves=np.arange(len(TABLE)) >= 8)
+    with pytest.raises(ForeignFileError, match="variable moves is logical, v_2 is read in V"):
+        read(path, {"v_1": "left", "v_2": "moves"})
+    with pytest.raises(ForeignFileError) as refused:
+        read(path, {"v_1": "left", "v_2": "right", "motion": "move"})
+    assert "it has left, right, and for motion, slip and lift_off moves" in str(refused.value.hint)
+
+
 def test_what_is_not_a_number_in_an_npz_is_refused_with_a_remedy_for_numpy(tmp_path: Path) -> None:
     path = tmp_path / "a.npz"
     np.savez(path, left=TABLE[:, 1].astype("M8[ms]"), right=TABLE[:, 2])

@@ -334,6 +334,7 @@ def test_the_only_matrix_needs_no_name(tmp_path: Path) -> None:
         ("c", "variable c is a cell"),
         ("word", "variable word is a char"),
         ("sparse", "variable sparse is a sparse"),
+        ("flag", "variable flag is logical, v_2 is read in V"),
         ("z", "variable z: complex128 .*real numbers"),
         ("m", "variable m has 3 columns: m is none of them; write m:1 to m:3"),
         ("m:4", "m:4 is none of them"),

@@ -71,7 +71,10 @@ class MatlabTable:
             wanted = f"{numeric[0]}:{wanted}"
         found = _WANTED.match(wanted)
         if found is None or found[1] not in self._variables:
+            masks = [name for name, (kind, _) in self._variables.items() if kind == LOGICAL]
             known = ", ".join(map(shortened, sorted(numeric)[:20])) or "none that is numeric"
+            if masks:
+                known += f", and for motion, slip and lift_off {', '.join(sorted(masks)[:20])}"
             raise ForeignFileError(
                 self._file,
                 f"no variable {shortened(wanted)!r}",
@@ -116,6 +119,11 @@ class MatlabTable:
     def unit(self, column: int) -> str | None:
         """Return None: MATLAB's arrays have no units."""
         return None
+
+    def is_mask(self, column: int) -> bool:
+        """Return whether a column is of MATLAB's class logical, or of NumPy's type bool."""
+        variable, _ = self._columns[column]
+        return self._variables[variable][0] == LOGICAL
 
     def place(self, row: int) -> str:
         """Return a row as MATLAB counts them, from 1."""

@@ -267,6 +267,12 @@ def _check_size(
 def _check_unit(
     source: ImportSource, channel: str, column: int, stated: ChannelMap, name: str
 ) -> None:
+    if source.is_mask(column):
+        raise ForeignFileError(
+            name,
+            f"{source.name(column)} is logical, {channel} is read in {UNIT[channel]}",
+            "it can be motion, slip or lift_off; save it as double if it is a signal",
+        )
     labelled, unit = source.unit(column), UNIT[channel]
     if labelled not in (None, unit) and channel not in stated.scale:
         raise ForeignFileError(

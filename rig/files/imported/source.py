@@ -45,6 +45,10 @@ class ImportSource(Protocol):
         """
         ...
 
+    def is_mask(self, column: int) -> bool:
+        """Return whether the file says that a column holds truth values, which are no signal."""
+        ...
+
     def values(self, columns: Sequence[int]) -> NDArray[np.float64]:
         """Return columns as they stand in the file, finite numbers of shape (rows, columns)."""
         ...

@@ -150,6 +150,10 @@ class TextTable:
         """Return the line of a row."""
         return f"line {self._first + row + 1}"
 
+    def is_mask(self, column: int) -> bool:
+        """Return False: numbers in a text do not say what they are."""
+        return False
+
     def values(self, columns: Sequence[int]) -> NDArray[np.float64]:
         """Return the columns, float64 of shape (rows, columns), each number exactly as it is
         written.
