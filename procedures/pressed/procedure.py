@@ -31,7 +31,7 @@ import itertools
 import math
 from abc import abstractmethod
 from collections.abc import Iterable, Mapping
-from numbers import Real
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from procedures.pressed.approach.way_down import require_possible
@@ -275,8 +275,10 @@ class PressedProcedure(TrialProcedure):
         hook, for anything else."""
         if isinstance(found, Iterable):
             found = tuple(found)
-            if all(isinstance(one, Real) for one in found):
-                return tuple(map(float, found))
+            # A number is what float() takes, such as a Decimal, but not a text or a truth value.
+            if not any(isinstance(one, str | bytes | bool) for one in found):
+                with suppress(TypeError, ValueError):
+                    return tuple(map(float, found))
         one_alone = hook in ("motion_s", "start_mm")
         shown = found[0] if one_alone else found
         raise self._wrong_return(hook, shown, "a number" if one_alone else "a tuple of numbers")

@@ -3,6 +3,7 @@ relaxes: what a measurement of stress relaxation needs of the base class."""
 
 from __future__ import annotations
 
+from decimal import Decimal
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -183,6 +184,7 @@ def test_a_z_stage_that_is_silent_while_it_holds_its_place_ends_the_run() -> Non
 RETURNS: dict[str, tuple[str, Any, str]] = {
     "no duration": ("motion_s", None, "motion_s() returned None; let it return a number"),
     "a text for the duration": ("motion_s", "3", "motion_s() returned '3'; let it return a number"),
+    "a truth value": ("motion_s", True, "motion_s() returned True; let it return a number"),
     "one place": ("offsets_mm", 1.0, "offsets_mm() returned 1.0; let it return a tuple of numbers"),
     "a text for a force": ("normal_forces_N", ("2",), "normal_forces_N() returned ('2',)"),
     "one move": (
@@ -204,6 +206,20 @@ def test_what_a_hook_must_not_return_is_refused_with_its_name(case: str) -> None
     with pytest.raises(ConfigurationError) as refused:
         procedure.points()
     assert reported in refused.value.one_line()
+
+
+@pytest.mark.parametrize("seconds", [3, np.float32(3.0), np.array(3.0), Decimal("3.0")])
+def test_a_hook_may_return_whatever_is_a_number(seconds: Any) -> None:
+    class Odd(Forces):
+        def motion_s(self) -> Any:
+            return seconds
+
+        def offsets_mm(self) -> Any:
+            return (seconds * place for place in (0, 1))
+
+    procedure = Odd(PressedSettings())
+    assert len(procedure.points()) == 4
+    assert procedure._offsets() == (0.0, 3.0)
 
 
 def test_a_place_that_is_not_a_number_is_refused_with_its_name() -> None:
