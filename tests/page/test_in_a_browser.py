@@ -346,6 +346,12 @@ return cut;
 """
 
 
+DRAWN = """
+return Object.entries(charts).map(([id, {plot}]) => [id, plot.scales.x.min, plot.scales.x.max,
+  plot.scales.y.min, plot.scales.y.max, JSON.stringify(plot.data)]);
+"""
+
+
 def test_small_voltages_keep_their_sign_and_a_paused_view_its_charts_when_it_gets_dark(
     rig, browser
 ):
@@ -365,11 +371,21 @@ def test_small_voltages_keep_their_sign_and_a_paused_view_its_charts_when_it_get
     assert browser.execute_script("return charts.daq.plot.axes[1]._values.some(v => v < 0)")
     assert browser.execute_script(CUT_NUMBERS) == []
     browser.find_element("id", "pause").click()
-    before = len(browser.find_elements("css selector", "#charts canvas"))
+    wait_for(browser, "#pause", lambda text: text == "Continue the view")
+    before = browser.execute_script(DRAWN)
+    browser.execute_script(
+        "const now = series.daq; now.k.push(now.k[now.k.length - 1] + 9); last.run.last_s += 9;"
+        "for (const values of [...now.low, ...now.high]) values.push(1.0);"
+        "charts.daq.box.dataset.old = 'yes';"
+    )
     dark = {"name": "prefers-color-scheme", "value": "dark"}
     browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": [dark]})
-    wait_for(browser, "#pause", lambda text: text == "Continue the view")
-    assert len(browser.find_elements("css selector", "#charts canvas")) == before > 0
+    redrawn = "return charts.daq.box.dataset.old !== 'yes'"
+    wait_for(browser, "#pause", lambda _: browser.execute_script(redrawn))
+    assert browser.execute_script(DRAWN) == before, "and not what came since beside old numbers"
+    assert browser.execute_script("return document.querySelectorAll('#charts canvas').length") == (
+        len(before)
+    )
 
 
 def test_what_is_being_read_of_the_night_stays_in_its_place_when_it_is_read_again(browser):

@@ -264,7 +264,7 @@ function chart(id, title, labels, scales, axes, opts = {}) {
     hooks: opts.events ? {draw: [drawEvents]} : {},
   }, [[], ...labels.map(() => [])], box);
   fits.observe(box); // the grid may get a second column with the next chart
-  return charts[id] = {plot, box, named: title + labels};
+  return charts[id] = {plot, box, named: title + labels, drawnWith: [title, labels, scales, axes, opts]};
 }
 
 function importance(event) {
@@ -327,10 +327,16 @@ function draw(run) {
   }
 }
 
-function redrawAll() {
-  for (const one of Object.values(charts)) { one.plot.destroy(); one.box.remove(); }
+function redrawAll() { // with what they show: a view that is paused stays as it was
+  const shown = Object.entries(charts);
   charts = {};
-  if (last) draw(last.run); // also of a view that is paused
+  for (const [id, {plot, box, drawnWith}] of shown) {
+    const data = plot.data, {min, max} = plot.scales.x;
+    plot.destroy();
+    box.remove();
+    const again = chart(id, ...drawnWith).plot;
+    again.batch(() => { again.setData(data, false); again.setScale("x", {min, max}); });
+  }
 }
 
 function isHeld(frame) {
