@@ -448,7 +448,7 @@ def _watch(state: PageState, over: threading.Event) -> None:
             state.watch.poll()
             state.polled_s = time.monotonic()
         except Exception:
-            log.exception("the page cannot read the journal")
+            log.exception("the page could not look at the bench")
             over.wait(1.0)
 
 
