@@ -128,7 +128,7 @@ def test_noise_alone_is_not_taken_for_a_contact_that_is_pressed(rig, after_s, la
 @pytest.mark.thorough
 def test_the_servo_orders_nothing_deeper_than_the_latest_contact(rig):
     """The sensor reads less and less of a force that is held: z would follow it for ever."""
-    drift = f'kind = "drift"\nrate_N_s = -1.0\n{APPROACH}after_s = 4.0'
+    drift = f'kind = "drift"\nrate_N_s = -1.0\n{APPROACH}after_s = 7.0'
     world = "skin_mount.contact_mm = 12.92\n"
     ended = run(rig, "slip-trial", drift, "--rest", "20s", world=world)
     # The servo's bound, or the torque, which changes while the sensor's force does not.

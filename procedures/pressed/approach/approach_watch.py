@@ -112,7 +112,8 @@ class ApproachWatch:
             f"it reads {usual_N:.2g} N along z at {position_mm:.3f} mm, as if something pulled; "
             "what presses has to read positive",
             "press on it by hand and look at its value (rig jog shows it): where that is negative, "
-            "correct the sign of z in [force_sensor], or its cable; else look what pulls",
+            "correct the sign of z in [force_sensor], or its cable; where it changes by itself, "
+            "the sensor drifts",
         )
 
     def _refuse_held(self, position_mm: float, force_N: float) -> None:
