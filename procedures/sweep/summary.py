@@ -157,7 +157,9 @@ def in_brief(summary: Mapping[str, Any], put_in: Mapping[str, Any]) -> list[str]
     lines += valued("change with the preload", found["preload_effect"], "preload_effect")
     fit = f"χ² = {found['chi_square']:.0f} for {found['degrees']} d.o.f."
     poor = probability_above(found["chi_square"], found["degrees"]) < MISFIT_PROBABILITY
-    means = "poor: the ± above mean little" if poor else "good; ± are 95 % intervals"
+    means = "good; ± are 95 % intervals"
+    if poor:
+        means = "poor: the ± above mean little (a notch just outside the swept range does this)"
     return [*lines, f"joint fit: {fit}, {means}"]
 
 
