@@ -10,7 +10,7 @@ from collections.abc import Callable
 from rig.core.errors import RigError
 
 SOON_S, PATIENCE_S = 0.5, 10.0
-"""After how long a thread that is waited for is named, and when it is no longer waited for."""
+"""Times in s after which a thread that still runs is named, and after which the wait ends."""
 
 
 def start_thread(thread: threading.Thread) -> None:

@@ -36,20 +36,20 @@ GRACE_S = 0.5
 """Time in s that such a program gets to close its links; then it is killed. Making safe shall not
 wait longer for it, and what it leaves is a sensor that sends, which drives nothing."""
 LETS_GO_S = 2.0
-"""Longest time in s that is waited for it in all."""
+"""Longest wait in s for it in all."""
 GUARDED_S = 25.0
-"""Longest time in s that is waited for a run to make its bench safe. 1 to 3 s are usual, a long way
+"""Longest wait in s for a run to make its bench safe. 1 to 3 s are usual, a long way
 up may take 20 s. One that hangs is killed by its guard, which then makes the bench safe."""
 UNGUARDED_S = 5.0
 """The same for a run without a guard, or that has failed to make the bench safe: nothing else
 acts."""
 GUARD_ACTS_S = 40.0
-"""Longest time in s that is waited for the guard of a run that has died: it may lift z for 35 s."""
+"""Longest wait in s for the guard of a run that has died: it may lift z for 35 s."""
 SAVED_S = 15.0
-"""Longest time in s that is waited for a run whose bench is safe: it saves its data, and may have a
+"""Longest wait in s for a run whose bench is safe: it saves its data, and may have a
 serial port for itself until then."""
 ALONE_S = 10.0
-"""Longest time in s that is waited for another `rig make-safe`, which takes 1 to 2 s where every
+"""Longest wait in s for another `rig make-safe`, which takes 1 to 2 s where every
 instrument answers."""
 MAKING_SAFE_SUFFIX = ".making-safe"
 

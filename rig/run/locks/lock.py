@@ -155,8 +155,8 @@ def names_in_use(names: Sequence[str]) -> str | None:
 
 
 def run_named_in(name: str) -> Path | None:
-    """Return the journal of the latest run of the program that holds the lock of an address; None
-    if it has begun none, or is none."""
+    """Return the journal of the latest run of the program that has locked an address; None where it
+    has begun no run yet, or makes none."""
     with SharedFolder() as folder, contextlib.suppress(OSError):
         file = folder.open_file(name + SUFFIX, create=False)
         try:
