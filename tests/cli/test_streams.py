@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import threading
+import time
 
 import pytest
 from nights import QUICK_NIGHT, await_answer, folder_of, write_night
@@ -71,6 +72,45 @@ def test_a_line_that_is_not_taken_keeps_nobody_waiting() -> None:
         continued.set()
 
 
+def fill(pipe: int) -> None:
+    """Fill a pipe through another description of it: the program's own shall wait."""
+    filling = os.open(f"/proc/self/fd/{pipe}", os.O_WRONLY | os.O_NONBLOCK)
+    with contextlib.suppress(BlockingIOError):
+        while True:
+            os.write(filling, b"x")
+    os.close(filling)
+
+
+@pytest.mark.thorough
+def test_a_run_whose_last_lines_nobody_reads_has_let_the_bench_go(rig) -> None:
+    simulator = rig.start("simulate", "--write", "sim.toml")
+    simulator.wait_for("drive it")
+    sweep = ("sweep", "--bench", "sim.toml", "--no-figures", "--frequencies")
+    reader, writer = os.pipe()
+    run = subprocess.Popen(
+        rig.command(*sweep, "300,400"),
+        cwd=rig.folder, env=rig.env, stdout=subprocess.DEVNULL, stderr=writer,
+    )  # fmt: skip
+    try:
+        shown = b""
+        while b"1/2 " not in shown:
+            shown += os.read(reader, 4096)
+        fill(writer)
+        deadline_s = time.monotonic() + 60
+        while (code := (then := rig.run(*sweep, "300")).code) == 2 and "in use" in then.stderr:
+            assert time.monotonic() < deadline_s, then.stderr
+            time.sleep(0.5)
+        assert code == 0, then.stderr
+        assert run.poll() is None, "its closing lines still wait for a reader"
+    finally:
+        run.kill()
+        run.wait()
+        os.close(reader)
+        os.close(writer)
+    simulator.send(signal.SIGTERM)
+    assert simulator.finish().code == 0
+
+
 @pytest.mark.thorough
 def test_a_batch_whose_output_nobody_reads_is_stopped_all_the_same(rig) -> None:
     """``rig batch run night.toml 2>&1 | less``, with less at its first page."""
@@ -84,12 +124,7 @@ def test_a_batch_whose_output_nobody_reads_is_stopped_all_the_same(rig) -> None:
         shown = b""
         while b"run 1/" not in shown:
             shown += os.read(reader, 4096)
-        # Another description of the pipe: the batch's own shall go on waiting.
-        filling = os.open(f"/proc/self/fd/{writer}", os.O_WRONLY | os.O_NONBLOCK)
-        with contextlib.suppress(BlockingIOError):
-            while True:
-                os.write(filling, b"x")
-        os.close(filling)
+        fill(writer)
         folder = folder_of(rig.results)
         await_answer(folder, "SELECT state FROM run WHERE number = 1", "done")  # it says so
         batch.send_signal(signal.SIGTERM)
