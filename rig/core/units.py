@@ -104,11 +104,8 @@ def quantity(text: str, unit: str | None) -> float:
     number, written = float(match[1]), match[2]
     if written in ("", unit):
         return number
-    if decimals := re.match(r",([0-9]+)", written):
-        # 1,000 may be a thousand as well as one.
-        thousands = len(decimals[1]) == 3
-        instead = "the number without a comma" if thousands else f"{match[1]}.{decimals[1]}"
-        raise ValueError(f"a comma is not a decimal point: write {instead}")
+    if written.startswith(","):
+        raise ValueError(_about_comma(match[1], written))
     if unit is None:
         raise ValueError(f"takes a bare number, not {written!r}")
     if not _follows_grammar(written):
@@ -120,6 +117,18 @@ def quantity(text: str, unit: str | None) -> float:
         return float(pint.Quantity(number, written).to(unit).magnitude)
     except Exception as error:
         raise ValueError(f"{written!r} does not convert to {unit}") from error
+
+
+def _about_comma(whole: str, rest: str) -> str:
+    """Return what is wrong with a number that a comma follows: 1,5 or 1,000 or a list."""
+    ends = r"(?![0-9.,;])"
+    # 1,000 may be a thousand as well as one.
+    if "." not in whole and re.match(rf"(?:,[0-9]{{3}})+{ends}", rest):
+        return "a comma is not a decimal point: write the number without a comma"
+    decimals = re.match(rf",([0-9]+(?:[eE][+-]?[0-9]+)?){ends}", rest)
+    if "." not in whole and decimals is not None:
+        return f"a comma is not a decimal point: write {whole}.{decimals[1]}"
+    return "takes one number, not a list"
 
 
 def _follows_grammar(text: str) -> bool:

@@ -89,6 +89,10 @@ def test_a_quantity_may_carry_any_unit_that_converts(
         ("0,5", None, "a comma is not a decimal point: write 0.5$"),
         ("1,000 N", "N", "not a decimal point: write the number without a comma$"),
         ("12,000,000", "N", "not a decimal point: write the number without a comma$"),
+        ("1,5e3 N", "N", "a comma is not a decimal point: write 1.5e3$"),
+        ("1.25,3,6", "N", "takes one number, not a list$"),
+        ("1,5,10", "N", "takes one number, not a list$"),
+        ("0.5,1 N", "N", "takes one number, not a list$"),
     ],
 )
 def test_anything_else_is_refused_with_the_reason(
