@@ -78,6 +78,7 @@ def test_a_plan_as_json_says_what_its_table_says(rig: Any) -> None:
     assert 0 < plan["disk_B"] < plan["free_B"]
 
 
+@pytest.mark.thorough
 def test_what_a_limit_refuses_is_reported_with_its_line_and_exit_4(rig: Any) -> None:
     ended = rig.run("batch", "plan", write(rig, SWEEPS.replace("[1, 2]", "[1, 30, 19]")))
     assert ended.code == 4, ended.stderr

@@ -156,6 +156,7 @@ def test_ctrl_c_stops_a_batch_safely_and_resume_continues_at_the_point(
     assert ask(folder, "SELECT number FROM run WHERE processed IS NULL") == [], "files made, too"
 
 
+@pytest.mark.thorough
 def test_files_that_are_missing_are_shown_and_made_by_resume(
     uninterrupted: dict[int, Taken], rig_of_the_module
 ) -> None:

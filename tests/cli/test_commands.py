@@ -127,6 +127,7 @@ def test_a_mistyped_name_is_a_usage_error_in_the_same_words(rig: Any, command: s
     assert (ended.code, ended.errors) == (2, ["error: .: a folder, not a file"])
 
 
+@pytest.mark.thorough
 def test_one_file_that_cannot_be_shown_does_not_hide_the_others(rig: Any, run_file: Path) -> None:
     (rig.folder / "a.h5.sha256").write_text("0" * 64 + "  a.h5\n")
     for name in ("b.h5", "c.h5"):

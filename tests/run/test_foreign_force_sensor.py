@@ -84,6 +84,7 @@ def z_at_rest(rig: Any) -> list[float]:
     return [float(e["value"]) for e in z]
 
 
+@pytest.mark.thorough
 def test_a_force_that_is_no_number_while_z_presses_ends_the_run_and_z_is_lifted(rig: Any) -> None:
     with bench_with(rig, bad_from_N=2.0) as path:
         use_the_package(path)

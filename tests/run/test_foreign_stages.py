@@ -11,7 +11,6 @@ from typing import Any
 
 import packages
 import pytest
-from tiers import mostly_thorough
 
 ACME = Path(__file__).parents[1] / "testing" / "acme"
 ENTRIES = """[rig.drivers]
@@ -88,8 +87,9 @@ WRONG = {
 }
 
 
-@pytest.mark.parametrize("kind", mostly_thorough(WRONG, ["nan"]))
-@pytest.mark.parametrize("axis", mostly_thorough("xz", ["z"]))
+@pytest.mark.thorough
+@pytest.mark.parametrize("kind", WRONG)
+@pytest.mark.parametrize("axis", "xz")
 def test_a_wrong_position_at_the_start_of_a_run_is_named_and_nothing_is_pressed(
     acme: Any, axis: str, kind: str
 ) -> None:

@@ -137,6 +137,7 @@ def last_z_mm(rig: Any) -> float:
     return float(z[-1]["value"])
 
 
+@pytest.mark.thorough
 def test_a_procedure_that_catches_every_exception_is_stopped(rig: Any) -> None:
     running = start(rig, "Exception")
     running.send(signal.SIGINT)
@@ -168,6 +169,7 @@ def test_one_that_catches_whatever_is_raised_is_killed_and_its_guard_lifts_z(rig
     assert last_z_mm(rig) < CLEAR_mm
 
 
+@pytest.mark.thorough
 def test_a_trip_that_is_kept_back_is_answered_as_any_other(rig: Any) -> None:
     """It is raised once, and the procedure returns as if nothing had been: the bench is made safe
     and the point taken again, instead of a reading kept of a force that nobody holds."""
