@@ -2,20 +2,33 @@
 
 from __future__ import annotations
 
+import math
+import threading
 import time
 from collections.abc import Iterator
 from datetime import UTC, datetime, timedelta, timezone
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
-from rig.batch.execute.batch_clock import PASSED_S, clock_of, renew_window, window_of
+from rig.batch.execute import batch_clock
+from rig.batch.execute.batch_clock import (
+    PASSED_S,
+    WallBatchClock,
+    clock_of,
+    renew_window,
+    window_of,
+)
+from rig.batch.execute.between_runs import BetweenRuns
+from rig.batch.folder import BatchFolder
 from rig.batch.plan.conditions import BatchPlan
 from rig.batch.plan.settings import BatchFile, BatchSettings
 from rig.batch.plan.window import does_not_fit, fault_of, how_to_continue, window
 from rig.batch.queue import Queue
 from rig.batch.queue_records import TIME_OVER
+from rig.run.stopping import StopFlag
 
 TEN = datetime(2026, 11, 21, 22, 0, tzinfo=timezone(timedelta(hours=1)))
 
@@ -134,6 +147,37 @@ def queue_of(folder: Path, begun: datetime, bench: str, **given: Any) -> Queue:
     )
     meta = {"file": file.model_dump_json(), "begun": begun.isoformat(), "bench": bench}
     return Queue.create(folder / "queue.sqlite", BatchPlan({}, ()), {}, meta)
+
+
+@pytest.mark.parametrize(
+    ("jump_s", "waited_s"), [(-3600.0, 4200.0), (300.0, 300.0), (3600.0, 100.0)]
+)
+def test_a_clock_that_is_set_while_the_batch_waits_moves_its_beginning_with_it(
+    jump_s: float, waited_s: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Set back by an hour: nothing begins an hour too early, with people still at the bench."""
+    passed_s = 0.0
+
+    class SetClock(WallBatchClock):
+        def now(self) -> datetime:
+            return TEN + timedelta(seconds=passed_s + (jump_s if passed_s >= 100.0 else 0.0))
+
+    def sleep(seconds: float) -> None:
+        nonlocal passed_s
+        passed_s += max(seconds, 0.1)
+
+    monkeypatch.setattr(batch_clock, "sleep", sleep)
+    monkeypatch.setattr(batch_clock, "monotonic", lambda: passed_s)
+    commands: Any = SimpleNamespace(
+        heard_s=math.inf, stop_after_run=False, paused=threading.Event()
+    )
+    benches: Any = SimpleNamespace(lasting=None)
+    with queue_of(tmp_path, TEN, "bench.toml", not_before="22:10:00") as queue:
+        BetweenRuns(
+            *(BatchFolder(tmp_path), queue, "wait", SetClock(), benches, StopFlag(), commands),
+            send=lambda *_, **__: None,
+        ).wait_for_the_window()
+    assert passed_s == pytest.approx(waited_s, abs=0.5)
 
 
 def test_a_batch_that_is_resumed_in_its_night_keeps_its_window_and_later_gets_the_next(

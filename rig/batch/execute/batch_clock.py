@@ -22,7 +22,7 @@ PASSED_S = "night_s"
 SINCE = "window since"
 """The queue's entry of when the present window was counted from, if not from the beginning."""
 CHECK_EVERY_S = 0.2
-"""Interval in s at which a rest in real time checks for commands."""
+"""Interval in s at which a wait in real time checks for commands."""
 
 
 class BatchClock(Protocol):
@@ -38,6 +38,10 @@ class BatchClock(Protocol):
 
     def rest(self, seconds: float, check: Callable[[], None]) -> None:
         """Wait this long. `check` is called often; what it raises ends the rest."""
+        ...
+
+    def wait_until(self, instant: datetime, check: Callable[[], None]) -> None:
+        """Wait until it is this date and time, as `now` shows it; `check` as in `rest`."""
         ...
 
 
@@ -57,6 +61,13 @@ class WallBatchClock:
         while (left := until - monotonic()) > 0:
             check()
             sleep(min(left, CHECK_EVERY_S))
+
+    def wait_until(self, instant: datetime, check: Callable[[], None]) -> None:
+        """See `BatchClock`. The computer's clock may be set, or the computer be suspended,
+        meanwhile: it is read again and again."""
+        while (left_s := (instant - self.now()).total_seconds()) > 0:
+            check()
+            sleep(min(left_s, CHECK_EVERY_S))
 
 
 class VirtualBatchClock:
@@ -78,6 +89,10 @@ class VirtualBatchClock:
         """See `BatchClock`."""
         check()
         self._pass(seconds)
+
+    def wait_until(self, instant: datetime, check: Callable[[], None]) -> None:
+        """See `BatchClock`."""
+        self.rest((instant - self.now()).total_seconds(), check)
 
     def _pass(self, seconds: float) -> None:
         self._passed_s += max(0.0, seconds)

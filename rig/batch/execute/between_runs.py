@@ -103,14 +103,14 @@ class BetweenRuns:
 
     def wait_for_the_window(self) -> None:
         """Wait until the batch may begin its first run, if it has a window."""
-        if self._from is None or (wait_s := (self._from - self._clock.now()).total_seconds()) <= 0:
+        if self._from is None or self._from <= self._clock.now():
             return
         self._send(
             "state",
             state="waiting",
             text=f"not before {self._from.astimezone():%Y-%m-%d %H:%M:%S}",
         )
-        self._clock.rest(wait_s, self.check)
+        self._clock.wait_until(self._from, self.check)
         self._send("state", state="running")
 
     def hold(self, why: str, over: Callable[[], bool] | None = None) -> None:
