@@ -11,6 +11,28 @@ from rig.core.errors import ConfigurationError, ExitCode, FoundWrongError, RigEr
 _MISSING = re.compile(r"object '([^']+)' doesn't exist")
 
 
+LOCKS_NEEDED = (
+    "use a folder on a file system that locks files: a local disk, or NFS with its lock service"
+)
+"""Remedy where a lock is refused by the file system itself."""
+NO_LOCKS = (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP)
+"""Error numbers of a file system that cannot lock files."""
+_NOT_THE_FILE = {
+    **dict.fromkeys(
+        NO_LOCKS,
+        "its file system does not lock files; copy it to a local disk, or set "
+        "HDF5_USE_FILE_LOCKING=FALSE",
+    ),
+    **dict.fromkeys(
+        (errno.EMFILE, errno.ENFILE), "too many files are open; raise the limit (ulimit -n)"
+    ),
+    errno.ENOMEM: "the memory is not enough for it",
+    errno.EACCES: "its permissions do not allow it",
+    errno.EWOULDBLOCK: "another program has it open for writing; close it there",
+}
+"""Reasons why a file cannot be opened that say nothing about what is in it, by error number."""
+
+
 def room_for(error: OSError) -> str:
     """Return what to do so that a file can be written where the disk has refused it, as the begin
     of a hint."""
@@ -81,13 +103,19 @@ class ForeignFileError(ConfigurationError):
         self.reason = reason
 
 
+def why_not_opened(error: Exception) -> str:
+    """Return why a file that may be sound cannot be opened; empty where the file is to blame."""
+    number = error.errno if isinstance(error, OSError) else None
+    return "" if number is None else _NOT_THE_FILE.get(number, "")
+
+
 def in_words(error: Exception) -> str:
     """Return what a library's error about a damaged file means for the user."""
     if isinstance(error, KeyError):
         named = _MISSING.search(str(error))
         return f"{named[1] if named else 'something that belongs there'} is missing"
-    if isinstance(error, BlockingIOError):  # HDF5 locks a file that it writes to
-        return "another program has it open for writing; close it there"
+    if reason := why_not_opened(error):
+        return reason
     if isinstance(error, OSError | RuntimeError):
         return "it is damaged: some of its bytes cannot be read"
     return "a value in it is not what belongs there"

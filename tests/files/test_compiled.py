@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import math
 import shutil
@@ -275,6 +276,21 @@ def test_another_runs_file_is_not_overwritten(journal: Path, tmp_path: Path) -> 
     other = compile_run(run.write_run(tmp_path / "b.rigj", run_uuid="another"))
     before = sha256_of(other)
     with pytest.raises(RunFileError, match="another run"):
+        compile_run(journal, other)
+    assert sha256_of(other) == before
+
+
+def test_a_file_that_cannot_be_opened_is_not_overwritten_as_if_it_were_damaged(
+    journal: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    other = compile_run(run.write_run(tmp_path / "b.rigj", run_uuid="another"))
+    before = sha256_of(other)
+
+    def refuse(*_: object) -> None:
+        raise OSError(errno.EMFILE, "Unable to synchronously open file")
+
+    monkeypatch.setattr(h5py, "File", refuse)
+    with pytest.raises(RunFileError, match="cannot be replaced unread: too many files are open"):
         compile_run(journal, other)
     assert sha256_of(other) == before
 

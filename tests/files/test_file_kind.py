@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import subprocess
 import sys
 from pathlib import Path
@@ -76,6 +77,27 @@ def test_a_file_that_another_program_writes_to_is_not_called_damaged(tmp_path: P
         other.communicate(b"\n")
     assert caught.value.reason.endswith("another program has it open for writing; close it there")
     assert caught.value.hint is None
+
+
+@pytest.mark.parametrize(
+    ("number", "reason"),
+    [(errno.ENOLCK, "its file system does not lock files"), (errno.EMFILE, "too many files")],
+)
+def test_a_sound_file_that_cannot_be_opened_here_is_not_called_damaged(
+    number: int, reason: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As on a share without its lock service."""
+    path = tmp_path / "x.h5"
+    with h5py.File(path, "w") as held:
+        held["entry/title"] = "x"
+
+    def refuse(*_: object) -> None:
+        raise OSError(number, "Unable to synchronously open file")
+
+    monkeypatch.setattr(h5py, "File", refuse)
+    with pytest.raises(RunFileError, match=reason) as caught:
+        RunFile.open(path)
+    assert caught.value.hint is None, "nothing is to be recovered"
 
 
 def test_a_folder_of_runs_says_how_to_name_them(tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import fcntl
 import json
 import math
 import os
@@ -143,6 +144,23 @@ def test_a_second_writer_and_a_second_journal_are_refused(tmp_path: Path) -> Non
             JournalWriter.reopen(path)
         with pytest.raises(JournalError, match="another process is using"):
             compile_run(path)
+
+
+def test_a_share_that_locks_nothing_is_named_and_no_empty_journal_stays(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    earlier = run.write_run(tmp_path / "a.rigj")
+
+    def refuse(*_: object) -> None:
+        raise OSError(errno.ENOLCK, "No locks available")
+
+    monkeypatch.setattr(fcntl, "flock", refuse)
+    with pytest.raises(RecordingError, match=r"b\.rigj: it cannot be locked: No locks") as raised:
+        JournalWriter.create(tmp_path / "b.rigj", run.header())
+    assert "a file system that locks files" in str(raised.value.hint)
+    assert not (tmp_path / "b.rigj").exists()
+    with pytest.raises(JournalError, match=r"a\.rigj: it cannot be locked: No locks"):
+        JournalWriter.reopen(earlier)
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, Self
 
-from rig.files.errors import RunFileError, in_words
+from rig.files.errors import RunFileError, in_words, why_not_opened
 from rig.files.file_kind import kind_of, require_hdf5
 from rig.files.hdf5.safe_reading import DAMAGE, refuse_links, text_of
 
@@ -79,7 +79,7 @@ class OpenFile:
             raise
         except DAMAGE as error:
             cause = f"not a readable {cls.KIND}: {in_words(error)}"
-            remedy = None if isinstance(error, BlockingIOError) else cls.REMEDY
+            remedy = None if why_not_opened(error) else cls.REMEDY
             raise RunFileError(path, cause, remedy) from error
 
     def close(self) -> None:

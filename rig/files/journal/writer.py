@@ -22,7 +22,14 @@ from pydantic import ValidationError
 
 from rig.core.atomic import sync_folder
 from rig.core.errors import ConfigurationError, ExitCode, RigError
-from rig.files.errors import JournalError, JournalMovedError, RecordingError, room_for
+from rig.files.errors import (
+    LOCKS_NEEDED,
+    NO_LOCKS,
+    JournalError,
+    JournalMovedError,
+    RecordingError,
+    room_for,
+)
 from rig.files.journal.format import (
     BLOCK_HEAD,
     MAGIC,
@@ -176,9 +183,13 @@ class JournalWriter:
         except OSError as error:
             hint = f"{room_for(error)}, {_NOTHING_YET}"
             raise RecordingError(path, error.strerror or str(error), hint) from error
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         writer = cls(path, descriptor, JournalEncoder(header), 0)
         try:
+            try:
+                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except OSError as error:
+                cause = f"it cannot be locked: {error.strerror}"
+                raise RecordingError(path, cause, f"{LOCKS_NEEDED}, {_NOTHING_YET}") from error
             writer.append([MAGIC, record])
             writer.sync()
             sync_folder(path.parent)
@@ -419,10 +430,14 @@ def encode_or_raise(path: Path, encode: Any) -> Any:
 
 
 def lock_journal(path: Path, descriptor: int, *, shared: bool = False) -> None:
-    """Lock the journal until the descriptor is closed. JournalError if a run is writing it."""
+    """Lock the journal until the descriptor is closed. JournalError if a run is writing it, or its
+    file system does not lock files."""
     try:
         fcntl.flock(descriptor, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
     except OSError as error:
+        if error.errno in NO_LOCKS:
+            cause = f"it cannot be locked: {error.strerror}"
+            raise JournalError(path, None, cause, LOCKS_NEEDED) from error
         raise JournalError(
             path, None, "another process is using this journal", "wait for its run to end"
         ) from error

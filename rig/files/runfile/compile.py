@@ -20,7 +20,7 @@ from pathlib import Path
 
 from rig.core.atomic import sync_folder
 from rig.files.checksum import sha256_of
-from rig.files.errors import JournalError, RecordingError, RunFileError, room_for
+from rig.files.errors import JournalError, RecordingError, RunFileError, room_for, why_not_opened
 from rig.files.hdf5.guarded_file import GuardedFile
 from rig.files.hdf5.nexus import plain_text
 from rig.files.hdf5.publishing import publishing
@@ -143,12 +143,15 @@ def _refuse_other_run(target: Path, contents: JournalContents) -> None:
             return
     import h5py
 
-    with (
-        contextlib.suppress(*DAMAGE),
-        h5py.File(target) as file,
-    ):
-        refuse_links(file)
-        if text_of(file["entry/identifier_experiment"]) != plain_text(contents.header.run_uuid):
-            raise RunFileError(
-                target, "is the file of another run", "move it away, or compile to another name"
-            )
+    try:
+        with h5py.File(target) as file:
+            refuse_links(file)
+            found = text_of(file["entry/identifier_experiment"])
+    except DAMAGE as error:
+        if reason := why_not_opened(error):  # it may be sound, and another run's
+            raise RunFileError(target, f"cannot be replaced unread: {reason}") from error
+        return
+    if found != plain_text(contents.header.run_uuid):
+        raise RunFileError(
+            target, "is the file of another run", "move it away, or compile to another name"
+        )
