@@ -14,6 +14,25 @@ BUSY_S = 30.0
 """Longest wait for a transaction of another process, in s."""
 
 
+NOT_OPENED = (
+    *("SQLITE_CANTOPEN", "SQLITE_READONLY", "SQLITE_PERM", "SQLITE_BUSY", "SQLITE_LOCKED"),
+    *("SQLITE_NOMEM", "SQLITE_FULL", "SQLITE_PROTOCOL", "SQLITE_IOERR_LOCK", "SQLITE_IOERR_SHM"),
+)
+"""Beginnings of SQLite's error names that say nothing about what is in the file."""
+
+
+class QueueNotOpenedError(ConfigurationError):
+    """Raised where the file of a queue cannot be opened here, although it may be sound: another
+    user's, on a disk that is read only, locked."""
+
+    def __init__(self, why: str, path: Path):
+        super().__init__(
+            f"{path} cannot be opened: {why}",
+            f"see that you may write to the folder {path.parent}, or copy it to where you may and "
+            "name the copy; the queue itself need not be damaged",
+        )
+
+
 class QueueDamagedError(ConfigurationError):
     """Raised where the file of a queue is not, or not any more, one that can be read."""
 
@@ -27,7 +46,8 @@ class QueueDamagedError(ConfigurationError):
 def connected(path: Path, *, writing: bool) -> QueueConnection:
     """Return a connection to the file of an existing queue, which has been checked.
 
-    Raises ConfigurationError if the file does not exist, QueueDamagedError if it is not a queue.
+    Raises ConfigurationError if the file does not exist, QueueNotOpenedError if it cannot be opened
+    here, QueueDamagedError if it is not a queue.
     """
     if not path.is_file():
         raise ConfigurationError(
@@ -52,6 +72,8 @@ def connected(path: Path, *, writing: bool) -> QueueConnection:
             sql.execute("PRAGMA journal_mode = WAL")
             sql.execute("PRAGMA synchronous = FULL")
     except (sqlite3.DatabaseError, QueueDamagedError) as error:
+        if getattr(error, "sqlite_errorname", "").startswith(NOT_OPENED):
+            raise QueueNotOpenedError(str(error), path) from error
         why = error.__cause__ if isinstance(error, QueueDamagedError) else error
         raise QueueDamagedError(str(why), path) from error
     sql.path = path

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import gc
 import sqlite3
 from pathlib import Path
@@ -10,6 +11,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from rig.batch import queue_file
+from rig.batch.execute.rebuild import is_sound
+from rig.batch.folder import BatchFolder
 from rig.batch.plan.conditions import BatchCondition, BatchPlan, PlannedRun
 from rig.batch.queue import Queue
 from rig.batch.queue_records import AttemptResult, RunEstimate
@@ -164,6 +168,23 @@ def test_a_queue_that_is_damaged_is_refused_with_how_to_rebuild_it(tmp_path: Pat
         with pytest.raises(ConfigurationError, match=r"queue\.sqlite cannot be read") as raised:
             kind.open(queue.path)
         assert f"rig batch rebuild {tmp_path}" in str(raised.value.hint)
+
+
+def test_a_queue_that_cannot_be_opened_here_is_not_called_damaged(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A rebuild would replace a sound queue."""
+    with created(tmp_path, plan(2, 2)) as queue:
+        queue.close_log()
+    monkeypatch.setattr(queue_file, "BUSY_S", 0.0)
+    with contextlib.closing(sqlite3.connect(queue.path, isolation_level=None)) as other:
+        other.execute("BEGIN EXCLUSIVE")
+        for kind in (Queue, QueueView):
+            with pytest.raises(ConfigurationError, match="cannot be opened: database is") as raised:
+                kind.open(queue.path)
+            assert "rebuild" not in str(raised.value.hint)
+        with pytest.raises(ConfigurationError, match="cannot be opened: database is locked"):
+            is_sound(BatchFolder(tmp_path))
 
 
 def test_damage_that_is_met_later_is_named_as_well(tmp_path: Path) -> None:

@@ -23,6 +23,7 @@ from rig.batch.plan.procedures import installed
 from rig.batch.plan.read import read_batch
 from rig.batch.plan.settings import BatchFile
 from rig.batch.queue import SCHEMA, Queue
+from rig.batch.queue_file import QueueNotOpenedError
 from rig.batch.queue_records import AttemptResult, RunState
 from rig.batch.queue_view import QueueView
 from rig.core.errors import ConfigurationError, RigError
@@ -88,7 +89,8 @@ def is_sound(folder: BatchFolder) -> bool:
     improve: its file is whole, it has the conditions and runs of the batch file, and those are done
     that are complete in their own files.
 
-    A complete run is settled by `rig batch resume` alone where an attempt at it has begun.
+    A complete run is settled by `rig batch resume` alone where an attempt at it has begun. Raises
+    QueueNotOpenedError where the file cannot be opened, which says nothing about it.
     """
     try:
         with QueueView.open(folder.queue) as queue:
@@ -97,6 +99,8 @@ def is_sound(folder: BatchFolder) -> bool:
             BatchFile.model_validate_json(queue.meta("file"))
             conditions, rows = queue.conditions(), list(queue.rows())
         _, plan, _ = read_batch(folder.batch_file)
+    except QueueNotOpenedError:
+        raise
     except (RigError, OSError, sqlite3.Error, ValueError):
         return False
     if _as_kept(conditions) != _as_kept(plan.conditions):
