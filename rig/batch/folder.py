@@ -13,7 +13,9 @@ from datetime import datetime
 from pathlib import Path
 
 from rig.core.errors import ConfigurationError
+from rig.files.errors import LOCKS_NEEDED
 from rig.files.naming import JOURNAL_SUFFIX, RUN_SUFFIX
+from rig.run.locks.lock_holder import holder_of
 
 QUEUE = "queue.sqlite"
 
@@ -77,7 +79,7 @@ class BatchFolder:
         file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
         try:
             give_up = time.monotonic() + patience_s
-            while not _locked(file):
+            while not _locked(file, path):
                 if time.monotonic() > give_up:
                     pid = os.pread(file, 20, 0).decode("ascii", "replace").strip() or "?"
                     raise ConfigurationError(
@@ -94,12 +96,17 @@ class BatchFolder:
 
     def is_held(self, who: str) -> bool:
         """Return whether a process is the batch's `who` now; see `held_by`."""
+        path = self.path / f"{who}.lock"
         try:
-            file = os.open(self.path / f"{who}.lock", os.O_RDWR | os.O_CLOEXEC)
+            file = os.open(path, os.O_RDWR | os.O_CLOEXEC)
+        except (
+            PermissionError
+        ):  # another user's, who alone may open it: the kernel knows its holder
+            return holder_of(path) is not None
         except OSError:
             return False
         try:
-            return not _locked(file)
+            return not _locked(file, path)
         finally:
             os.close(file)
 
@@ -146,9 +153,15 @@ def find_folder(given: Path | None, results: Path) -> BatchFolder:
     return BatchFolder(found[-1].parent)
 
 
-def _locked(file: int) -> bool:
+def _locked(file: int, path: Path) -> bool:
+    """Lock a file and return True, or return False where another process has locked it. Raises
+    ConfigurationError where its file system locks nothing."""
     try:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
         return False
+    except OSError as error:
+        raise ConfigurationError(
+            f"{path} cannot be locked: {error.strerror}", LOCKS_NEEDED
+        ) from error
     return True

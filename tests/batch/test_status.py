@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import errno
+import fcntl
+import os
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -15,7 +18,7 @@ from rig.batch.queue import Queue
 from rig.batch.queue_records import TIME_OVER, AttemptResult, RunEstimate, RunState
 from rig.batch.report.status import status_of
 from rig.bench.plan import read_bench
-from rig.core.errors import ExitCode
+from rig.core.errors import ConfigurationError, ExitCode
 from rig.run.arming import ShutdownFailure
 from rig.run.locks.bench_mark import BenchMarks
 from rig.run.locks.lock import address_names
@@ -62,6 +65,39 @@ def test_the_lock_of_a_batch_can_be_opened_by_its_owner_alone(tmp_path: Path) ->
     with folder.held_by("supervisor", 0.0):
         assert folder.is_held("supervisor")
         assert (tmp_path / "supervisor.lock").stat().st_mode & 0o777 == 0o600
+
+
+def test_the_batch_of_another_user_is_running_although_its_lock_may_not_be_opened(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Nobody would believe that its supervisor has died, and resume it."""
+    folder = BatchFolder(tmp_path)
+    opened = os.open
+
+    def refused(path: os.PathLike[str], *given: int) -> int:
+        if os.fspath(path).endswith("supervisor.lock"):
+            raise PermissionError(errno.EACCES, "Permission denied")
+        return opened(path, *given)
+
+    with folder.held_by("supervisor", 0.0):
+        monkeypatch.setattr(os, "open", refused)
+        assert folder.is_held("supervisor")
+    assert not folder.is_held("supervisor")
+
+
+def test_a_share_that_locks_nothing_is_named_with_the_remedy(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: object) -> None:
+        raise OSError(errno.ENOLCK, "No locks available")
+
+    monkeypatch.setattr(fcntl, "flock", refuse)
+    with (
+        pytest.raises(ConfigurationError, match=r"supervisor\.lock cannot be locked") as raised,
+        BatchFolder(tmp_path).held_by("supervisor", 0.0),
+    ):
+        pass
+    assert "a file system that locks files" in str(raised.value.hint)
 
 
 def three_runs() -> tuple[BatchPlan, dict[str, RunEstimate]]:
