@@ -99,9 +99,7 @@ class BatchFolder:
         path = self.path / f"{who}.lock"
         try:
             file = os.open(path, os.O_RDWR | os.O_CLOEXEC)
-        except (
-            PermissionError
-        ):  # another user's, who alone may open it: the kernel knows its holder
+        except PermissionError:  # another user's: the kernel knows who holds it
             return holder_of(path) is not None
         except OSError:
             return False

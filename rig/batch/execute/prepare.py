@@ -50,6 +50,8 @@ class PreparedBatch:
     expected: Mapping[str, ExpectedRun]
     """Expected duration and size of a run, by condition."""
     forecast: Forecast
+    text: str
+    """The batch file as it was read."""
 
     @property
     def estimates(self) -> dict[str, RunEstimate]:
@@ -94,7 +96,7 @@ def prepare(
     expected = expect(plan, fixtures, real is not None)
     first_s = homing_s(plan, fixtures) if real is not None else 0.0
     expectation = forecast(batch.batch, plan, expected, now, first_s, real)
-    return PreparedBatch(batch, plan, chosen, expected, expectation)
+    return PreparedBatch(batch, plan, chosen, expected, expectation, source.text)
 
 
 def bench_of(batch: BatchFile, path: Path, given: Path | None) -> Path | None:

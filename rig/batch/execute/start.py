@@ -12,6 +12,7 @@ from pathlib import Path
 import rig
 from rig.batch.execute.prepare import PreparedBatch
 from rig.batch.folder import BatchFolder, new_folder
+from rig.batch.plan.read import batch_text
 from rig.batch.plan.settings import BatchFile, Simulation
 from rig.batch.queue import Queue
 from rig.core.atomic import write_text
@@ -22,8 +23,14 @@ from rig.run.source_state import source_state
 
 
 def begin(batch_file: Path, prepared: PreparedBatch, now: datetime) -> BatchFolder:
-    """Make the folder of a batch that may begin, with its queue."""
+    """Make the folder of a batch that may begin, with its queue. Raises ConfigurationError if the
+    batch file is not what was checked any more."""
     own = prepared.batch.batch
+    if batch_text(batch_file) != prepared.text:
+        raise ConfigurationError(
+            f"{batch_file} was changed while the batch was checked; nothing was begun",
+            "run it again",
+        )
     folder = new_folder(Path(own.results), own.name, now)
     text = batch_file.read_text(encoding="utf-8")
     folder.batch_file.write_text(text, encoding="utf-8")

@@ -27,8 +27,12 @@ def read_batch(path: Path) -> tuple[BatchFile, BatchPlan, BatchText]:
 
     Raises ConfigurationError if it cannot be read, and RefusedBatchError with all its errors.
     """
-    text = read_text(path, WHAT, MAX_TOML_BYTES, "name a batch file (TOML)")
-    return parse_batch(text, str(path))
+    return parse_batch(batch_text(path), str(path))
+
+
+def batch_text(path: Path) -> str:
+    """Return the text of a batch file. Raises ConfigurationError if it cannot be read."""
+    return read_text(path, WHAT, MAX_TOML_BYTES, "name a batch file (TOML)")
 
 
 def parse_batch(text: str, name: str) -> tuple[BatchFile, BatchPlan, BatchText]:

@@ -1,0 +1,36 @@
+"""The beginning of a batch: what was checked is what begins."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from rig.batch.execute.prepare import PreparedBatch
+from rig.batch.execute.start import begin
+from rig.batch.plan.read import read_batch
+from rig.core.errors import ConfigurationError
+
+NOW = datetime(2026, 11, 21, 22, 0, tzinfo=UTC)
+
+
+def test_a_batch_file_that_is_edited_while_it_is_checked_begins_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its copy and its fingerprint would be those of other runs than the queue's."""
+    monkeypatch.chdir(tmp_path)
+    file = tmp_path / "night.toml"
+    file.write_text('[batch]\nname = "night"\n[[experiment]]\nprocedure = "sweep"\nrepeat = 6\n')
+    batch, plan, source = read_batch(file)
+    forecast: Any = None
+    prepared = PreparedBatch(batch, plan, None, {}, forecast, source.text)
+
+    file.write_text(source.text.replace("repeat = 6", "repeat = 2"))
+    with pytest.raises(ConfigurationError, match=r"night\.toml was changed while the batch was"):
+        begin(file, prepared, NOW)
+    file.unlink()
+    with pytest.raises(ConfigurationError, match="cannot read the batch file"):
+        begin(file, prepared, NOW)
+    assert not list(tmp_path.iterdir()), "no folder of a batch that has not begun"
