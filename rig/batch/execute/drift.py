@@ -30,7 +30,7 @@ WORN_HINT = "check the film, its cable and its connector; replace it and calibra
 class HoldReason:
     """A condition that a person has to check before the batch continues."""
 
-    kind: Literal["drift", "no-figure", "force-zero", "disk", "calibration"]
+    kind: Literal["drift", "no-figure", "force-zero", "disk", "calibration", "folder"]
     text: str
     """Part, value, unit and limit."""
     hint: str

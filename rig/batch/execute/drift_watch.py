@@ -42,6 +42,9 @@ class DriftWatch:
     def before(self, claim: Claim, now: datetime) -> list[HoldReason]:
         """Return the reasons not to begin this run now."""
         batch = self._file.batch
+        if not self._queue.path.exists():  # what is recorded now would be in another folder
+            text = f"the folder {self._queue.path.parent} of the batch was moved or deleted"
+            return [HoldReason("folder", text, "move it back, then continue")]
         found = self.disk()
         if not batch.allow_expired:
             run_s = claim.condition.rest_s + claim.estimate_s
