@@ -51,6 +51,11 @@ class BatchFolder:
         """File with the standard error of the batch's processes, tracebacks included."""
         return self.path / "batch.log"
 
+    @property
+    def supervisor_lock(self) -> Path:
+        """The file that the supervisor locks; see `held_by`."""
+        return self.path / "supervisor.lock"
+
     def journal(self, number: int, procedure: str) -> Path:
         """Return the path of a run's journal, the same for all attempts."""
         return self.path / "runs" / f"r{number:05d}_{procedure}{JOURNAL_SUFFIX}"

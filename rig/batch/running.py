@@ -17,7 +17,7 @@ def batch_of(journal: Path) -> BatchFolder | None:
 
 def is_running(folder: BatchFolder) -> bool:
     """Return whether the kernel knows a supervisor of the batch; no lock is taken for it."""
-    return holder_of(folder.path / "supervisor.lock") is not None
+    return holder_of(folder.supervisor_lock) is not None
 
 
 def ask_batch(folder: BatchFolder, request: str) -> str:
@@ -25,7 +25,7 @@ def ask_batch(folder: BatchFolder, request: str) -> str:
     ConfigurationError if it does not run, or is another user's."""
     from rig.batch.queue import Queue
 
-    holder = holder_of(folder.path / "supervisor.lock")
+    holder = holder_of(folder.supervisor_lock)
     if holder is None:
         raise ConfigurationError(f"the batch {folder.path.name} is not running", "stop the run")
     if not holder.own:  # also where the folder may be written by all

@@ -9,13 +9,17 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
+import typer
 
 from rig.batch.execute import worker_link
 from rig.batch.execute.supervisor import Supervisor
 from rig.batch.folder import BatchFolder
 from rig.batch.plan.conditions import BatchPlan
 from rig.batch.queue import Queue
+from rig.batch.queue_file import QueueWriteError
+from rig.cli.commands import batch
 from rig.core.errors import ExitCode
+from rig.run.locks import lock_holder
 from rig.run.stopping import StopFlag
 
 
@@ -39,6 +43,28 @@ def test_a_request_that_an_earlier_supervisor_has_not_seen_is_not_meant_for_the_
 
     monkeypatch.setattr(Supervisor, "_supervise", supervise)
     assert (resumed.run(), seen) == (ExitCode.DONE, [])
+
+
+def test_a_stop_at_once_reaches_a_batch_whose_disk_takes_no_request(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Its queue cannot be written: the supervisor gets the signal of a terminal instead."""
+    folder = BatchFolder(tmp_path)
+    Queue.create(folder.queue, BatchPlan({}, ()), {}, {"name": "night"}).close()
+    asked: list[Path] = []
+
+    def full(self: Queue, kind: str) -> None:
+        raise QueueWriteError("queue.sqlite: the queue cannot be written: disk is full", "free it")
+
+    monkeypatch.setattr(Queue, "add_request", full)
+    monkeypatch.setattr(lock_holder, "ask_to_stop", asked.append)
+    with folder.held_by("supervisor", 0.0):
+        batch.stop(tmp_path, now=True)
+        assert asked == [tmp_path / "supervisor.lock"]
+        with pytest.raises(typer.Exit):
+            batch.stop(tmp_path)
+    assert "ask again; rig batch stop --now works without the queue" in capsys.readouterr().err
+    assert len(asked) == 1
 
 
 def test_a_stop_is_heard_while_the_last_files_are_made(

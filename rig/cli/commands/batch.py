@@ -230,7 +230,9 @@ def _request(command: str, shown: str, folder: Path | None, results: Path, debug
     with reported(debug):
         from rig.batch.folder import find_folder
         from rig.batch.queue import Queue
+        from rig.batch.queue_file import QueueWriteError
         from rig.batch.report.status import status_of
+        from rig.run.locks.lock_holder import ask_to_stop
 
         found = find_folder(folder, results)
         with Queue.open(found.queue) as queue:
@@ -239,7 +241,15 @@ def _request(command: str, shown: str, folder: Path | None, results: Path, debug
                     f"batch {found.path} is not running ({queue.meta('state')})",
                     "; ".join(status_of(found).to_continue()) or "it has ended",
                 )
-            queue.add_request(command)
+            try:
+                queue.add_request(command)
+            except QueueWriteError as error:  # as on a full disk
+                if command != "stop-now":
+                    raise QueueWriteError(
+                        error.message,
+                        "free the disk and ask again; rig batch stop --now works without the queue",
+                    ) from error
+                ask_to_stop(found.supervisor_lock)
         say(f"batch {found.path}: {shown}")
 
 
