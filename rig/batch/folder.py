@@ -15,7 +15,7 @@ from pathlib import Path
 from rig.core.errors import ConfigurationError
 from rig.files.errors import LOCKS_NEEDED
 from rig.files.naming import JOURNAL_SUFFIX, RUN_SUFFIX
-from rig.run.locks.lock_holder import holder_of
+from rig.run.locks.lock_holder import holder_of, locked_inodes
 
 QUEUE = "queue.sqlite"
 
@@ -142,9 +142,10 @@ def new_folder(results: Path, name: str, today: datetime) -> BatchFolder:
 
 
 def find_folder(given: Path | None, results: Path) -> BatchFolder:
-    """Return the batch that a command means: the folder it names, or the latest in the results.
+    """Return the batch that a command means: the folder it names, or else the one in the results
+    that runs, or else the latest there.
 
-    Raises ConfigurationError if the results contain no batch.
+    Raises ConfigurationError if the results contain no batch, or several that run.
     """
     if given is not None:
         return BatchFolder(given.parent if given.name == QUEUE else given)
@@ -153,7 +154,13 @@ def find_folder(given: Path | None, results: Path) -> BatchFolder:
         raise ConfigurationError(
             f"{results} contains no batch", "name its folder, or begin one: rig batch run FILE"
         )
-    return BatchFolder(found[-1].parent)
+    folders = [BatchFolder(queue.parent) for queue in found]
+    locked = locked_inodes()
+    running = [one for one in folders if holder_of(one.supervisor_lock, locked) is not None]
+    if len(running) > 1:
+        names = ", ".join(str(one.path) for one in running)
+        raise ConfigurationError(f"{len(running)} batches run: {names}", "name the folder of one")
+    return running[0] if running else folders[-1]
 
 
 def _locked(file: int, path: Path) -> bool:

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from rig.batch.execute.worker import _ended
-from rig.batch.folder import BatchFolder
+from rig.batch.folder import BatchFolder, find_folder
 from rig.batch.plan.conditions import BatchCondition, BatchPlan, PlannedRun
 from rig.batch.plan.settings import BatchFile
 from rig.batch.queue import Queue
@@ -83,6 +83,24 @@ def test_the_batch_of_another_user_is_running_although_its_lock_may_not_be_opene
         monkeypatch.setattr(os, "open", refused)
         assert folder.is_held("supervisor")
     assert not folder.is_held("supervisor")
+
+
+def test_without_a_name_the_batch_that_runs_is_meant_and_of_two_none_is_guessed(
+    tmp_path: Path,
+) -> None:
+    """The queue written to last may be another's: a stop would not reach the batch that runs."""
+    folders = [BatchFolder(tmp_path / name) for name in ("first", "second", "third")]
+    for folder in folders:
+        folder.path.mkdir()
+        Queue.create(folder.queue, BatchPlan({}, ()), {}, {"name": folder.path.name}).close()
+    assert find_folder(None, tmp_path) == folders[2]
+    with folders[0].held_by("supervisor", 0.0):
+        assert find_folder(None, tmp_path) == folders[0]
+        with (
+            folders[1].held_by("supervisor", 0.0),
+            pytest.raises(ConfigurationError, match=r"2 batches run: .*first, .*second"),
+        ):
+            find_folder(None, tmp_path)
 
 
 def test_a_share_that_locks_nothing_is_named_with_the_remedy(

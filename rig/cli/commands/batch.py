@@ -31,11 +31,12 @@ BatchPath = Annotated[Path, typer.Argument(help="Batch file (TOML).", metavar="F
 Folder = Annotated[
     Path | None,
     typer.Argument(
-        help="Folder of the batch.  [default: the latest in the results]", metavar="FOLDER"
+        help="Folder of the batch.  [default: the one in the results that runs, else the latest]",
+        metavar="FOLDER",
     ),
 ]
 Results = Annotated[
-    Path, typer.Option(help="Folder in which the latest batch is found.", metavar="FOLDER")
+    Path, typer.Option(help="Folder in which the batch is found.", metavar="FOLDER")
 ]
 BenchPath = Annotated[
     Path | None,
