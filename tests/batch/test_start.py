@@ -8,12 +8,23 @@ from typing import Any
 
 import pytest
 
-from rig.batch.execute.prepare import PreparedBatch
+from rig.batch.execute.prepare import PreparedBatch, prepare
 from rig.batch.execute.start import begin
 from rig.batch.plan.read import read_batch
 from rig.core.errors import ConfigurationError
 
 NOW = datetime(2026, 11, 21, 22, 0, tzinfo=UTC)
+
+
+def test_a_folder_whose_name_cannot_be_recorded_is_refused_before_anything_is_made(
+    tmp_path: Path,
+) -> None:
+    folder = tmp_path / "n\udcfc"  # as on an old disk: a letter in Latin-1
+    folder.mkdir()
+    file = folder / "night.toml"
+    file.write_text('[batch]\nname = "night"\n[[experiment]]\nprocedure = "sweep"\n')
+    with pytest.raises(ConfigurationError, match="is not UTF-8 text"):
+        prepare(file, None, NOW, lambda _: None)
 
 
 def test_a_batch_file_that_is_edited_while_it_is_checked_begins_nothing(

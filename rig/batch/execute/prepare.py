@@ -78,6 +78,9 @@ def prepare(
     """
     batch, plan, source = read_batch(path)
     chosen = bench_of(batch, path, given)
+    for named in (path, chosen):
+        if named is not None:
+            _require_utf8(named.absolute())
     real = None if chosen is None else read_bench(chosen)
     findings = [
         *_simulation(batch, path, chosen),
@@ -97,6 +100,18 @@ def prepare(
     first_s = homing_s(plan, fixtures) if real is not None else 0.0
     expectation = forecast(batch.batch, plan, expected, now, first_s, real)
     return PreparedBatch(batch, plan, chosen, expected, expectation, source.text)
+
+
+def _require_utf8(path: Path) -> None:
+    """Raise ConfigurationError for a path that the queue cannot hold."""
+    try:
+        str(path).encode()
+    except UnicodeEncodeError as error:
+        raise ConfigurationError(
+            f"{path}: the name, or that of a folder above it, is not UTF-8 text, and a batch has "
+            "to record it",
+            "rename it, or move the file to another folder",
+        ) from error
 
 
 def bench_of(batch: BatchFile, path: Path, given: Path | None) -> Path | None:
