@@ -270,11 +270,18 @@ def package_of(procedure: type[Procedure]) -> str:
 
 
 def internal(error: BaseException) -> RigError:
-    """Return the RigError that reports an unexpected exception as a defect of this program."""
-    wrapped = RigError(
-        f"internal error: {type(error).__name__}: {error}",
-        "this is a defect of the program: run again with --debug and report the traceback",
-    )
+    """Return the RigError that reports an unexpected exception: as a defect of this program, unless
+    the computer lacks memory."""
+    if isinstance(error, MemoryError):
+        wrapped = RigError(
+            "there is not enough memory" + (f": {error}" if str(error) else ""),
+            "end other programs, or raise the limit (ulimit -v), and start again",
+        )
+    else:
+        wrapped = RigError(
+            f"internal error: {type(error).__name__}: {error}",
+            "this is a defect of the program: run again with --debug and report the traceback",
+        )
     wrapped.__cause__ = error
     return wrapped
 

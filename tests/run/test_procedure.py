@@ -23,7 +23,7 @@ from rig.files.journal.format import MAX_JSON
 from rig.files.journal.layout import Column, Layout, Plot, Trace
 from rig.files.journal.reader import read_journal
 from rig.files.runfile.reader import RunFile
-from rig.run.checked_procedure import CheckedProcedure, ProcedureFaultError, reading_fault
+from rig.run.checked_procedure import CheckedProcedure, ProcedureFaultError, internal, reading_fault
 from rig.run.load_procedure import COMMON_OPTIONS, fault_of, load_procedure
 from rig.run.points import Move, Point
 from rig.run.procedure import Procedure, StreamPlan
@@ -466,3 +466,10 @@ def test_the_end_is_on_the_disk_before_the_summary_is_computed(
 def test_an_unknown_procedure_is_refused() -> None:
     with pytest.raises(ConfigurationError, match="procedure 'creep' is unknown"):
         load_procedure("creep")
+
+
+def test_a_computer_without_memory_is_not_a_defect_of_the_program() -> None:
+    lacking = internal(MemoryError())
+    assert lacking.message == "there is not enough memory"
+    assert "ulimit -v" in str(lacking.hint)
+    assert "this is a defect of the program" in str(internal(KeyError("x")).hint)
