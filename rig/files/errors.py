@@ -17,15 +17,15 @@ LOCKS_NEEDED = (
 """Remedy where a lock is refused by the file system itself."""
 NO_LOCKS = (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP)
 """Error numbers of a file system that cannot lock files."""
+TOO_MANY_OPEN = (errno.EMFILE, errno.ENFILE)
+"""Error numbers of a process or computer with too many open files."""
 _NOT_THE_FILE = {
     **dict.fromkeys(
         NO_LOCKS,
         "its file system does not lock files; copy it to a local disk, or set "
         "HDF5_USE_FILE_LOCKING=FALSE",
     ),
-    **dict.fromkeys(
-        (errno.EMFILE, errno.ENFILE), "too many files are open; raise the limit (ulimit -n)"
-    ),
+    **dict.fromkeys(TOO_MANY_OPEN, "too many files are open; raise the limit (ulimit -n)"),
     errno.ENOMEM: "the memory is not enough for it",
     errno.EACCES: "its permissions do not allow it",
     errno.EWOULDBLOCK: "another program has it open for writing; close it there",
@@ -38,6 +38,8 @@ def room_for(error: OSError) -> str:
     of a hint."""
     if error.errno == errno.EFBIG:
         return "raise the limit on the size of a file (ulimit -f), or use another file system"
+    if error.errno in TOO_MANY_OPEN:
+        return "raise the limit on open files (ulimit -n)"
     return "free space or write access there"
 
 

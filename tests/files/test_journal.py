@@ -34,7 +34,7 @@ from rig.files.journal.format import (
 )
 from rig.files.journal.reader import read_journal
 from rig.files.journal.values import JournalEvent, RunHeader
-from rig.files.journal.writer import JournalWriter
+from rig.files.journal.writer import JournalWriter, begin_journal
 from rig.files.runfile.compile import compile_run
 from rig.files.runfile.reader import RunFile
 
@@ -144,6 +144,18 @@ def test_a_second_writer_and_a_second_journal_are_refused(tmp_path: Path) -> Non
             JournalWriter.reopen(path)
         with pytest.raises(JournalError, match="another process is using"):
             compile_run(path)
+
+
+def test_too_many_open_files_are_not_blamed_on_the_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: object, **__: object) -> None:
+        raise OSError(errno.EMFILE, "Too many open files")
+
+    monkeypatch.setattr(Path, "iterdir", refuse)
+    with pytest.raises(RecordingError, match="here: Too many open files") as raised:
+        begin_journal(tmp_path, "sweep", run.header())
+    assert raised.value.hint == "raise the limit on open files (ulimit -n)"
 
 
 def test_a_share_that_locks_nothing_is_named_and_no_empty_journal_stays(

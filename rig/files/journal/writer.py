@@ -25,6 +25,7 @@ from rig.core.errors import ConfigurationError, ExitCode, RigError
 from rig.files.errors import (
     LOCKS_NEEDED,
     NO_LOCKS,
+    TOO_MANY_OPEN,
     JournalError,
     JournalMovedError,
     RecordingError,
@@ -407,10 +408,13 @@ def _beginning(place: Path) -> Iterator[None]:
         yield
     except OSError as error:
         full = error.errno in (errno.ENOSPC, errno.EDQUOT)
+        hint = (
+            f"{'free space on this disk, or ' if full else ''}choose another folder with --results"
+        )
+        if error.errno in TOO_MANY_OPEN:  # no other folder would help
+            hint = room_for(error)
         raise RecordingError(
-            place,
-            f"no run can be recorded here: {error.strerror or error}",
-            f"{'free space on this disk, or ' if full else ''}choose another folder with --results",
+            place, f"no run can be recorded here: {error.strerror or error}", hint
         ) from error
 
 
