@@ -20,19 +20,25 @@ def is_running(folder: BatchFolder) -> bool:
     return holder_of(folder.supervisor_lock) is not None
 
 
+def require_own(folder: BatchFolder) -> None:
+    """Raise ConfigurationError if the batch runs and is another user's, also where its folder may
+    be written by all."""
+    holder = holder_of(folder.supervisor_lock)
+    if holder is not None and not holder.own:
+        raise ConfigurationError(
+            f"the batch {folder.path.name} belongs to {holder.user} (process {holder.pid})",
+            f"only {holder.user} and an administrator can stop, pause or resume it",
+        )
+
+
 def ask_batch(folder: BatchFolder, request: str) -> str:
     """Leave a request for the supervisor of a batch; return the batch's name. Raises
     ConfigurationError if it does not run, or is another user's."""
     from rig.batch.queue import Queue
 
-    holder = holder_of(folder.supervisor_lock)
-    if holder is None:
+    if not is_running(folder):
         raise ConfigurationError(f"the batch {folder.path.name} is not running", "stop the run")
-    if not holder.own:  # also where the folder may be written by all
-        raise ConfigurationError(
-            f"the batch {folder.path.name} belongs to {holder.user} (process {holder.pid})",
-            f"only {holder.user} and an administrator can end it",
-        )
+    require_own(folder)
     with Queue.open(folder.queue) as queue:
         queue.add_request(request)
         return queue.meta("name")

@@ -67,6 +67,22 @@ def test_a_stop_at_once_reaches_a_batch_whose_disk_takes_no_request(
     assert len(asked) == 1
 
 
+def test_the_batch_of_another_user_is_not_asked_and_its_owner_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = BatchFolder(tmp_path)
+    Queue.create(folder.queue, BatchPlan({}, ()), {}, {"name": "night"}).close()
+    owner = lock_holder.LockHolder(4242, "somebody", own=False)
+    monkeypatch.setattr("rig.batch.running.holder_of", lambda _: owner)
+    with folder.held_by("supervisor", 0.0):
+        for asking in (batch.stop, batch.pause, batch.resume):
+            with pytest.raises(typer.Exit):
+                asking(tmp_path)
+            assert "belongs to somebody (process 4242)" in capsys.readouterr().err
+    with Queue.open(folder.queue) as queue:
+        assert queue.take_requests() == []
+
+
 def test_a_stop_is_heard_while_the_last_files_are_made(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

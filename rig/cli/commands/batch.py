@@ -103,11 +103,13 @@ def resume(
         from rig.batch.folder import find_folder
         from rig.batch.plan.settings import BatchFile
         from rig.batch.queue import Queue
+        from rig.batch.running import require_own
         from rig.core.units import counted
 
         found = find_folder(folder, results)
         with Queue.open(found.queue) as queue:
             if found.is_held("supervisor"):
+                require_own(found)
                 queue.add_request("go")
                 say(f"batch {found.path}: resumed")
                 return
@@ -233,6 +235,7 @@ def _request(command: str, shown: str, folder: Path | None, results: Path, debug
         from rig.batch.queue import Queue
         from rig.batch.queue_file import QueueWriteError
         from rig.batch.report.status import status_of
+        from rig.batch.running import require_own
         from rig.run.locks.lock_holder import ask_to_stop
 
         found = find_folder(folder, results)
@@ -242,6 +245,7 @@ def _request(command: str, shown: str, folder: Path | None, results: Path, debug
                     f"batch {found.path} is not running ({queue.meta('state')})",
                     "; ".join(status_of(found).to_continue()) or "it has ended",
                 )
+            require_own(found)
             try:
                 queue.add_request(command)
             except QueueWriteError as error:  # as on a full disk
