@@ -33,7 +33,9 @@ FOLLOW_WAY, FOLLOW_SHARE = 2.5, 0.3
 """Way of z, in ways that a squeeze needs, and share of the held force that a slip may take from it
 meanwhile: where z has gone so far after a squeeze and the force has not followed, the sensor is
 suspect. Without this bound the servo would press on with a sensor that shows the old force: it
-takes the set point for one that is always missing."""
+takes the set point for one that is always missing. Further squeezes meanwhile extend the way by
+theirs and do not begin it anew: alarms in a row would press ever further. No way is longer than the
+force limit leaves room for."""
 
 CHANGED_SHARE = 0.25
 """Share of the held force by which it has to have changed where the torque has: a motion changes
@@ -42,10 +44,14 @@ both by less."""
 
 @dataclass(frozen=True)
 class _Squeeze:
-    """A squeeze that the force has not followed yet."""
+    """One squeeze, or several in a row, that the force has not followed yet."""
 
+    from_N: float
+    """Set point before the first of them."""
+    from_mm: float
+    """Commanded position of z before the first of them."""
     force_N: float
-    """Force that shows that it has."""
+    """Force that shows that it has followed."""
     deepest_mm: float
     """Position of z by which it has to."""
 
@@ -101,17 +107,30 @@ class ForceHold:
         self._servo.hold_at(force_N, largest_speed_mm_s)
         self._reached_N = min(self._reached_N, force_N)
 
-    def squeeze(self, force_N: float, largest_speed_mm_s: float) -> SentMove:
+    def squeeze(
+        self, force_N: float, largest_speed_mm_s: float, largest_force_N: float
+    ) -> SentMove:
         """Raise the held force and send z on its way at once, not with the next step; return what
-        becomes of that move. The servo does the rest."""
+        becomes of that move. The servo does the rest.
+
+        z goes no further than what would take the force to `largest_force_N`, and what a slip may
+        take from it, before the force sensor has to show that it follows.
+        """
         servo, z = self._servo, self._z
         before_N = servo.settings.target_N
-        rise_N = force_N - before_N
         self.hold_at(force_N, largest_speed_mm_s)
-        stiffness_N_mm = servo.settings.stiffness_N_mm
-        way_mm = (FOLLOW_WAY * rise_N + FOLLOW_SHARE * before_N) / stiffness_N_mm
-        self._squeezed = _Squeeze(before_N + FOLLOWED_SHARE * rise_N, z.commanded_mm + way_mm)
-        step = servo.lead(rise_N, z.clock.now() - self._stepped_s)
+        waiting = self._squeezed
+        from_N = before_N if waiting is None else waiting.from_N
+        from_mm = z.commanded_mm if waiting is None else waiting.from_mm
+        rise_N = force_N - from_N
+        way_N = min(FOLLOW_WAY * rise_N, largest_force_N - from_N) + FOLLOW_SHARE * from_N
+        self._squeezed = _Squeeze(
+            from_N,
+            from_mm,
+            from_N + FOLLOWED_SHARE * rise_N,
+            from_mm + way_N / servo.settings.stiffness_N_mm,
+        )
+        step = servo.lead(force_N - before_N, z.clock.now() - self._stepped_s)
         sent = SentMove()
         z.start_move(z.commanded_mm + step.increment_mm, step.speed_mm_s, sent)
         return sent

@@ -316,7 +316,7 @@ class PressedTrial:
         largest_N = self.settings.largest_force_N
         bound = held_speed_bound(self.run.bench, largest_N, force_N)
         bound.require("stage_z", self.z.stage.reach()["speed"].low)
-        sent = self._held().squeeze(force_N, bound.speed_mm_s)
+        sent = self._held().squeeze(force_N, bound.speed_mm_s, largest_N)
         self._squeezed_N += rise_N
         self._note_set_point(force_N)
         return sent

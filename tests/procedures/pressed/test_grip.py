@@ -207,7 +207,7 @@ def test_a_squeeze_is_on_its_way_before_the_next_tick_and_the_servo_completes_it
     contact = Contact(lambda felt_N: felt_N)
     contact.tick()
     contact.let_pass(0.004)
-    contact.hold.squeeze(4.8, 10.0)
+    contact.hold.squeeze(4.8, 10.0, 15.0)
     assert contact.commanded_mm == pytest.approx(0.008), "0.8 N on 100 N/mm, in the same instant"
     contact.tick(after_s=0.006)
     assert contact.true_N > 4.3, "a tick of the servo later it would not have begun"
@@ -226,7 +226,7 @@ def test_a_sensor_that_does_not_show_the_squeeze_ends_it_before_z_presses_on(sen
     """The servo takes the new set point for missing and would press for ever: 0.8 N a tick."""
     contact = Contact(sensed)
     contact.tick()
-    contact.hold.squeeze(4.8, 10.0)
+    contact.hold.squeeze(4.8, 10.0, 15.0)
     with pytest.raises(InstrumentError, match="the force has not followed"):  # noqa: PT012
         for _ in range(200):
             contact.tick()
@@ -235,10 +235,47 @@ def test_a_sensor_that_does_not_show_the_squeeze_ends_it_before_z_presses_on(sen
     assert contact.true_N < SET_N + 2.5 * 0.8 + 0.3 * SET_N + 2.0
 
 
+@pytest.mark.parametrize("ticks_between", [1, 2, 3, 4])
+def test_alarms_in_a_row_do_not_take_z_further_than_one_squeeze_by_all_steps(
+    ticks_between: int,
+) -> None:
+    """The sensor is stuck and the detector alarms again and again: each squeeze would grant z the
+    way of one that is new, up to 22 N here."""
+    contact = Contact(lambda felt_N: SET_N)
+    contact.tick()
+    with pytest.raises(InstrumentError, match="the force has not followed"):  # noqa: PT012
+        for number in range(200):
+            if number % ticks_between == 0 and (steps := number // ticks_between + 1) <= 5:
+                contact.hold.squeeze(SET_N + 0.8 * steps, 10.0, 15.0)
+            contact.tick()
+    assert contact.true_N < SET_N + 2.5 * 4.0 + 0.3 * SET_N + 2.0
+
+
+def test_a_large_squeeze_takes_z_no_further_than_the_force_limit_leaves_room_for() -> None:
+    contact = Contact(lambda felt_N: SET_N)
+    contact.tick()
+    contact.hold.squeeze(11.0, 10.0, 12.0)
+    with pytest.raises(InstrumentError, match="the force has not followed"):  # noqa: PT012
+        for _ in range(200):
+            contact.tick()
+    assert contact.true_N < 12.0 + 0.3 * SET_N + 2.0, "and not 2.5 ways of 7 N"
+
+
+def test_alarms_in_a_row_are_followed_by_a_sensor_that_is_right() -> None:
+    contact = Contact(lambda felt_N: felt_N - 0.25 * SET_N)
+    contact.tick()
+    for step in range(1, 6):
+        contact.let_pass(0.002)
+        contact.hold.squeeze(SET_N + 0.8 * step, 10.0, 9.0)
+    for _ in range(60):
+        contact.tick()
+    assert contact.true_N - 0.25 * SET_N == pytest.approx(8.0, abs=0.05)
+
+
 def test_a_slip_that_takes_a_quarter_of_the_force_is_no_wrong_sensor() -> None:
     contact = Contact(lambda felt_N: felt_N - 0.25 * SET_N)
     contact.tick()
-    contact.hold.squeeze(4.8, 10.0)
+    contact.hold.squeeze(4.8, 10.0, 15.0)
     for _ in range(50):
         contact.tick()
     assert contact.true_N - 0.25 * SET_N == pytest.approx(4.8, abs=0.05)
