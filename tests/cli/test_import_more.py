@@ -138,7 +138,7 @@ def test_pickled_objects_in_an_npz_are_not_loaded(tmp_path: Path) -> None:
     path = tmp_path / "a.npz"
     np.savez(path, strips=TABLE[:, :2], evil=np.array([Evil()], dtype=object))
     assert read(path, {"v_1": "strips:1", "v_2": "strips:2"}).rows == len(TABLE)
-    with pytest.raises(ForeignFileError, match="variable evil is a object"):
+    with pytest.raises(ForeignFileError, match="variable evil holds values of the type object"):
         read(path, {"v_1": "strips:1", "v_2": "evil"})
     assert not (tmp_path / "ran").exists()
     path.write_bytes(path.read_bytes()[:200])

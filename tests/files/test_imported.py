@@ -174,9 +174,25 @@ def test_a_dead_channel_is_reported(tmp_path: Path) -> None:
     assert recording.warnings == ("v_1 is dead: column 1 is 1 in every row",)
 
 
+def test_a_rate_at_which_no_slip_can_be_found_is_reported_with_its_likely_cause(
+    tmp_path: Path,
+) -> None:
+    channels = {"v_1": "2", "v_2": "3", "time": "1"}
+    in_ms = "0;1.5;2\n1;3;2.5\n2;4;2.6\n"
+    (warning,) = read(in_ms, tmp_path, channels).warnings
+    assert warning == (
+        "1 Hz: slips are not found in recordings below 500 Hz; if the times are in ms, import it "
+        "again with --scale time=1ms"
+    )
+    assert read(in_ms, tmp_path, channels, {"time": 1e-3}).warnings == ()
+    stated = read(in_ms, tmp_path, {"v_1": "2", "v_2": "3"}, rate_Hz=400.0)
+    assert stated.warnings == ("400 Hz: slips are not found in recordings below 500 Hz",)
+    assert read(in_ms, tmp_path, {"v_1": "2", "v_2": "3"}, rate_Hz=500.0).warnings == ()
+
+
 def test_files_that_are_no_recordings_are_refused(tmp_path: Path) -> None:
     binary = np.random.default_rng(0).bytes(5000)
-    with refused("a binary file"):
+    with refused("a binary file, not text; text, LVM, MATLAB and NumPy npz files can be imported"):
         read(binary, tmp_path)
     with refused("not a regular file"):
         read_foreign(tmp_path)
@@ -324,6 +340,14 @@ def test_the_only_matrix_needs_no_name(tmp_path: Path) -> None:
     written = files.signals()
     content = files.matlab_5(data=np.column_stack(list(written.values())), note="made in Kyoto")
     assert_as_written(read(content, tmp_path), written)
+
+
+@pytest.mark.parametrize("column", ["v", "rec.v"])
+def test_signals_in_a_struct_are_named_with_the_way_out(tmp_path: Path, column: str) -> None:
+    """As MATLAB users keep recordings: neither the name of a part nor NAME.PART is a variable."""
+    content = files.matlab_5(rec={"v": np.arange(6.0)})
+    with refused("variable rec is a struct, not an array of numbers; .*'-struct', NAME"):
+        read(content, tmp_path, {"v_1": column, "v_2": column}, rate_Hz=1000.0)
 
 
 @pytest.mark.parametrize(

@@ -71,6 +71,11 @@ class MatlabTable:
             wanted = f"{numeric[0]}:{wanted}"
         found = _WANTED.match(wanted)
         if found is None or found[1] not in self._variables:
+            structs = [name for name, (kind, _) in self._variables.items() if kind == "struct"]
+            if (whole := wanted.partition(".")[0]) in structs:  # MATLAB calls a part NAME.PART
+                raise self._not_numeric(whole)
+            if structs and not numeric:
+                raise self._not_numeric(sorted(structs)[0])
             masks = [name for name, (kind, _) in self._variables.items() if kind == LOGICAL]
             known = ", ".join(map(shortened, sorted(numeric)[:20])) or "none that is numeric"
             if masks:
@@ -82,14 +87,7 @@ class MatlabTable:
             )
         variable, (kind, shape) = found[1], self._variables[found[1]]
         if kind not in NUMERIC and kind != LOGICAL:
-            hint = "save its parts as variables, a struct with save(FILE, '-struct', NAME)"
-            if self.format == "NumPy npz":
-                hint = "save it as an array of numbers, such as float64"
-            raise ForeignFileError(
-                self._file,
-                f"variable {variable} is a {shortened(kind)}, not an array of numbers",
-                hint,
-            )
+            raise self._not_numeric(variable)
         if len(shape) != 2 or 0 in shape:
             size = " x ".join(map(str, shape))
             raise ForeignFileError(
@@ -108,6 +106,21 @@ class MatlabTable:
         if (key := (variable, number - 1)) not in self._columns:
             self._columns.append(key)
         return self._columns.index(key)
+
+    def _not_numeric(self, variable: str) -> ForeignFileError:
+        """Return the error of a variable that is not an array of numbers."""
+        kind = shortened(self._variables[variable][0])
+        if self.format == "NumPy npz":
+            return ForeignFileError(
+                self._file,
+                f"variable {variable} holds values of the type {kind}, not real numbers",
+                "save it as an array of numbers, such as float64",
+            )
+        return ForeignFileError(
+            self._file,
+            f"variable {variable} is a {kind}, not an array of numbers",
+            "save its parts as variables, a struct with save(FILE, '-struct', NAME)",
+        )
 
     def name(self, column: int) -> str:
         """Return a column as the user finds it: its variable, and its number in a matrix."""

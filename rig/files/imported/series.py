@@ -38,6 +38,9 @@ ROUND_TOLERANCE = 0.01
 """Largest shift of the last row when a measured rate is rounded, as a share of the period; more
 where the times are less even than that."""
 LOWEST_RATE_Hz, HIGHEST_RATE_Hz = 1.0, 1e7
+SLOW_Hz = 500.0
+"""Rate below which no detector of this project judges a recording: what is faster than half of it
+is lost, and the impulse of a slip lies between 100 and 400 Hz."""
 LEAST_ROWS = 2
 LARGEST = {"V": 1e3, "N": 1e4}
 """Beyond, a column holds no such signal, or it holds counts whose scale was not stated."""
@@ -210,16 +213,28 @@ def recording_of(source: ImportSource, stated: ChannelMap, name: str) -> Recordi
         raw,
         scale,
         {channel: made[channel].name(source) for channel in raw},
-        tuple(
-            f"{channel} is dead: {made[channel].name(source)} is {numbers[0]:g} in every row"
-            for channel, numbers in raw.items()
-            if (numbers == numbers[0]).all()
+        (
+            *(
+                f"{channel} is dead: {made[channel].name(source)} is {numbers[0]:g} in every row"
+                for channel, numbers in raw.items()
+                if (numbers == numbers[0]).all()
+            ),
+            *_too_slow(rate_Hz, times is not None),
         ),
         labels_s,
     )
     for channel in raw:
         _check_size(source, recording, channel, len(table), name)
     return recording
+
+
+def _too_slow(rate_Hz: float, by_times: bool) -> list[str]:
+    """Return a warning about a rate at which no slip can be found, and what may be its cause."""
+    if rate_Hz >= SLOW_Hz:
+        return []
+    in_ms = by_times and 1e3 * rate_Hz >= SLOW_Hz
+    maybe = "; if the times are in ms, import it again with --scale time=1ms" if in_ms else ""
+    return [f"{rate_Hz:g} Hz: slips are not found in recordings below {SLOW_Hz:g} Hz{maybe}"]
 
 
 def _samples_a_row(made: Mapping[str, Combination], name: str) -> int:

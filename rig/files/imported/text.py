@@ -48,7 +48,7 @@ def lines_of(content: bytes, name: str) -> list[str]:
         raise ForeignFileError(
             name,
             f"character 0x{ord(found[0]):02x}: a binary file, not text",
-            "text, LVM and MATLAB files can be imported; export it as one of these",
+            "text, LVM, MATLAB and NumPy npz files can be imported; export it as one of these",
             f"line {text.count(chr(10), 0, found.start()) + 1}",
         )
     if not text.strip():
@@ -265,6 +265,6 @@ def _refuse_column_numbers(rows: Sequence[str], number: int, shape: Shape, name:
         raise ForeignFileError(
             name,
             f"{', '.join(first[:4])} can be a sample, or numbers of columns",
-            f"--header-lines {number} if it is a sample, {number + 1} if it is none",
+            f"--header-lines {number} if it is a sample, {number + 1} if it is not",
             f"line {number + 1}",
         )
