@@ -31,6 +31,7 @@ from procedures.pressed.hold import ForceHold
 from procedures.pressed.links import TrialLinks
 from procedures.pressed.press import Press
 from procedures.pressed.record.commanded_x import CommandedX
+from procedures.pressed.record.detection import slips_in_words
 from procedures.pressed.record.reading import CONTACT_N, DECIMATED_Hz
 from procedures.pressed.record.recorder import TickRecorder
 from procedures.pressed.settings import AFTER_S
@@ -39,7 +40,6 @@ from rig.bench.limits import require
 from rig.control.force_servo import ForceServo, settings_from
 from rig.core.errors import InstrumentError
 from rig.detector.commands import HeldForce
-from rig.files.journal.detections import SLIP
 
 if TYPE_CHECKING:
     from procedures.pressed.record.reading import TrialRecord
@@ -252,12 +252,8 @@ class PressedTrial:
     def _report_slips(self) -> None:
         """Show the slips that were detected: only now, since a terminal may make the run wait."""
         self.recorder.detected()  # what a detector in another process has found since
-        for one in self.record.detections:
-            if one.kind == SLIP:
-                self.run.inform(
-                    f"{self.record.point}: incipient slip at {one.time_s:.3f} s "
-                    f"({self.settings.detector})"
-                )
+        for line in slips_in_words(self.record, self.settings.detector):
+            self.run.inform(line)
 
     def record_load_rates(self) -> Reading:
         """Record the load rates of the strips that are calibrated; return their scales."""

@@ -18,11 +18,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from rig.analysis.trial.decimation import RATE_Hz
+from rig.core.units import counted
 from rig.detector.registered import chosen_detector, is_own
 from rig.files.journal.detections import (
     EVENT_CODES,
     NO_DETECTOR,
     SILENT_CODE,
+    SLIP,
     Detection,
     detection_of,
 )
@@ -37,6 +39,8 @@ if TYPE_CHECKING:
     from rig.detector.events import SlipEvent
     from rig.run.context import Run
 
+SHOWN_SLIPS = 10
+"""Largest number of slips of a trial that are shown one by one; the file has all of them."""
 JOIN_S = 0.1
 """Interval of the signs of life while a detector starts."""
 
@@ -181,3 +185,16 @@ class DetectionRecord:
                 "continues",
             )
         return found
+
+
+def slips_in_words(record: TrialRecord, detector: str) -> list[str]:
+    """Return a line for each of the first slips that a detector has found in a trial, and one for
+    the number of further ones."""
+    slips = [one for one in record.detections if one.kind == SLIP]
+    lines = [
+        f"{record.point}: incipient slip at {one.time_s:.3f} s ({detector})"
+        for one in slips[:SHOWN_SLIPS]
+    ]
+    if more := len(slips) - len(lines):
+        lines.append(f"{record.point}: and {counted(more, 'further incipient slip')} ({detector})")
+    return lines

@@ -11,13 +11,20 @@ import recorded_trials as trials
 from pydantic import ValidationError
 
 from procedures.pressed.record.commanded_x import CommandedX
-from procedures.pressed.record.detection import DetectionRecord, LiveDetection
+from procedures.pressed.record.detection import DetectionRecord, LiveDetection, slips_in_words
 from procedures.pressed.record.reading import TrialRecord
 from procedures.slip_trial.settings import SlipTrialSettings
 from rig.core.clock import WallClock
 from rig.detector.commands import HeldForce, XMove, columns_of, commands_in
 from rig.detector.registered import chosen_detector
-from rig.files.journal.detections import EVENT_CODES, SILENT_CODE, from_text, to_text
+from rig.files.journal.detections import (
+    EVENT_CODES,
+    SILENT_CODE,
+    SLIP,
+    Detection,
+    from_text,
+    to_text,
+)
 
 
 class Journal:
@@ -190,3 +197,17 @@ def test_a_wait_is_ended_by_a_detection_of_another_thread() -> None:
     thread.join()
     assert clock.now() < 50.0
     assert slices, "a wait checks what every wait checks"
+
+
+def test_a_detector_that_alarms_without_end_does_not_fill_the_terminal() -> None:
+    """One that reports a slip in every row printed 3110 lines in a trial of 3 s."""
+    record = TrialRecord(1, 100.0, 1000.0, 4.0)
+    record.detections = [Detection(SLIP, n, n / 1000, n / 1000, 0.9) for n in range(3110)]
+    lines = slips_in_words(record, "lab-jump")
+    assert len(lines) == 11
+    assert lines[9:] == [
+        "trial-001: incipient slip at 0.009 s (lab-jump)",
+        "trial-001: and 3100 further incipient slips (lab-jump)",
+    ]
+    del record.detections[10:]
+    assert slips_in_words(record, "lab-jump") == lines[:10], "all that were found are shown"
