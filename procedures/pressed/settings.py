@@ -12,7 +12,7 @@ import math
 import statistics
 from typing import TYPE_CHECKING, Any
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from procedures.pressed.approach.contact import (
     HOMING_S,
@@ -33,6 +33,7 @@ from rig.bench.settings import STRIPS, FixtureSettings
 from rig.core.errors import RigError
 from rig.core.settings import Settings as BaseSettings
 from rig.core.settings import name_without_unit
+from rig.core.validated import STORED
 from rig.detector import DEFAULT_DETECTOR
 from rig.files.journal.detections import NO_DETECTOR, SLIP, from_text
 from rig.instruments.roles import Acquisition, InputChannel
@@ -126,8 +127,9 @@ class PressedSettings(BaseSettings):
 
     @field_validator("detector")
     @classmethod
-    def _detector_is_known(cls, name: str) -> str:
-        if name not in (DEFAULT_DETECTOR, NO_DETECTOR):
+    def _detector_is_known(cls, name: str, info: ValidationInfo) -> str:
+        # A file can be read where the package of its detector is not installed.
+        if name not in (DEFAULT_DETECTOR, NO_DETECTOR) and info.context != STORED:
             # Here and not at the top: numpy would slow `rig --help`.
             from rig.detector.registered import detector_names
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from typing import Any, TypeVar
 
@@ -12,6 +13,17 @@ from rig.core.errors import ExitCode, RigError
 from rig.core.settings import Settings
 
 T = TypeVar("T", bound=Settings)
+
+
+STORED = {"stored": True}
+"""Context in which the settings of a file are read: a validator may accept what was valid where it
+was written, such as the name of a detector that is not installed here."""
+
+
+def stored_settings(model: type[T], values: Mapping[str, Any]) -> T:
+    """Return the settings that a file states, by field, to compute and show its results; not to run
+    with them. ValidationError for values that this version refuses."""
+    return model.model_validate_json(json.dumps(dict(values)), context=STORED)
 
 
 def validated(model: type[T], values: Mapping[str, Any]) -> T:

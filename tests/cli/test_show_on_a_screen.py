@@ -18,7 +18,12 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "figures"))
 import recorded
 import recorded_run
 
+from procedures.slip_trial import SlipTrial
+from procedures.slip_trial.settings import SlipTrialSettings
+from rig.cli.commands.files import _recomputed
+from rig.cli.show.digest import _brief
 from rig.cli.show.screen import Section, on_a_screen
+from rig.core.validated import stored_settings
 from rig.files.journal.writer import JournalWriter
 from rig.files.runfile.compile import compile_run
 from rig.files.runfile.reader import RunFile
@@ -54,6 +59,22 @@ def test_trials_show_validity_friction_and_what_is_assumed(rig: Any, folder: Pat
     assert "  static friction: 0.6" in said
     assert " ± " in said
     assert "ASSUM" in said
+
+
+def test_results_are_in_brief_where_the_package_of_the_detector_is_not_installed(
+    folder: Path,
+) -> None:
+    """Its slips and the grip's answers are in the file; only a new run needs the package."""
+    with RunFile.open(folder / recorded.TWO_SLIDES) as run:
+        settings = run.header.settings | {"detector": "of-another-laboratory"}
+        header = run.header.model_copy(update={"settings": settings})
+        readings = run.readings()
+    with pytest.raises(ValueError, match="is not a detector"):
+        SlipTrialSettings(detector="of-another-laboratory")
+    assert stored_settings(SlipTrialSettings, settings).detector == "of-another-laboratory"
+    found = _recomputed(header, readings)
+    assert found is not None
+    assert _brief(header, SlipTrial, found)[0].startswith("valid: 2 of 2 trials")
 
 
 def test_a_roll_and_a_sweep_show_theirs(rig: Any, folder: Path) -> None:

@@ -7,7 +7,6 @@ run that is done; it is not taken again. Any other is continued where it was int
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -15,6 +14,7 @@ from typing import TYPE_CHECKING
 from rig.batch.plan.procedures import installed
 from rig.batch.queue_records import AttemptResult
 from rig.core.errors import RigError
+from rig.core.validated import stored_settings
 from rig.files.errors import JournalError
 from rig.files.journal.reader import JournalContents, read_journal
 from rig.files.naming import RUN_SUFFIX
@@ -92,7 +92,7 @@ def _ended(
             points_planned=len(header.points),
         )
     procedure = installed(header.procedure)
-    settings = procedure.Settings.model_validate_json(json.dumps(header.settings))
+    settings = stored_settings(procedure.Settings, header.settings)
     return AttemptResult(
         "complete",
         code=code,

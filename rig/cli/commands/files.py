@@ -371,6 +371,7 @@ def _recomputed(header: RunHeader, readings: Sequence[Reading]) -> Results | Non
     from pydantic import ValidationError
 
     from rig.core.entry_points import PROCEDURES, names
+    from rig.core.validated import stored_settings
     from rig.run.checked_procedure import internal
     from rig.run.load_procedure import load_procedure
     from rig.run.results import results_of
@@ -383,7 +384,7 @@ def _recomputed(header: RunHeader, readings: Sequence[Reading]) -> Results | Non
         say(f"warning: no summary: {error.one_line()}")
         return None
     try:
-        settings = procedure.Settings.model_validate_json(json.dumps(header.settings))
+        settings = stored_settings(procedure.Settings, header.settings)
     except ValidationError:  # written by another version of the procedure
         return None
     try:

@@ -202,6 +202,7 @@ def _as_json(value: Any) -> Any:
 def _brief(header: RunHeader, procedure: type[Procedure] | None, results: Results) -> Sequence[str]:
     """Return the results as the procedure has them in brief; their single values where it is not
     installed or takes none that another version has stored."""
+    from rig.core.validated import stored_settings
     from rig.run.checked_procedure import CheckedProcedure
     from rig.run.in_brief import single_values
 
@@ -209,7 +210,7 @@ def _brief(header: RunHeader, procedure: type[Procedure] | None, results: Result
     if procedure is None:
         return single_values(results.values, results.put_in, results.labels, of_one_trial=of_one)
     try:
-        settings = procedure.Settings.model_validate_json(json.dumps(header.settings))
+        settings = stored_settings(procedure.Settings, header.settings)
         return CheckedProcedure(procedure(settings)).in_brief(results.values, results.put_in)
     except RigError as error:
         say(f"warning: the results are not shown in brief: {error.one_line()}")
