@@ -105,6 +105,8 @@ def _ramp(
         return without_values(RAMP)
     since = t - record.motion_from_s
     rising = (since >= 0) & (t <= record.ramp_to_s)
+    if not rising.any():  # over before a frame of the force sensor was sent in it
+        return without_values(RAMP)
     rise = settings.along * (force[rising, 1] - force[rising, 1][0])
     error = rise - settings.ramp_N_s * since[rising]
     return {

@@ -212,12 +212,13 @@ class Approach:
 
 def _slope(x: NDArray[np.float64], y: NDArray[np.float64]) -> float | None:
     """Return the slope at the last x of a parabola through the points, or of a line through few
-    points."""
+    points or few places."""
     spread = float(np.ptp(x))
     if spread <= 0:
         return None
     # Scaled to the range of x: otherwise the powers of positions in mm make the fit
     # ill-conditioned.
     scaled = (x - x[-1]) / spread
-    degree = 2 if x.size >= 3 * LEAST_POINTS else 1
+    curved = x.size >= 3 * LEAST_POINTS and np.unique(scaled).size > 2
+    degree = 2 if curved else 1
     return float(np.polynomial.polynomial.polyfit(scaled, y, degree)[1]) / spread

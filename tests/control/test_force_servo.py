@@ -202,6 +202,16 @@ def test_stiffness_is_found_from_a_force_that_lags() -> None:
     assert found.at_N_mm(force) == pytest.approx(truth, rel=0.05)
 
 
+@pytest.mark.filterwarnings("error")
+def test_a_contact_that_was_seen_at_two_places_only_has_the_slope_between_them() -> None:
+    """A stage at rest that is a step of its scale off now and then; a parabola has no bounds."""
+    found = ContactStiffness()
+    for k in range(60):
+        place_mm = 0.001 * (k % 2)
+        found.add(0.01 * k, place_mm, 0.01 * k, 1.0 + 40.0 * place_mm)
+    assert found.at_N_mm(1.0) == pytest.approx(40.0)
+
+
 def test_a_stiffness_is_that_of_the_times_and_no_less_than_what_was_pressed_so_far() -> None:
     """Looks that take 30 ms; and points on a slope that no contact has, which stiffens."""
     slow, true_N_mm, speed_mm_s = Approach(20.0, 0.01, 0.005), 150.0, 0.2

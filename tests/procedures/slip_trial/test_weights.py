@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 import pytest
 from pydantic import ValidationError
 
 from procedures.pressed.grip_summary import grip_summary
+from procedures.slip_trial.reading import SlipTrialRecord, _ramp
 from procedures.slip_trial.settings import SlipTrialSettings
 from rig.files.runfile.reader import RunFile
 
@@ -57,6 +59,17 @@ def test_the_end_of_a_ramp_does_not_limit_a_weight_which_replaces_it() -> None:
         SlipTrialSettings(loading="ramp", largest_force_N=8.0)
     with pytest.raises(ValidationError, match="hold_at_N 9 N is not below largest_force_N 8 N"):
         SlipTrialSettings(loading="ramp", hold_at_N=9.0, largest_force_N=8.0)
+
+
+def test_a_weight_that_is_there_before_a_frame_of_the_force_is_has_no_error_of_its_ramp() -> None:
+    """0.5 N at 100 N/s is there within the first tick; the trial was lost to an IndexError."""
+    settings = SlipTrialSettings(loading="ramp", hold_at_N=0.5, ramp_N_s=100.0)
+    record = SlipTrialRecord(1, 100.0, 1000.0, 4.0, motion_from_s=1.0, ramp_to_s=1.0004)
+    times_s, force_N = np.array([0.9997, 1.0007]), np.zeros((2, 3))
+    assert _ramp(settings, record, times_s, force_N) == {
+        "ramp_error_rms_N": None,
+        "ramp_to_s": None,
+    }
 
 
 def trial(outcome: str, used_N: float, shown_N: float, true_N: float | None) -> dict[str, Any]:
