@@ -27,7 +27,7 @@ from rig.detector.commands import Command, commands_in
 from rig.evaluation import simulated_truth
 from rig.evaluation.scored_trials import judge_one
 from rig.evaluation.scoring.contenders import Contender
-from rig.evaluation.scoring.outcomes import LABELS, Truth
+from rig.evaluation.scoring.outcomes import LABELS, SLIPPED, Truth
 from rig.evaluation.scoring.results import ScoredTrial
 from rig.evaluation.scoring.tables import NAMES
 from rig.files.runfile.reader import RunFile
@@ -270,6 +270,8 @@ def _truth(row: dict[str, str], recorded: _Recorded, where: str) -> Truth:
                 f"{where}: {name} {row[name]} s is before motion_s {row['motion_s']} s",
                 "all times are in s from the first sample of the record",
             )
+    if label in SLIPPED and math.isnan(times["node_slip_s"]):  # who knows no more than the slip
+        times["node_slip_s"] = times["ridge_slip_s"]
     # Where the list states the truth itself, the bench's quiet intervals may contradict it.
     quiet_s = () if set(TIMES) & set(row) else recorded.truth.get("quiet_s", ())
     return Truth(label=label, record_s=record_s, quiet_s=quiet_s, **times)

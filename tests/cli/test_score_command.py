@@ -239,7 +239,7 @@ def test_labelled_files_are_scored_by_their_list_or_by_what_a_simulated_bench_kn
         ("file,point\nslip.h5,trial-9\n", "slip.h5 has no point 'trial-9'"),
         ("file,motion_s\nslip.h5,\n", "line 2: motion_s is missing"),
         ("file,motion_s\nslip.h5,soon\n", "line 2: motion_s 'soon' is not a number"),
-        ("file,label,ridge_slip_s\nslip.h5,slip,\n", "ridge_slip_s nan s: both must be times"),
+        ("file,label,ridge_slip_s\nslip.h5,slip,\n", "a trial labelled 'slip' needs ridge_slip_s"),
         ("file,noise_mV\nslip.h5,much\n", "line 2: noise_mV 'much' is not a number"),
         ("file,motion_s\nslip.h5,900\n", "line 2: motion_s 900 s: the record is from 0 to "),
         (

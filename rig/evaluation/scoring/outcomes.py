@@ -174,6 +174,11 @@ def judge(truth: Truth, report: DetectorReport, traits: Mapping[str, float | str
     >>> outcome.found, round(outcome.after_ridge_s, 4)
     (True, 0.005)
     """
+    if truth.slipped and not math.isfinite(truth.ridge_slip_s):
+        raise ValueError(
+            f"a trial labelled {truth.label!r} needs ridge_slip_s, the time at which the whole "
+            "ridge slipped, in s of the record"
+        )
     if truth.slipped and not (
         math.isfinite(truth.node_slip_s) and truth.node_slip_s <= (truth.ridge_slip_s)
     ):
