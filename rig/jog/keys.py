@@ -182,6 +182,7 @@ class Jog:
     def trip(self, force_N: float) -> list[Action]:
         """Return the actions after a trip; `force_N` is the force now that all axes are at rest."""
         self.pressed = True
+        self._homing_asked_s = None
         ways = [_in_words(axis, axis.off) for axis in self._axes if axis.off is not None]
         only = f"only {' and '.join(ways)} moves" if ways else "nothing moves"
         return [
@@ -192,6 +193,7 @@ class Jog:
     def block(self, why: str) -> list[Action]:
         """Return the actions that stop all axes and block motions until `unblock` is called."""
         self._blocked = why
+        self._homing_asked_s = None
         return [StopAxes(None, why), ShowMessage(f"stopped: {why}; nothing moves until then")]
 
     def unblock(self) -> list[Action]:

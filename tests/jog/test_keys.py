@@ -119,6 +119,22 @@ def test_an_axis_that_is_not_homed_moves_only_to_its_reference_and_only_when_con
     assert person.press(Key.CONFIRM, 2.0, at(5.0, homed=False)) == [HomeAxis(Z)]
 
 
+@pytest.mark.parametrize("between", ["a trip", "a pause"])
+def test_homing_that_was_asked_for_before_a_trip_or_a_pause_is_not_confirmed_after_it(
+    between: str,
+) -> None:
+    """Found by an attack: h, Ctrl-Z, y homed an axis while everything had to stand still."""
+    person = jog()
+    person.press(Key.HOME, 1.0, at(5.0))
+    person.stopped(1.0)
+    if between == "a trip":
+        person.trip(6.0)
+    else:
+        person.block("paused by the operator")
+    person.stopped(1.5)
+    assert person.press(Key.CONFIRM, 2.0, at(5.0)) == [StopAxes(None, "a key")]
+
+
 @pytest.mark.parametrize(
     ("between", "confirmed_s"), [(Key.HOME, 1.0), (Key.STOP, 1.0), (None, CONFIRM_S + 0.1)]
 )
