@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING
 from procedures.pressed.approach.contact import SETTLED_S, come_close, tare_in_free_air
 from procedures.pressed.approach.earlier_runs import EarlierPress
 from procedures.pressed.approach.torque_watch import TorqueWatch
-from procedures.pressed.approach.way_down import TRAVEL_mm_s, held_speed_bound
+from procedures.pressed.approach.way_down import held_speed_bound, travel_mm_s
 from procedures.pressed.axes import ArrivalWatch, PolledStage, PressingStage, SentMove
 from procedures.pressed.grip import Grip
 from procedures.pressed.hold import ForceHold
@@ -105,8 +105,8 @@ class PressedTrial:
         """Move z up and x to `start_mm`, zero the force in free air, and come close to the
         object."""
         parked_mm = self.run.bench.settings.fixture.parked_mm
-        self.z.stage.move_to(parked_mm, TRAVEL_mm_s)
-        self.x.stage.move_to(start_mm, TRAVEL_mm_s)
+        self.z.stage.move_to(parked_mm, travel_mm_s(self.z.stage))
+        self.x.stage.move_to(start_mm, travel_mm_s(self.x.stage))
         self.record.zero = tare_in_free_air(self.run)
         self.z.commanded_mm, self.x.commanded_mm = parked_mm, start_mm
         self.x.poll()
@@ -243,7 +243,8 @@ class PressedTrial:
     def lift(self) -> None:
         """Move z up, off the object; then see where the force sensor's zero is."""
         self.z.stage.stop()
-        self.z.stage.move_to(self.run.bench.settings.fixture.parked_mm, TRAVEL_mm_s)
+        parked_mm = self.run.bench.settings.fixture.parked_mm
+        self.z.stage.move_to(parked_mm, travel_mm_s(self.z.stage))
         self.recorder.force.count_later_frames(2 * SETTLED_S)
         shift_N = self.run.force.mean_N(SETTLED_S)
         self.record.zero_shift_N = (float(shift_N[0]), float(shift_N[1]), float(shift_N[2]))

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING
 
-from procedures.pressed.approach.way_down import TRAVEL_mm_s
+from procedures.pressed.approach.way_down import travel_mm_s
 from procedures.pressed.axes import Look
 from procedures.pressed.record.positions import AxisRows
 from procedures.pressed.series import PressedSeries
@@ -132,7 +132,8 @@ class HeadTrial(PressedTrial):
 
     def bring_upright(self) -> None:
         """Move z up, so that the skin is clear of the object, and turn the object upright."""
-        self.z.stage.move_to(self.run.bench.settings.fixture.parked_mm, TRAVEL_mm_s)
+        parked_mm = self.run.bench.settings.fixture.parked_mm
+        self.z.stage.move_to(parked_mm, travel_mm_s(self.z.stage))
         self.rotary.stage.turn_to(self.rotary.upright_deg, UPRIGHT_deg_s, UPRIGHT_deg_s2)
         self.rotary.poll()
 

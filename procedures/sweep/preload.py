@@ -158,8 +158,9 @@ class Preload:
         refuse_deeper(self.position_mm + step_mm, contact_range_mm(run.bench)[1])
         self.position_mm += step_mm
         self._moved = step_mm, self.target_N - missing_N
+        stage = run.bench.stage_z
         speed_mm_s = min(RISE_N_s / self.stiffness_N_mm, APPROACH_mm_s)
-        run.bench.stage_z.start_move(self.position_mm, speed_mm_s)
+        stage.start_move(self.position_mm, stage.reach()["speed"].nearest(speed_mm_s))
         return True
 
     def _learn_stiffness(self, force_N: float) -> None:
@@ -262,16 +263,17 @@ def _approach(
     """Move slowly until contact is felt, with small targets ahead of the stage; return its
     position."""
     stage, clock = run.bench.stage_z, run.clock
-    patience_s = (last_mm - stage.position_mm()) / APPROACH_mm_s + LATE_S
+    speed_mm_s = stage.reach()["speed"].nearest(APPROACH_mm_s)
+    patience_s = (last_mm - stage.position_mm()) / speed_mm_s + LATE_S
     begin_s = clock.now()
     watch = ApproachWatch(run, CONTACT_N, target_N, torque)
     while (here_mm := stage.position_mm()) < last_mm - BOTTOM_mm:
         if clock.now() - begin_s > patience_s:
             stage.stop()
             raise not_there(run, patience_s)
-        target_mm = min(here_mm + AHEAD_S * APPROACH_mm_s, last_mm)
-        watch.commanded(target_mm - here_mm, APPROACH_mm_s)
-        stage.start_move(target_mm, APPROACH_mm_s)
+        target_mm = min(here_mm + AHEAD_S * speed_mm_s, last_mm)
+        watch.commanded(target_mm - here_mm, speed_mm_s)
+        stage.start_move(target_mm, speed_mm_s)
         clock.sleep(CHECKED_EVERY_S)
         if torque is not None and torque.is_due():
             torque.read()
@@ -336,7 +338,7 @@ def _press_from(
                 target_mm,
             )
         if abs(missing_N) > CLOSE * target_N:
-            speed_mm_s = _speed(stiffness, missing_N)
+            speed_mm_s = stage.reach()["speed"].nearest(_speed(stiffness, missing_N))
             ahead_mm = AHEAD_S * speed_mm_s
             target_mm = here_mm + min(max(missing_N / stiffness, -ahead_mm), ahead_mm)
             refuse_deeper(target_mm, deepest_mm)

@@ -54,6 +54,10 @@ class Reach:
         """Return whether `value` lies inside the limits; NaN does not."""
         return self.low <= value <= self.high
 
+    def nearest(self, value: float) -> float:
+        """Return `value`, or the limit that is nearest to it if it lies outside."""
+        return min(max(value, self.low), self.high)
+
     def require(self, device: str, what: str, value: float) -> None:
         """Raise LimitError, which names device, quantity, value, unit and limit, unless `value`
         lies inside. A driver calls it before it sends anything."""

@@ -110,4 +110,4 @@ def _bound_on_z(bench: Bench, settings: JogSettings) -> SpeedBound | None:
 
 
 def _speed(asked: float, unit: str, reach: Reach) -> float:
-    return min(max(min(asked, FASTEST[unit]), reach.low), reach.high)
+    return reach.nearest(min(asked, FASTEST[unit]))

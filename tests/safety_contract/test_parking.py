@@ -125,6 +125,19 @@ def test_what_is_still_pressed_after_the_last_way_up_is_reported(rig, how):
     assert motion(rig)[-1] == ("at-rest", pytest.approx(5.0, abs=0.02))
 
 
+@pytest.mark.thorough
+def test_a_stage_that_may_only_go_slowly_releases_what_it_has_pressed(rig):
+    """Found by an attack: the way off was refused for its speed, and the film stayed pressed."""
+    with rig.served() as path:
+        text = path.read_text()
+        assert text.count("max_speed_mm_s = 20.0") == 1
+        path.write_text(text.replace("max_speed_mm_s = 20.0", "max_speed_mm_s = 4.0"))
+    given = ("--frequencies", "300", "--no-figures", "--dry-run", "--bench", str(path))
+    ended = rig.run("sweep", *given, "--world-log", str(rig.world_log))
+    assert ended.code == 0, ended.stderr
+    assert motion(rig)[-1] == ("at-rest", pytest.approx(5.0, abs=0.02))
+
+
 @pytest.mark.parametrize("parked_mm", mostly_thorough([11.8, 12.9], [11.8]))
 def test_a_parking_place_that_is_not_clear_is_refused_and_the_bench_can_be_made_safe(
     rig, parked_mm

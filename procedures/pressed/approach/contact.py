@@ -21,6 +21,7 @@ from procedures.pressed.approach.way_down import (
     expected_speed_mm_s,
     go_down_watched,
     speed_bound,
+    travel_mm_s,
 )
 from rig.analysis.slope import slopes
 from rig.core.errors import (
@@ -182,7 +183,7 @@ def park(run: Run, name: str, way_back: Callable[[float], None]) -> None:
     run.arm(
         name,
         lambda: way_back(came_from_mm),
-        UNLOAD_DEADLINE_S,
+        _unload_deadline_s(run),
         emergency=stage.make_safe,
         done=f"{name} released",
     )
@@ -190,7 +191,13 @@ def park(run: Run, name: str, way_back: Callable[[float], None]) -> None:
     if parked_mm > came_from_mm + BOTTOM_mm:
         go_down_watched(run, parked_mm, f"parked_mm = {parked_mm:g} mm")
     else:
-        stage.move_to(parked_mm, TRAVEL_mm_s)
+        stage.move_to(parked_mm, travel_mm_s(stage))
+
+
+def _unload_deadline_s(run: Run) -> float:
+    """Return the longest time in s that the way off the object may take, however slow z is."""
+    way_mm = contact_range_mm(run.bench)[1] - run.bench.settings.fixture.parked_mm
+    return UNLOAD_DEADLINE_S + way_mm / travel_mm_s(run.bench.stage_z)
 
 
 def arm_from_where_it_stands(run: Run, name: str, way_back: Callable[[float], None]) -> None:
@@ -216,7 +223,8 @@ def arm_from_where_it_stands(run: Run, name: str, way_back: Callable[[float], No
         if stands_mm > first_mm - CLEAR_mm + BOTTOM_mm:
             way_back(stands_mm)
 
-    run.arm(name, end, UNLOAD_DEADLINE_S, emergency=stage.make_safe, done="z stage stopped")
+    deadline_s = _unload_deadline_s(run)
+    run.arm(name, end, deadline_s, emergency=stage.make_safe, done="z stage stopped")
 
 
 def stream_force(run: Run, least_S_s: float, what: str) -> None:
@@ -307,9 +315,9 @@ def come_close(
     """
     stage = run.bench.stage_z
     first_mm, _ = contact_range_mm(run.bench)
-    speed_mm_s = TRAVEL_mm_s
+    speed_mm_s = travel_mm_s(stage)
     if not known_clear:
-        speed_mm_s = min(speed_bound(run.bench, run.force.limit_N).speed_mm_s, TRAVEL_mm_s)
+        speed_mm_s = min(speed_bound(run.bench, run.force.limit_N).speed_mm_s, speed_mm_s)
     torque = WayTorque(run)
     stage.start_move(first_mm - CLEAR_mm, speed_mm_s)
     while stage.moving():
@@ -551,14 +559,14 @@ def _go_clear(run: Run, came_from_mm: float) -> None:
                 raise
             parked_mm = run.bench.settings.fixture.parked_mm
             target_mm = max(min(came_from_mm, parked_mm), stage.reach()["position"].low)
-            stage.move_to(target_mm, TRAVEL_mm_s)
+            stage.move_to(target_mm, travel_mm_s(stage))
             return
     target_mm = run.bench.settings.fixture.parked_mm
     if target_mm > stands_mm + BOTTOM_mm:
         lowest_mm = stage.reach()["position"].low
         target_mm = max(min(came_from_mm, stands_mm), lowest_mm)
     if target_mm <= stands_mm + BOTTOM_mm:
-        stage.move_to(target_mm, TRAVEL_mm_s)
+        stage.move_to(target_mm, travel_mm_s(stage))
 
 
 def _judge_what_remains(run: Run, pressed: str, where: str) -> None:

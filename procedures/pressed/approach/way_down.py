@@ -17,10 +17,11 @@ from rig.core.errors import InstrumentError
 
 if TYPE_CHECKING:
     from rig.bench.connected import Bench
+    from rig.instruments.roles import LinearStage
     from rig.run.context import Run
 
 TRAVEL_mm_s = 10.0
-"""Speed of a way that is known to be clear."""
+"""Speed of a way that is known to be clear, of a stage that may go so fast (`travel_mm_s`)."""
 RISE_N = 0.4
 """Rise of the force that means contact: far above the sensor's noise and its drift on a way."""
 REACTION_S = 0.035
@@ -36,6 +37,12 @@ ARRIVED_S = 0.08
 to be asked whether it is over (measured)."""
 USUAL_LINK_S = 0.001
 """Time of an order on a link of its own (CMMT), which estimates assume."""
+
+
+def travel_mm_s(stage: LinearStage) -> float:
+    """Return the speed in mm/s of a way that is known to be clear: `TRAVEL_mm_s`, or the largest
+    speed of a slower stage. The way off the object is one of these, so no limit may refuse it."""
+    return stage.reach()["speed"].nearest(TRAVEL_mm_s)
 
 
 def speed_bound(bench: Bench, limit_N: float) -> SpeedBound:
@@ -78,7 +85,7 @@ def go_down_watched(run: Run, target_mm: float, where: str) -> None:
     stage, force = run.bench.stage_z, run.force
     run.clock.sleep(BASELINE_S)
     before_N = force.mean_N(BASELINE_S)
-    speed_mm_s = min(speed_bound(run.bench, force.limit_N).speed_mm_s, TRAVEL_mm_s)
+    speed_mm_s = min(speed_bound(run.bench, force.limit_N).speed_mm_s, travel_mm_s(stage))
     torque = WayTorque(run)
     stage.start_move(target_mm, speed_mm_s)
     while stage.moving():

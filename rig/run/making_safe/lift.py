@@ -77,7 +77,7 @@ class Lift:
         reach = self._stage.reach()
         if not reach["position"].holds(target_mm):
             raise NotLiftedError(f"{target_mm:g} mm is outside the limits of stage_z")
-        speed_mm_s = max(min(LIFT_mm_s, reach["speed"].high), reach["speed"].low)
+        speed_mm_s = reach["speed"].nearest(LIFT_mm_s)
         give_up_s = min(self._clock.now() + STEADY_S + LONGEST_S, self._until_s)
         for _ in range(round(STEADY_S / LOOK_EVERY_S)):
             self._require_contacts()

@@ -15,6 +15,7 @@ from rig.core.errors import LimitError
 from rig.instruments.roles import Reach
 
 RATES = ServoRates(100.0, DELAY_S, 100.0)
+STAGE_REACH = {"speed": Reach(0.001, 20.0, "mm/s", "stage_z")}
 
 
 def test_the_usual_rate_changes_nothing_of_delay_and_age() -> None:
@@ -51,7 +52,7 @@ class SlowSensor:
         self.bench = SimpleNamespace(
             force_sensor=sensor,
             daq=SimpleNamespace(stop=None),
-            stage_z=SimpleNamespace(stop=_move, make_safe=_move),
+            stage_z=SimpleNamespace(stop=_move, make_safe=_move, reach=lambda: STAGE_REACH),
             settings=SimpleNamespace(fixture=fixture),
         )
         self.settings = SimpleNamespace(largest_force_N=15.0)

@@ -16,6 +16,7 @@ from rig.run.trip import TripError
 
 CONTACT_mm, TARGET_N = 12.6, 25.0
 REACH = Reach(0.0, 14.0, "mm", "stage_z")
+SPEEDS = Reach(0.001, 20.0, "mm/s", "stage_z")
 
 
 class Bench:
@@ -28,6 +29,7 @@ class Bench:
         self.known = deque([preload.CONTACT_N] * (late_ms + 1), maxlen=late_ms + 1)
         self.farthest_ahead_mm = 0.0
         self.noise_N = np.full(3, 0.002)
+        self.speeds = SPEEDS
 
     def now(self) -> float:
         return 1e-3 * self.now_ms
@@ -54,6 +56,7 @@ class Bench:
         return self.position
 
     def start_move(self, position_mm: float, speed_mm_s: float) -> None:
+        self.speeds.require("stage_z", "speed", speed_mm_s)
         self.target, self.speed = position_mm, speed_mm_s
         self.farthest_ahead_mm = max(self.farthest_ahead_mm, position_mm - self.position)
 
@@ -61,7 +64,7 @@ class Bench:
         self.target = self.position
 
     def reach(self) -> dict[str, Reach]:
-        return {"position": REACH}
+        return {"position": REACH, "speed": self.speeds}
 
 
 def run_on(bench: Bench, clock: object = None, contact_to_mm: float = 14.0) -> SimpleNamespace:
@@ -95,6 +98,20 @@ def test_a_program_that_stands_still_on_the_way_to_contact_does_not_press_on() -
     assert bench.now() > 3.0
     assert CONTACT_mm < felt_mm < CONTACT_mm + 0.051
     assert max(bench.known) < 90.0 * 0.051
+
+
+def test_a_stage_that_may_only_go_slowly_is_pressed_and_followed_at_its_own_speed() -> None:
+    bench = Bench(90.0, 5)
+    bench.speeds = Reach(0.001, 0.1, "mm/s", "stage_z")
+    bench.position = bench.target = CONTACT_mm - 0.1
+    bench.known = deque([0.0] * 6, maxlen=6)
+    run = run_on(bench)
+    felt_mm = preload._approach(run, CONTACT_mm - 0.2, 13.0, TARGET_N)  # type: ignore[arg-type]
+    pressed = preload._press_from(run, felt_mm, TARGET_N)  # type: ignore[arg-type]
+    assert pressed is not None
+    bench.position -= 0.01  # the film has crept
+    bench.sleep(0.1)
+    assert pressed.follow(run, 0.05)  # type: ignore[arg-type]
 
 
 def test_a_stage_that_stands_in_free_air_is_reported_in_time() -> None:
