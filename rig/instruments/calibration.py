@@ -15,7 +15,7 @@ import contextlib
 import json
 import re
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
@@ -33,6 +33,9 @@ VALID_DAYS: dict[Kind, int] = {"pvdf": 90, "force": 365, "load-cell": 365}
 """Default period of validity of a record (assumed: a film ages, a strain gauge hardly does)."""
 EXPIRY_WARNING_DAYS = 14.0
 """Days before its expiry from which a record gives a warning."""
+LARGEST_MISFIT = 0.02
+"""Largest difference between a force that was put on and what a record computes from its reading,
+as a share of the largest weight: twice what a record is made with (`rig.analysis.weighing`)."""
 FOLDER = "calibrations"
 """Folder of the records, next to the bench file."""
 
@@ -220,6 +223,14 @@ class ForceCalibration(Weighed):
     separately; the largest over all pairs of axes."""
     readings: tuple[WeighedForce, ...] = Field(min_length=5)
 
+    def computed_N(self) -> Iterator[tuple[float, float]]:  # noqa: N802 - the unit keeps its capital
+        """Yield, for each reading and axis, the force put on and the one computed of it, in N."""
+        for one in self.readings:
+            pairs = zip(one.reading_mV_V, self.zero_mV_V, strict=True)
+            output_mV_V = [reading - zero for reading, zero in pairs]
+            for known_N, row in zip(one.force_N, self.matrix_N_mV_V, strict=True):
+                yield known_N, sum(a * b for a, b in zip(row, output_mV_V, strict=True))
+
 
 class LoadCellCalibration(Weighed):
     """Load cell with its amplifier, statically: volts = zero + sensitivity times load."""
@@ -238,6 +249,13 @@ class LoadCellCalibration(Weighed):
         if not self.sensitivity_V_N.value:
             raise ValueError("sensitivity_V_N has no value")
         return self
+
+    def computed_N(self) -> Iterator[tuple[float, float]]:  # noqa: N802 - the unit keeps its capital
+        """Yield, for each reading, the load put on and the one computed of it, in N."""
+        sensitivity_V_N, zero_V = self.sensitivity_V_N.value, self.zero_V.value or 0.0
+        assert sensitivity_V_N, "a record without one is not read"
+        for one in self.readings:
+            yield one.load_N, (one.reading_V - zero_V) / sensitivity_V_N
 
 
 Calibration = FilmCalibration | ForceCalibration | LoadCellCalibration
@@ -348,7 +366,8 @@ def require_valid(
     warnings.
 
     ConfigurationError, naming file, sensor, dates and remedy, for a record of another sensor, for
-    one of a simulated bench on a real one, and for one that has expired unless `allow_expired`.
+    one of a simulated bench on a real one, for one of weights whose constants do not fit its own
+    readings, and for one that has expired unless `allow_expired`.
     """
     remedy = f"calibrate with `{COMMANDS[record.kind]}`"
     if record.sensor != sensor:
@@ -362,6 +381,8 @@ def require_valid(
             "be used on a real one",
             remedy,
         )
+    if isinstance(record, ForceCalibration | LoadCellCalibration):
+        _refuse_misfit(record, str(source), remedy)
     whose = f"{source}: the calibration of {sensor!r} of {_day(record.date)}"
     if now >= record.valid_until:
         ended = f"{whose} expired on {_day(record.valid_until)}"
@@ -373,6 +394,19 @@ def require_valid(
     if record.valid_until - now <= timedelta(days=warning_days):
         return [f"{whose} expires on {_day(record.valid_until)}"]
     return []
+
+
+def _refuse_misfit(record: ForceCalibration | LoadCellCalibration, source: str, hint: str) -> None:
+    """Raise ConfigurationError for a record whose constants do not fit its own readings: somebody
+    has changed it, and a run would press with another force than it reads."""
+    for known_N, computed_N in record.computed_N():
+        if not abs(computed_N - known_N) <= LARGEST_MISFIT * max(record.weights_N):
+            raise ConfigurationError(
+                f"{source}: the constants of {record.sensor!r} do not fit the readings in the same "
+                f"record: they give {computed_N:.3g} N where {known_N:g} N was put on, so the "
+                "record has been changed since it was made",
+                hint,
+            )
 
 
 def header_entry(record: CalibrationRecord, source: Path | str) -> dict[str, Any]:

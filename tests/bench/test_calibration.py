@@ -72,7 +72,7 @@ def film(**changes: Any) -> FilmCalibration:
 def force_sensor(**changes: Any) -> ForceCalibration:
     reading = {
         "force_N": (0, 0, 5),
-        "reading_mV_V": (0.01, 0.0, 0.06),
+        "reading_mV_V": (0.01, -0.0006, 0.0795),
         "standard_error_mV_V": (1e-6, 1e-6, 1e-6),
         "samples": 2000,
     }
@@ -96,7 +96,7 @@ def force_sensor(**changes: Any) -> ForceCalibration:
 
 
 def load_cell(**changes: Any) -> LoadCellCalibration:
-    reading = {"load_N": 5, "reading_V": 0.5, "standard_error_V": 1e-4, "samples": 20000}
+    reading = {"load_N": 5, "reading_V": 0.501, "standard_error_V": 1e-4, "samples": 20000}
     return LoadCellCalibration.model_validate(
         common(365, sensor="cell 3")
         | {
@@ -237,6 +237,36 @@ def verdict(
 
 def test_a_record_in_force_is_used_without_a_word() -> None:
     assert verdict(film()) == []
+
+
+@pytest.mark.parametrize(
+    ("record", "reported"),
+    [
+        (
+            force_sensor(matrix_N_mV_V=((8.3, 0.03, 0), (0.03, 8.0, 0.08), (0.15, 0.04, 8.4))),
+            "they give 0.5 N where 5 N was put on",
+        ),
+        (
+            force_sensor(matrix_N_mV_V=((83.0, 0.3, 0), (0.3, 80.0, 0.8), (1.5, 0.4, -84.0))),
+            "they give -5 N where 5 N was put on",
+        ),
+        (load_cell(sensitivity_V_N=quantity(1.0, 1e-4, "V/N")), "they give 0.5 N where 5 N was"),
+    ],
+    ids=["a digit lost", "a sign", "a load cell"],
+)
+def test_a_record_that_was_edited_by_hand_is_refused(
+    record: CalibrationRecord, reported: str
+) -> None:
+    """Found by an attack: a matrix of a tenth had the film pressed up to the torque limit."""
+    assert verdict(force_sensor(), sensor="21034415") == []
+    assert verdict(load_cell(), sensor="cell 3") == []
+    with pytest.raises(ConfigurationError) as caught:
+        verdict(record, sensor=record.sensor, allow_expired=True)
+    line = caught.value.one_line()
+    assert "calibrations/film.json" in line
+    assert reported in line
+    assert "changed since it was made" in line
+    assert "rig calibrate" in line
 
 
 def test_an_expired_record_is_refused_with_its_dates_and_the_remedy() -> None:
