@@ -29,6 +29,8 @@ from procedures.roll_trial.settings import (
     NUDGED_S,
     NUDGES,
     SETTLED_S,
+    NUDGE_deg,
+    NUDGE_mm,
     RollTrialSettings,
     TURN_deg_s,
 )
@@ -153,6 +155,28 @@ class RollTrial(TrialProcedure):
             fastest = max((turn.speed_deg_s for turn in turns), default=0.0)
             named = f"{as_option(settings, 'profile_times_s')} with {as_option(settings, angle)}"
             self._require(bench, "rotary.speed", fastest, f"{named} turns at", "its fastest part")
+        if settings.alignment != "none":
+            self._require_nudges(bench, fixture.centre_mm + settings.start_mm, fixture.upright_deg)
+
+    def _require_nudges(self, bench: Bench, start_mm: float, upright_deg: float) -> None:
+        """Raise LimitError where the nudges that measure the axis would leave the limits of a
+        stage, which would be found only with the skin pressed."""
+        alignment = as_option(self.settings, "alignment")
+        for way in (-1, 1):
+            self._require(
+                bench,
+                "stage_x.position",
+                start_mm + way * NUDGE_mm,
+                f"{alignment} nudges x to",
+                f"{start_mm:g} mm, where the roll begins, {way * NUDGE_mm:+g} mm",
+            )
+            self._require(
+                bench,
+                "rotary.angle",
+                upright_deg + way * NUDGE_deg,
+                f"{alignment} nudges the object to",
+                f"{upright_deg:g} deg upright {way * NUDGE_deg:+g} deg",
+            )
 
     def _require_on_the_skin(self, bench: Bench) -> None:
         """Raise LimitError where the roll would begin beside the ridges: z would go down to the end

@@ -11,8 +11,11 @@ from procedures.pressed.settings import PressedSettings, TICK_Hz
 from procedures.roll_trial.profile import Curve, Profile, ThereAndBack
 
 NUDGES = (0, 1, 0, -1, 0)
-NUDGED_S = 0.35
-"""Time of a nudge, which measures the axis, including the time until the rubber is at rest."""
+"""Places to either side of the middle, in nudges, at which the axis is measured."""
+NUDGE_mm, NUDGE_deg = 0.02, 0.5
+"""Nudges of x and of the object that measure the axis: far too small for a slip."""
+NUDGED_S = 0.48
+"""Mean time expected of a nudge, including the time until the rubber is at rest."""
 TURN_deg_s = 12.0
 """Largest speed of the turn at `TICK_Hz` ticks of the servo (paper 5)."""
 SETTLED_S = 0.05

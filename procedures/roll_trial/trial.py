@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 from procedures.pressed.approach.way_down import travel_mm_s
@@ -14,10 +15,11 @@ from procedures.pressed.record.positions import AxisRows
 from procedures.pressed.series import PressedSeries
 from procedures.pressed.settings import AFTER_S
 from procedures.pressed.trial import PressedTrial
+from procedures.roll_trial.profile import Profile, ThereAndBack
 from procedures.roll_trial.reading import RollTrialRecord, reading_of
-from procedures.roll_trial.settings import NUDGED_S, NUDGES, SETTLED_S
-from rig.analysis.trial.axis_offset import NudgeForce, axis_offset
-from rig.core.errors import LimitError
+from procedures.roll_trial.settings import NUDGES, SETTLED_S, NUDGE_deg, NUDGE_mm
+from rig.analysis.trial.axis_offset import NudgeForce, Reals, axis_offset
+from rig.core.errors import InstrumentError, LimitError
 
 if TYPE_CHECKING:
     from procedures.pressed.links import TrialLinks
@@ -25,16 +27,21 @@ if TYPE_CHECKING:
     from procedures.roll_trial.settings import RollTrialSettings
     from rig.analysis.estimate import Estimate
     from rig.control.tick_loop import Tick
+    from rig.instruments.roles import Reach
     from rig.run.context import Run
     from rig.run.points import Reading
 
-UPRIGHT_deg_s, UPRIGHT_deg_s2 = 10.0, 100.0
-"""Speed and acceleration at which the object is brought upright, with the skin clear of it."""
-NUDGE_mm, NUDGE_deg = 0.02, 0.5
-"""Moves of x and of the object to either side that measure the axis: far too small for a slip."""
+UPRIGHT = (10.0, 100.0)
+"""Speed in deg/s and acceleration in deg/s^2 at which the object is brought upright, with the skin
+clear of it."""
 NUDGE_mm_s, NUDGE_deg_s, NUDGE_deg_s2 = 0.2, 2.0, 20.0
+RESTED_S = 0.25
+"""Time after a nudge until the force has been measured: the rubber comes to rest first."""
 MEASURED_S = 0.1
-"""Length of the force record at the end of a nudge's rest that is averaged."""
+"""Length of the force record at the end of this time that is averaged."""
+NUDGED_SHARE = 0.25
+"""Largest error of the place after a nudge, as a share of the nudge: an axis that did not follow
+would be taken for an offset."""
 MOST_POLLS_Hz = 50.0
 """Highest rate at which three axes and the DAQ are polled: 100 Hz would fill every tick."""
 LARGEST_COMPENSATED_mm = 8.0
@@ -134,8 +141,14 @@ class HeadTrial(PressedTrial):
         """Move z up, so that the skin is clear of the object, and turn the object upright."""
         parked_mm = self.run.bench.settings.fixture.parked_mm
         self.z.stage.move_to(parked_mm, travel_mm_s(self.z.stage))
-        self.rotary.stage.turn_to(self.rotary.upright_deg, UPRIGHT_deg_s, UPRIGHT_deg_s2)
+        self.rotary.stage.turn_to(self.rotary.upright_deg, *self.how_fast(*UPRIGHT))
         self.rotary.poll()
+
+    def how_fast(self, speed_deg_s: float, acceleration_deg_s2: float) -> tuple[float, float]:
+        """Return this speed and acceleration, or the largest of a rotary stage that allows less."""
+        reach = self.rotary.stage.reach()
+        speed, acceleration = reach["speed"], reach["acceleration"]
+        return speed.nearest(speed_deg_s), acceleration.nearest(acceleration_deg_s2)
 
 
 class AlignmentTrial(HeadTrial):
@@ -151,10 +164,8 @@ class AlignmentTrial(HeadTrial):
         self.bring_upright()
         self.make_ready(self.start_mm)
         self.press()
-        along_x = [self._nudged(side * NUDGE_mm, self._nudge_x) for side in NUDGES]
-        turned = [
-            self._nudged(side * math.radians(NUDGE_deg), self._nudge_object) for side in NUDGES
-        ]
+        along_x = [self._nudge_x(side * NUDGE_mm) for side in NUDGES]
+        turned = [self._nudge_object(side * NUDGE_deg) for side in NUDGES]
         self.lift()
         offset = axis_offset(along_x, turned)
         found = f"the rotary axis lies {offset.value:.2f} mm above the point of contact"
@@ -173,20 +184,74 @@ class AlignmentTrial(HeadTrial):
                 "mount the object again, the top of its head on the axis of the rotary stage, or "
                 "have x compensate for it with --alignment compensate",
             )
+        if compensated:
+            rates, reach = self.series.rates, self.x.stage.reach()
+            profile = self.settings.profile_at(rates.tick_Hz)
+            require_way_of_x(offset.value, profile, rates.tick_s, self.start_mm, reach)
         return offset
 
-    def _nudged(self, by: float, nudge: Callable[[float], None]) -> NudgeForce:
-        nudge(by)
-        self.hold(NUDGED_S)
-        frames = self.run.force.latest_N(MEASURED_S)
-        return NudgeForce(by, frames[:, 0])
+    def _nudge_x(self, by_mm: float) -> NudgeForce:
+        stage, to_mm = self.x.stage, self.start_mm + by_mm
+        speed_mm_s = stage.reach()["speed"].nearest(NUDGE_mm_s)
+        stage.start_move(to_mm, speed_mm_s)
+        force_N = self._force_at_rest(NUDGE_mm / speed_mm_s)
+        require_there("stage_x", stage.position_mm(), to_mm, NUDGE_mm, "mm")
+        return NudgeForce(by_mm, force_N)
 
-    def _nudge_x(self, by_mm: float) -> None:
-        self.x.stage.start_move(self.start_mm + by_mm, NUDGE_mm_s)
+    def _nudge_object(self, by_deg: float) -> NudgeForce:
+        stage, to_deg = self.rotary.stage, self.rotary.upright_deg + by_deg
+        how = self.how_fast(NUDGE_deg_s, NUDGE_deg_s2)
+        stage.start_turn(to_deg, *how)
+        force_N = self._force_at_rest(ThereAndBack(NUDGE_deg, *how, stay_s=0.0).way_s)
+        require_there("rotary", stage.angle_deg(), to_deg, NUDGE_deg, "deg")
+        return NudgeForce(math.radians(by_deg), force_N)
 
-    def _nudge_object(self, by_rad: float) -> None:
-        to_deg = self.rotary.upright_deg + math.degrees(by_rad)
-        self.rotary.stage.start_turn(to_deg, NUDGE_deg_s, NUDGE_deg_s2)
+    def _force_at_rest(self, way_s: float) -> Reals:
+        """Return the frames of the tangential force, (n,), once a nudge that takes so long is over
+        and the rubber is at rest."""
+        self.hold(way_s + RESTED_S)
+        force_N: Reals = self.run.force.latest_N(MEASURED_S)[:, 0]
+        return force_N
+
+
+def require_there(device: str, at: float, to: float, nudge: float, unit: str) -> None:
+    """Raise InstrumentError unless an axis has arrived where a nudge has sent it."""
+    if abs(at - to) > NUDGED_SHARE * nudge:
+        raise InstrumentError(
+            device,
+            "measure the rotary axis",
+            f"it stands at {at:.4g} {unit} after a nudge to {to:.4g} {unit}",
+            "check what blocks or slows it",
+        )
+
+
+def require_way_of_x(
+    offset_mm: float, profile: Profile, tick_s: float, start_mm: float, reach: Mapping[str, Reach]
+) -> None:
+    """Raise LimitError where x, with this `reach`, cannot follow a roll to compensate for an offset
+    of the rotary axis: it would stop in the middle of the roll."""
+    count = math.ceil(profile.duration_s / tick_s) + 1
+    ways_mm = [shift_mm(offset_mm, profile.at_deg(tick * tick_s)) for tick in range(count)]
+    fastest_mm_s = CATCH_UP * max(abs(b - a) for a, b in pairwise(ways_mm)) / tick_s
+    for what, value in (
+        ("position", start_mm + min(ways_mm)),
+        ("position", start_mm + max(ways_mm)),
+        ("speed", max(fastest_mm_s, SLOWEST_mm_s)),
+    ):
+        limit = reach[what]
+        if not limit.holds(value):
+            raise LimitError(
+                f"stage_x: to compensate for the offset of the rotary axis, {offset_mm:.2f} mm, "
+                f"the roll needs a {what} of {value:.4g} {limit.unit}; the {limit.owner} allows "
+                f"{limit.low:g} to {limit.high:g} {limit.unit}",
+                "choose a smaller angle, a slower turn or another --start, or mount the object "
+                "again, the top of its head on the axis of the rotary stage",
+            )
+
+
+def shift_mm(offset_mm: float, angle_deg: float) -> float:
+    """Return how far x has to go from the start to compensate for an offset of the rotary axis."""
+    return -offset_mm * math.sin(math.radians(angle_deg))
 
 
 class RollTrialRun(HeadTrial):
@@ -198,6 +263,7 @@ class RollTrialRun(HeadTrial):
         """Offset of the rotary axis that x compensates for."""
         if series.offset is not None and self.settings.alignment == "compensate":
             self._offset_mm = series.offset.value
+        self._x_speeds = self.x.stage.reach()["speed"]
         self._profile = self.settings.profile_at(series.rates.tick_Hz)
         self._turns = list(self._profile.turns(series.rates.tick_s))
 
@@ -229,10 +295,9 @@ class RollTrialRun(HeadTrial):
         """Move x by the distance that the turn will have dragged the skin at the next tick."""
         tick_s = self.series.rates.tick_s
         soon_s = since_s + tick_s + self.delay_s
-        shift_mm = -self._offset_mm * math.sin(math.radians(self._profile.at_deg(soon_s)))
-        target_mm = self.start_mm + shift_mm
+        target_mm = self.start_mm + shift_mm(self._offset_mm, self._profile.at_deg(soon_s))
         speed_mm_s = CATCH_UP * abs(target_mm - self.x.commanded_mm) / tick_s
-        self.x.start_move(target_mm, max(speed_mm_s, SLOWEST_mm_s))
+        self.x.start_move(target_mm, self._x_speeds.nearest(max(speed_mm_s, SLOWEST_mm_s)))
 
     def reading(self) -> Reading:
         """Return the results of the trial, and why it is invalid if it is."""

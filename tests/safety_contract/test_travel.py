@@ -73,3 +73,28 @@ def test_a_roll_that_begins_beside_the_skin_is_refused_before_anything_moves(rig
     assert f"--start {start.removesuffix('mm')} mm from the middle is beside the ridges" in error
     assert "from -8.7 to 8.7 mm" in error
     assert never_moved(rig)
+
+
+@pytest.mark.parametrize(
+    ("stated", "instead", "words"),
+    [
+        ("upright_deg = 15.0", "upright_deg = 0.2", "the object to -0.3 deg (0.2 deg upright -0.5"),
+        pytest.param(
+            "centre_mm = 10.0", "centre_mm = 5.01", "x to -0.01 mm (0.01 mm, where the roll begins",
+            marks=pytest.mark.thorough,
+        ),
+    ],
+)  # fmt: skip
+def test_a_measurement_of_the_axis_beyond_a_limit_is_refused_before_anything_moves(
+    rig, stated, instead, words
+):
+    """Found by an attack: it was refused 18 s later, with the skin pressed."""
+    head = {"mounted": "semi-spherical-object", "contact_to_mm": 13.6}
+    path = rig.folder / "close.toml"
+    path.write_text(FIXTURE.format(**(PLACES | head)).replace(stated, instead))
+    given = ("--bench", str(path), "--dry-run", "--stages", rig.bench.stages)
+    ended = rig.run("roll-trial", *given, "--world-log", str(rig.world_log))
+    assert ended.code == 4, ended.stderr
+    (error,) = ended.errors
+    assert f"--alignment compensate nudges {words}" in error
+    assert never_moved(rig)

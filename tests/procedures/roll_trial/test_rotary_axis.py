@@ -1,0 +1,53 @@
+"""How the rotary axis is measured, and what x can take back of its offset."""
+
+from __future__ import annotations
+
+import pytest
+
+from procedures.roll_trial.profile import Curve, ThereAndBack
+from procedures.roll_trial.trial import require_there, require_way_of_x
+from rig.core.errors import InstrumentError, LimitError
+from rig.instruments.roles import Reach
+
+ROLL = ThereAndBack(3.5, 12.0, 60.0, 0.3)
+CURVE = Curve((0.0, 0.5, 1.0), (0.0, -3.5, 0.0), 300.0)
+START_mm, TICK_S = 5.0, 0.01
+
+
+def reach(low_mm: float = 0.0, high_mm: float = 40.0, fastest_mm_s: float = 20.0):
+    return {
+        "position": Reach(low_mm, high_mm, "mm", "stage_x"),
+        "speed": Reach(0.001, fastest_mm_s, "mm/s", "stage_x"),
+    }
+
+
+@pytest.mark.parametrize("profile", [ROLL, CURVE])
+@pytest.mark.parametrize("offset_mm", [-8.0, 0.3, 8.0])
+def test_a_stage_with_room_may_compensate(profile, offset_mm):
+    require_way_of_x(offset_mm, profile, TICK_S, START_mm, reach())
+
+
+@pytest.mark.parametrize(
+    ("profile", "limits", "words"),
+    [
+        (ROLL, reach(low_mm=4.8), "needs a position of 4.695 mm; the stage_x allows 4.8 to 40 mm"),
+        (CURVE, reach(high_mm=5.2), "needs a position of 5.305 mm; the stage_x allows 0 to 5.2 mm"),
+        (ROLL, reach(fastest_mm_s=1.0), "needs a speed of 1.068 mm/s; the stage_x allows"),
+    ],
+)
+def test_an_offset_that_x_cannot_follow_is_refused_before_the_roll(profile, limits, words):
+    with pytest.raises(LimitError) as caught:
+        require_way_of_x(5.0, profile, TICK_S, START_mm, limits)
+    line = caught.value.one_line()
+    assert "offset of the rotary axis, 5.00 mm" in line
+    assert words in line
+    assert "--start" in line
+
+
+def test_an_axis_that_has_not_followed_its_nudge_is_named():
+    require_there("rotary", 15.4, 15.5, 0.5, "deg")
+    with pytest.raises(InstrumentError) as caught:
+        require_there("rotary", 15.02, 15.5, 0.5, "deg")
+    assert "rotary: measure the rotary axis: it stands at 15.02 deg after a nudge to 15.5 deg" in (
+        caught.value.one_line()
+    )
