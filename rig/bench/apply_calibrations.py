@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 from typing import Any, TypeVar
 
 from rig.bench.connected import Bench
+from rig.bench.plan import BenchPlan
 from rig.bench.settings import STRIPS
 from rig.instruments.calibration import (
+    CalibrationRecord,
     FilmCalibration,
     ForceCalibration,
     LoadCellCalibration,
@@ -19,6 +22,57 @@ from rig.instruments.calibration import (
 )
 
 R = TypeVar("R", FilmCalibration, ForceCalibration, LoadCellCalibration)
+
+
+RECORDS: dict[str, type[FilmCalibration] | type[ForceCalibration] | type[LoadCellCalibration]] = {
+    "film": FilmCalibration,
+    "force_sensor": ForceCalibration,
+    "load_cell": LoadCellCalibration,
+    "strip_1": FilmCalibration,
+    "strip_2": FilmCalibration,
+}
+"""Kind of each record that a bench file may name, by its key."""
+
+
+def records_of(plan: BenchPlan) -> Iterator[tuple[str, Path, CalibrationRecord]]:
+    """Yield key, file and content of each calibration record that a bench file names.
+
+    Raises ConfigurationError for one that cannot be read.
+    """
+    folder = Path(plan.source).parent
+    for key, kind in RECORDS.items():
+        file = getattr(plan.settings.calibrations, key)
+        if file is not None:
+            yield key, folder / file, read_calibration(folder / file, kind)  # type: ignore[type-var]
+
+
+def check_records(plan: BenchPlan, now: datetime, allow_expired: bool = False) -> list[str]:
+    """Check the calibration records of a bench that is not connected; return warnings.
+
+    Raises what `apply_calibrations` raises, as far as the bench file says which sensors it has: it
+    does not state the serial number of the force sensor.
+    """
+    settings = plan.settings
+    mounted: dict[str, str] = {}
+    if settings.film is not None:
+        mounted["film"] = settings.film.name
+    if settings.load_cell is not None:
+        mounted["load_cell"] = settings.load_cell.name
+    if settings.skin is not None:
+        mounted |= {strip: settings.skin.films.get(strip, "") for strip in STRIPS}
+    return [
+        warning
+        for key, path, record in records_of(plan)
+        for warning in require_valid(
+            record,
+            mounted.get(key, record.sensor),
+            now,
+            source=path,
+            simulated_bench=settings.simulation is not None,
+            allow_expired=allow_expired,
+            warning_days=settings.calibrations.expiry_warning_days,
+        )
+    ]
 
 
 def apply_calibrations(

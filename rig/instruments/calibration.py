@@ -15,7 +15,7 @@ import contextlib
 import json
 import re
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
@@ -258,7 +258,6 @@ class LoadCellCalibration(Weighed):
             yield one.load_N, (one.reading_V - zero_V) / sensitivity_V_N
 
 
-Calibration = FilmCalibration | ForceCalibration | LoadCellCalibration
 _Kind = TypeVar("_Kind", FilmCalibration, ForceCalibration, LoadCellCalibration)
 
 
@@ -288,21 +287,6 @@ def read_calibration(path: Path, kind: type[_Kind]) -> _Kind:
         return kind.model_validate(content)
     except ValidationError as error:
         raise ConfigurationError.from_validation(error, str(path), hint) from error
-
-
-def read_named(files: CalibrationFiles, folder: Path) -> list[tuple[Path, Calibration]]:
-    """Return the records that a bench file in `folder` names, each with its file."""
-    films = [files.film, files.strip_1, files.strip_2]
-
-    def read(named: Sequence[Path | None], kind: type[_Kind]) -> list[tuple[Path, Calibration]]:
-        paths = [folder / file for file in named if file is not None]
-        return [(path, read_calibration(path, kind)) for path in paths]
-
-    return [
-        *read(films, FilmCalibration),
-        *read([files.force_sensor], ForceCalibration),
-        *read([files.load_cell], LoadCellCalibration),
-    ]
 
 
 def make_record(kind: type[_Kind], fields: dict[str, Any]) -> _Kind:

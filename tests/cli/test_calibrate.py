@@ -497,3 +497,17 @@ def test_an_error_is_reported_to_two_figures_never_as_zero() -> None:
     assert with_error(0.0123456789, 0.0000003217) == "+0.01234568 ± 0.00000032"
     assert with_error(-80.123, 0.05) == "-80.123 ± 0.050"
     assert with_error(1.5, 0.0) == "+1.5"
+
+
+# --- records in use ---------------------------------------------------------------------------
+
+
+def test_a_dry_run_refuses_a_record_that_no_run_could_use(rig: Any) -> None:
+    """Found by an attack: the dry run of the evening went well, and the night was refused."""
+    calibrated = '[fixture]\nmounted = "film-clamp"\n[calibrations]\nload_cell = "cell.json"\n'
+    (rig.folder / "own.toml").write_text('name = "b"\n' + calibrated)
+    ended = rig.run("sweep", "--dry-run", "--bench", "own.toml", "--frequencies", "200")
+    assert ended.code == 2, ended.stderr
+    (error,) = ended.errors
+    assert "cannot read the calibration record cell.json" in error
+    assert "starting" not in ended.stderr

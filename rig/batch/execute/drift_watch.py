@@ -17,11 +17,11 @@ from rig.batch.execute.drift import (
     watched_figures,
     zero_drift,
 )
-from rig.batch.plan.estimate import records_of
 from rig.batch.plan.procedures import installed
 from rig.batch.plan.settings import BatchFile
 from rig.batch.queue import Queue
 from rig.batch.queue_records import AttemptResult, Claim
+from rig.bench.apply_calibrations import records_of
 from rig.bench.plan import BenchPlan, read_bench
 from rig.bench.settings import BenchSettings
 
@@ -46,9 +46,10 @@ class DriftWatch:
             text = f"the folder {self._queue.path.parent} of the batch was moved or deleted"
             return [HoldReason("folder", text, "move it back, then continue")]
         found = self.disk()
-        if not batch.allow_expired:
+        if self._plan is not None and not batch.allow_expired:
             run_s = claim.condition.rest_s + claim.estimate_s
-            found += expiring(records_of(self._plan), now, timedelta(seconds=run_s))
+            records = [(path, record) for _, path, record in records_of(self._plan)]
+            found += expiring(records, now, timedelta(seconds=run_s))
         return found
 
     def disk(self) -> list[HoldReason]:

@@ -15,7 +15,7 @@ from datetime import datetime
 from pathlib import Path
 
 from rig.batch.plan.conditions import BatchPlan
-from rig.batch.plan.estimate import ExpectedRun, Forecast, expect, forecast, homing_s, records_of
+from rig.batch.plan.estimate import ExpectedRun, Forecast, expect, forecast, homing_s
 from rig.batch.plan.findings import KeyPath, PlanFinding, RefusedBatchError
 from rig.batch.plan.read import read_batch
 from rig.batch.plan.settings import BatchFile
@@ -23,12 +23,12 @@ from rig.batch.plan.validate import BenchConnector, ValidationResult, validate
 from rig.batch.plan.window import fault_of
 from rig.batch.queue_records import RunEstimate
 from rig.batch.report.notify import require_usable
+from rig.bench.apply_calibrations import check_records
 from rig.bench.connect import connect
 from rig.bench.connected import Bench
 from rig.bench.plan import BenchPlan, read_bench
 from rig.bench.settings import Fixture
 from rig.core.errors import ConfigurationError
-from rig.instruments.calibration import require_valid
 from rig.run.bench_selector import (
     POPULATION,
     BenchRequest,
@@ -208,14 +208,7 @@ def _no_window(batch: BatchFile, now: datetime) -> Iterator[PlanFinding]:
 def _bad_records(batch: BatchFile, real: BenchPlan | None, now: datetime) -> Iterator[PlanFinding]:
     """Yield the calibration records that no run could use."""
     try:
-        for path, record in records_of(real):
-            require_valid(
-                record,
-                record.sensor,
-                now,
-                source=path,
-                simulated_bench=real is not None and real.settings.simulation is not None,
-                allow_expired=batch.batch.allow_expired,
-            )
+        if real is not None:
+            check_records(real, now, batch.batch.allow_expired)
     except ConfigurationError as error:
         yield PlanFinding(("batch", "bench"), error.message, error.hint)

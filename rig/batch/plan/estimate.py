@@ -20,15 +20,10 @@ from rig.batch.plan.conditions import BatchCondition, BatchPlan, PlannedRun
 from rig.batch.plan.procedures import installed
 from rig.batch.plan.settings import BatchSettings
 from rig.batch.plan.window import window
+from rig.bench.apply_calibrations import records_of
 from rig.bench.plan import BenchPlan
 from rig.bench.settings import FixtureSettings
-from rig.instruments.calibration import (
-    CalibrationRecord,
-    FilmCalibration,
-    ForceCalibration,
-    LoadCellCalibration,
-    read_calibration,
-)
+from rig.instruments.calibration import CalibrationRecord
 from rig.run.checked_procedure import CheckedProcedure
 from rig.run.points import Point
 
@@ -49,14 +44,6 @@ ROWS_S = 1000.0
 """Rows a second of streams that are not the DAQ's: frames of the force sensor."""
 UNIFORM = math.sqrt(12)
 """Width of a uniform distribution divided by its standard deviation."""
-
-RECORDS: dict[str, type[FilmCalibration] | type[ForceCalibration] | type[LoadCellCalibration]] = {
-    "film": FilmCalibration,
-    "force_sensor": ForceCalibration,
-    "load_cell": LoadCellCalibration,
-    "strip_1": FilmCalibration,
-    "strip_2": FilmCalibration,
-}
 
 
 @dataclass(frozen=True)
@@ -172,23 +159,10 @@ def forecast(
         in_time=in_time,
         expiring=tuple(
             ExpiringRecord(path, record)
-            for path, record in records_of(bench)
+            for _, path, record in (() if bench is None else records_of(bench))
             if now < record.valid_until <= ends
         ),
     )
-
-
-def records_of(bench: BenchPlan | None) -> Iterable[tuple[Path, CalibrationRecord]]:
-    """Return the calibration records that a bench file names; ConfigurationError for one that
-    cannot be read."""
-    if bench is None:
-        return
-    folder = Path(bench.source).parent
-    for name, kind in RECORDS.items():
-        file = getattr(bench.settings.calibrations, name)
-        if file is not None:
-            path = folder / file
-            yield path, read_calibration(path, kind)  # type: ignore[type-var]
 
 
 def _expected(condition: BatchCondition, fixture: FixtureSettings, real: bool) -> ExpectedRun:

@@ -113,6 +113,7 @@ def perform(
         results = request.results
         if request.dry_run:
             results = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="rig-dry-run-")))
+            _check_records(request)
         else:
             start_log(results)
         with stop.nothing_connected():
@@ -170,3 +171,18 @@ def _import_for(procedure: Procedure) -> None:
     from rig.run.checked_procedure import CheckedProcedure
 
     CheckedProcedure(procedure).import_ahead()
+
+
+def _check_records(request: ProcedureRequest) -> None:
+    """Check the calibration records of the bench file in a dry run, whose simulated bench uses none
+    of them."""
+    if request.bench is None:
+        return
+    from datetime import datetime
+
+    from rig.bench.apply_calibrations import check_records
+    from rig.bench.plan import read_bench
+
+    now = datetime.now().astimezone()
+    for warning in check_records(read_bench(request.bench), now, request.allow_expired):
+        say(f"warning: {warning}")
