@@ -351,7 +351,8 @@ def _press_from(
         "preload",
         f"{felt_N(run, FORCE_WINDOW_S):.3g} N after {PATIENCE_S:g} s, {target_N:g} N wanted; the "
         f"stage stands at {stage.position_mm():.3f} mm",
-        "check the film and its clamp",
+        "check the film and its clamp; for a small preload or a stiff film the steps of the stage "
+        f"may be too coarse to hold it within {100 * HELD:g} %: choose a larger preload",
     )
 
 

@@ -56,7 +56,7 @@ TAKEN_S = [
     ("slip-trial", {"trials": 4}, 33.2),
     ("slip-trial", {"speed_mm_s": 5.0, "distance_mm": 5.0}, 20.2),
     ("slip-trial", {"loading": "ramp"}, 16.0),
-    ("roll-trial", {"trials": 3}, 34.0),
+    ("roll-trial", {"trials": 3}, 36.1),
     ("sweep", {"frequencies_Hz": "200,300,500,1000"}, 18.4),
     ("sweep", {"frequencies_Hz": "2,5,20,100,2000,10000"}, 22.8),
     ("sweep", {}, 28.5),

@@ -44,7 +44,6 @@ if TYPE_CHECKING:
 
 LARGE_CROSSTALK_PERCENT = 10.0
 """Crosstalk above which two axes of the sensor are probably crossed or tilted."""
-"""Range of temperature in which sensors and film work."""
 app = typer.Typer(
     name="calibrate",
     help=(__doc__ or "").split("\n", 1)[0],

@@ -197,3 +197,15 @@ def _giving_way(bench: Bench) -> Callable[[float], None]:
             bench.known[k] = 0.96 * TARGET_N
 
     return sleep
+
+
+def test_a_preload_that_the_steps_of_the_stage_cannot_hold_is_reported_with_that_reason() -> None:
+    bench = Bench(900.0, 5)
+    exact = bench.start_move
+    bench.start_move = lambda position_mm, speed_mm_s: exact(  # type: ignore[method-assign]
+        round(position_mm, 3), speed_mm_s
+    )
+    run = run_on(bench)
+    with pytest.raises(InstrumentError) as caught:
+        preload._press_from(run, CONTACT_mm, TARGET_N)  # type: ignore[arg-type]
+    assert "steps of the stage may be too coarse to hold it within 1 %" in caught.value.one_line()
