@@ -160,7 +160,7 @@ class Preload:
         self._moved = step_mm, self.target_N - missing_N
         stage = run.bench.stage_z
         speed_mm_s = min(RISE_N_s / self.stiffness_N_mm, APPROACH_mm_s)
-        stage.start_move(self.position_mm, stage.reach()["speed"].nearest(speed_mm_s))
+        stage.start_move(self.position_mm, min(speed_mm_s, stage.reach()["speed"].high))
         return True
 
     def _learn_stiffness(self, force_N: float) -> None:
@@ -263,7 +263,7 @@ def _approach(
     """Move slowly until contact is felt, with small targets ahead of the stage; return its
     position."""
     stage, clock = run.bench.stage_z, run.clock
-    speed_mm_s = stage.reach()["speed"].nearest(APPROACH_mm_s)
+    speed_mm_s = min(APPROACH_mm_s, stage.reach()["speed"].high)
     patience_s = (last_mm - stage.position_mm()) / speed_mm_s + LATE_S
     begin_s = clock.now()
     watch = ApproachWatch(run, CONTACT_N, target_N, torque)
@@ -338,7 +338,7 @@ def _press_from(
                 target_mm,
             )
         if abs(missing_N) > CLOSE * target_N:
-            speed_mm_s = stage.reach()["speed"].nearest(_speed(stiffness, missing_N))
+            speed_mm_s = min(_speed(stiffness, missing_N), stage.reach()["speed"].high)
             ahead_mm = AHEAD_S * speed_mm_s
             target_mm = here_mm + min(max(missing_N / stiffness, -ahead_mm), ahead_mm)
             refuse_deeper(target_mm, deepest_mm)
