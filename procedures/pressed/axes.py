@@ -135,7 +135,7 @@ class PressingStage(PolledStage):
         reach = self.stage.reach()
         require("position under the force", position_mm, reach["position"])
         self.commanded_mm = position_mm
-        speed_mm_s = min(max(speed_mm_s, SLOWEST_mm_s), reach["speed"].high)
+        speed_mm_s = reach["speed"].nearest(max(speed_mm_s, SLOWEST_mm_s))
         asked_s = self.clock.now()
 
         def move() -> None:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import dataclass
+from statistics import fmean
 from typing import TYPE_CHECKING
 
 from procedures.pressed.approach.torque_watch import SUSPECT
@@ -27,15 +29,19 @@ LOST_SHARE, LOST_STEPS = 0.5, 3
 the other, the force is lost: no motion of a trial changes it so much. The servo would press on at
 its full rate if the sensor were at fault."""
 
-FOLLOWED_SHARE = 0.25
-"""Share of a squeeze by which the force has to rise above the former set point to have followed."""
+FOLLOW_FROM = 0.05
+"""Rise of the set point, as a share of it, from which the force has to follow."""
+FOLLOWED_SHARE, FOLLOWED_WITHIN, FOLLOWED_STEPS = 0.25, 0.02, 5
+"""The force has followed where its mean over so many steps is as near to the set point as the first
+of these, as a share of the rise, or the second, as a share of the set point: a single reading may
+be noise."""
 FOLLOW_WAY, FOLLOW_SHARE = 2.5, 0.3
-"""Way of z, in ways that a squeeze needs, and share of the held force that a slip may take from it
-meanwhile: where z has gone so far after a squeeze and the force has not followed, the sensor is
+"""Way of z, in ways that a rise of the set point needs, and share of the held force that a slip may
+take from it meanwhile: where z has gone so far and the force has not followed, the sensor is
 suspect. Without this bound the servo would press on with a sensor that shows the old force: it
-takes the set point for one that is always missing. Further squeezes meanwhile extend the way by
-theirs and do not begin it anew: alarms in a row would press ever further. No way is longer than the
-force limit leaves room for."""
+takes the set point for one that is always missing. Further rises meanwhile extend the way by theirs
+and do not begin it anew: alarms in a row would press ever further. No way is longer than the force
+limit leaves room for."""
 
 CHANGED_SHARE = 0.25
 """Share of the held force by which it has to have changed where the torque has: a motion changes
@@ -43,17 +49,13 @@ both by less."""
 
 
 @dataclass(frozen=True)
-class _Squeeze:
-    """One squeeze, or several in a row, that the force has not followed yet."""
+class _Followed:
+    """Where the force has followed last."""
 
-    from_N: float
-    """Set point before the first of them."""
-    from_mm: float
-    """Commanded position of z before the first of them."""
     force_N: float
-    """Force that shows that it has followed."""
-    deepest_mm: float
-    """Position of z by which it has to."""
+    """Set point then."""
+    position_mm: float
+    """Commanded position of z then."""
 
 
 class ForceHold:
@@ -69,6 +71,7 @@ class ForceHold:
         ticks: TrialTicks,
         at_rest_s: float,
         torque: TorqueWatch,
+        largest_force_N: float,
     ):
         self._servo, self._z, self._links = servo, z, links
         self._force, self._record, self._ticks = force, record, ticks
@@ -82,7 +85,11 @@ class ForceHold:
         """Force that has been reached: less than the set point while that is being raised."""
         self._stepped_s = 0.0
         """Time on the run's clock of the latest step."""
-        self._squeezed: _Squeeze | None = None
+        self._largest_force_N = largest_force_N
+        """Force limit of the trial."""
+        self._followed = _Followed(servo.settings.target_N, z.commanded_mm)
+        self._latest_N: deque[float] = deque(maxlen=FOLLOWED_STEPS)
+        """Force of the latest steps."""
         self._lost = 0
         """Number of successive steps in which the force was lost."""
 
@@ -104,33 +111,23 @@ class ForceHold:
     def hold_at(self, force_N: float, largest_speed_mm_s: float) -> None:
         """Change the held force, from the next step on, and the largest speed of z; the servo
         brings the force there at its own rate."""
-        self._servo.hold_at(force_N, largest_speed_mm_s)
+        servo, from_N = self._servo, self._followed.force_N
+        before_N = servo.settings.target_N
+        servo.hold_at(force_N, largest_speed_mm_s)
+        if before_N <= from_N < force_N:  # a rise begins here
+            self._followed = _Followed(from_N, self._z.commanded_mm)
+        elif force_N < from_N:  # z comes up by what the force falls
+            way_mm = (from_N - force_N) / servo.settings.stiffness_N_mm
+            self._followed = _Followed(force_N, self._followed.position_mm - way_mm)
         self._reached_N = min(self._reached_N, force_N)
 
-    def squeeze(
-        self, force_N: float, largest_speed_mm_s: float, largest_force_N: float
-    ) -> SentMove:
+    def squeeze(self, force_N: float, largest_speed_mm_s: float) -> SentMove:
         """Raise the held force and send z on its way at once, not with the next step; return what
-        becomes of that move. The servo does the rest.
-
-        z goes no further than what would take the force to `largest_force_N`, and what a slip may
-        take from it, before the force sensor has to show that it follows.
-        """
+        becomes of that move. The servo does the rest."""
         servo, z = self._servo, self._z
-        before_N = servo.settings.target_N
+        rise_N = force_N - servo.settings.target_N
         self.hold_at(force_N, largest_speed_mm_s)
-        waiting = self._squeezed
-        from_N = before_N if waiting is None else waiting.from_N
-        from_mm = z.commanded_mm if waiting is None else waiting.from_mm
-        rise_N = force_N - from_N
-        way_N = min(FOLLOW_WAY * rise_N, largest_force_N - from_N) + FOLLOW_SHARE * from_N
-        self._squeezed = _Squeeze(
-            from_N,
-            from_mm,
-            from_N + FOLLOWED_SHARE * rise_N,
-            from_mm + way_N / servo.settings.stiffness_N_mm,
-        )
-        step = servo.lead(force_N - before_N, z.clock.now() - self._stepped_s)
+        step = servo.lead(rise_N, z.clock.now() - self._stepped_s)
         sent = SentMove()
         z.start_move(z.commanded_mm + step.increment_mm, step.speed_mm_s, sent)
         return sent
@@ -201,16 +198,26 @@ class ForceHold:
             )
 
     def _refuse_unfollowed(self, force_N: float) -> None:
-        """Raise InstrumentError where z has squeezed and the force has not followed."""
-        squeezed = self._squeezed
-        if squeezed is None or force_N >= squeezed.force_N:
-            self._squeezed = None
-        elif self._z.commanded_mm > squeezed.deepest_mm:
-            self._z.stage.stop()
+        """Raise InstrumentError where z has pressed on because the set point has risen, and the
+        force has not followed."""
+        self._latest_N.append(force_N)
+        servo, z, followed = self._servo.settings, self._z, self._followed
+        rise_N = servo.target_N - followed.force_N
+        near_N = max(FOLLOWED_SHARE * rise_N, FOLLOWED_WITHIN * servo.target_N)
+        if abs(fmean(self._latest_N) - servo.target_N) <= near_N:
+            self._followed = _Followed(servo.target_N, z.commanded_mm)
+            return
+        if rise_N < FOLLOW_FROM * followed.force_N:
+            return
+        room_N = self._largest_force_N - followed.force_N
+        way_N = min(FOLLOW_WAY * rise_N, room_N) + FOLLOW_SHARE * followed.force_N
+        if z.commanded_mm > followed.position_mm + way_N / servo.stiffness_N_mm:
+            z.stage.stop()
             raise InstrumentError(
                 "force_sensor",
-                "squeeze",
-                f"it reads {force_N:.2g} N at {self._z.commanded_mm:.3f} mm, where a squeeze to "
-                f"{self._servo.settings.target_N:.3g} N has taken z: the force has not followed",
+                "raise the force",
+                f"it reads {force_N:.2g} N at {z.commanded_mm:.3f} mm, where z has pressed on to "
+                f"bring it from {followed.force_N:.3g} N to {servo.target_N:.3g} N: the force has "
+                "not followed",
                 SUSPECT,
             )

@@ -64,7 +64,9 @@ class Press:
         """Time in s from a command to the first force that shows it."""
         settings = self._settings
         bound = held_speed_bound(run.bench, settings.largest_force_N, self._force_N)
-        self.fastest_mm_s = bound.speed_mm_s
+        self._stage_mm_s = z.stage.reach()["speed"].high
+        """Largest speed of the stage."""
+        self.fastest_mm_s = min(bound.speed_mm_s, self._stage_mm_s)
         """Largest speed of z from contact on."""
 
     def down(self) -> float:
@@ -77,6 +79,7 @@ class Press:
             settings.acceleration_mm_s2,
             self._run.bench.settings.fixture.stiffest_N_mm,
             self.fastest_mm_s,
+            self._stage_mm_s,
         )
         self._run.count_press()
         self._go_near()
@@ -113,12 +116,13 @@ class Press:
             return
         z, settings, rates = self._z, self._settings, self._series.rates
         near_mm = self._series.contact_mm - NEAR_mm
-        speed_mm_s = largest_speed_mm_s(
+        bound_mm_s = largest_speed_mm_s(
             self._force_N,
             self._run.bench.settings.fixture.stiffest_N_mm,
             self._delay_s + rates.approach_s,
             settings.acceleration_mm_s2,
         )
+        speed_mm_s = min(bound_mm_s, self._stage_mm_s)
         z.start_move(near_mm, speed_mm_s)
 
         def on_tick(tick: Tick) -> bool:

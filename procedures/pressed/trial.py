@@ -154,8 +154,9 @@ class PressedTrial:
         self._commanded_force(record.tapped_s, record.normal_force_N)
         self.torque.hold_begins(record.normal_force_N)
         self._hold = ForceHold(
-            servo, self.z, self.links, force, record, ticks, at_rest_s, self.torque
-        )
+            servo, self.z, self.links, force, record, ticks, at_rest_s, self.torque,
+            settings.largest_force_N,
+        )  # fmt: skip
         self.hold(settings.rest_s)
 
     def hold(self, seconds: float) -> None:
@@ -298,9 +299,7 @@ class PressedTrial:
             )
         if force_N == self._held().set_force_N:
             return
-        bound = held_speed_bound(self.run.bench, self.settings.largest_force_N, force_N)
-        bound.require("stage_z", self.z.stage.reach()["speed"].low)
-        self._held().hold_at(force_N, bound.speed_mm_s)
+        self._held().hold_at(force_N, self._fastest_mm_s(force_N))
         self._note_set_point(force_N)
 
     def _answer(self, one: Detection) -> None:
@@ -310,13 +309,18 @@ class PressedTrial:
     def _squeeze(self, rise_N: float) -> SentMove:
         """Raise the held force by so many N and send z on its way at once."""
         force_N = self._held().set_force_N + rise_N
-        largest_N = self.settings.largest_force_N
-        bound = held_speed_bound(self.run.bench, largest_N, force_N)
-        bound.require("stage_z", self.z.stage.reach()["speed"].low)
-        sent = self._held().squeeze(force_N, bound.speed_mm_s, largest_N)
+        sent = self._held().squeeze(force_N, self._fastest_mm_s(force_N))
         self._squeezed_N += rise_N
         self._note_set_point(force_N)
         return sent
+
+    def _fastest_mm_s(self, force_N: float) -> float:
+        """Return the largest speed of z that holds this force. LimitError where z cannot go so
+        slowly that it would brake within what is left to the force limit."""
+        bound = held_speed_bound(self.run.bench, self.settings.largest_force_N, force_N)
+        speeds = self.z.stage.reach()["speed"]
+        bound.require("stage_z", speeds.low)
+        return min(bound.speed_mm_s, speeds.high)
 
     def _note_set_point(self, force_N: float) -> None:
         at_s = self.since_s()

@@ -39,9 +39,9 @@ RESTED_S = 0.25
 """Time after a nudge until the force has been measured: the rubber comes to rest first."""
 MEASURED_S = 0.1
 """Length of the force record at the end of this time that is averaged."""
-NUDGED_SHARE = 0.25
-"""Largest error of the place after a nudge, as a share of the nudge: an axis that did not follow
-would be taken for an offset."""
+NUDGED_SHARE = 0.5
+"""Largest error of the way of a nudge, as a share of it: an axis that did not follow would be taken
+for an offset. Drives may end a motion some µm beside its target; the way is measured."""
 MOST_POLLS_Hz = 50.0
 """Highest rate at which three axes and the DAQ are polled: 100 Hz would fill every tick."""
 LARGEST_COMPENSATED_mm = 8.0
@@ -164,8 +164,9 @@ class AlignmentTrial(HeadTrial):
         self.bring_upright()
         self.make_ready(self.start_mm)
         self.press()
-        along_x = [self._nudge_x(side * NUDGE_mm) for side in NUDGES]
-        turned = [self._nudge_object(side * NUDGE_deg) for side in NUDGES]
+        x_mm, rotary_deg = self.x.stage.position_mm(), self.rotary.stage.angle_deg()
+        along_x = [self._nudge_x(x_mm, side * NUDGE_mm) for side in NUDGES]
+        turned = [self._nudge_object(rotary_deg, side * NUDGE_deg) for side in NUDGES]
         self.lift()
         offset = axis_offset(along_x, turned)
         found = f"the rotary axis lies {offset.value:.2f} mm above the point of contact"
@@ -190,21 +191,23 @@ class AlignmentTrial(HeadTrial):
             require_way_of_x(offset.value, profile, rates.tick_s, self.start_mm, reach)
         return offset
 
-    def _nudge_x(self, by_mm: float) -> NudgeForce:
-        stage, to_mm = self.x.stage, self.start_mm + by_mm
+    def _nudge_x(self, from_mm: float, by_mm: float) -> NudgeForce:
+        stage = self.x.stage
         speed_mm_s = stage.reach()["speed"].nearest(NUDGE_mm_s)
-        stage.start_move(to_mm, speed_mm_s)
+        stage.start_move(self.start_mm + by_mm, speed_mm_s)
         force_N = self._force_at_rest(NUDGE_mm / speed_mm_s)
-        require_there("stage_x", stage.position_mm(), to_mm, NUDGE_mm, "mm")
-        return NudgeForce(by_mm, force_N)
+        went_mm = stage.position_mm() - from_mm
+        require_nudged("stage_x", went_mm, by_mm, NUDGE_mm, "mm")
+        return NudgeForce(went_mm, force_N)
 
-    def _nudge_object(self, by_deg: float) -> NudgeForce:
+    def _nudge_object(self, from_deg: float, by_deg: float) -> NudgeForce:
         stage, to_deg = self.rotary.stage, self.rotary.upright_deg + by_deg
         how = self.how_fast(NUDGE_deg_s, NUDGE_deg_s2)
         stage.start_turn(to_deg, *how)
         force_N = self._force_at_rest(ThereAndBack(NUDGE_deg, *how, stay_s=0.0).way_s)
-        require_there("rotary", stage.angle_deg(), to_deg, NUDGE_deg, "deg")
-        return NudgeForce(math.radians(by_deg), force_N)
+        went_deg = stage.angle_deg() - from_deg
+        require_nudged("rotary", went_deg, by_deg, NUDGE_deg, "deg")
+        return NudgeForce(math.radians(went_deg), force_N)
 
     def _force_at_rest(self, way_s: float) -> Reals:
         """Return the frames of the tangential force, (n,), once a nudge that takes so long is over
@@ -214,13 +217,14 @@ class AlignmentTrial(HeadTrial):
         return force_N
 
 
-def require_there(device: str, at: float, to: float, nudge: float, unit: str) -> None:
-    """Raise InstrumentError unless an axis has arrived where a nudge has sent it."""
-    if abs(at - to) > NUDGED_SHARE * nudge:
+def require_nudged(device: str, went: float, by: float, nudge: float, unit: str) -> None:
+    """Raise InstrumentError unless an axis has gone about as far as a nudge has sent it from where
+    it stood before the first one."""
+    if abs(went - by) > NUDGED_SHARE * nudge:
         raise InstrumentError(
             device,
             "measure the rotary axis",
-            f"it stands at {at:.4g} {unit} after a nudge to {to:.4g} {unit}",
+            f"it has gone {went:.3g} {unit} for a nudge of {by:g} {unit}",
             "check what blocks or slows it",
         )
 
@@ -233,10 +237,11 @@ def require_way_of_x(
     count = math.ceil(profile.duration_s / tick_s) + 1
     ways_mm = [shift_mm(offset_mm, profile.at_deg(tick * tick_s)) for tick in range(count)]
     fastest_mm_s = CATCH_UP * max(abs(b - a) for a, b in pairwise(ways_mm)) / tick_s
+    fastest_mm_s = max(fastest_mm_s, reach["speed"].low)  # x goes no slower, see _take_back
     for what, value in (
         ("position", start_mm + min(ways_mm)),
         ("position", start_mm + max(ways_mm)),
-        ("speed", max(fastest_mm_s, SLOWEST_mm_s)),
+        ("speed", fastest_mm_s),
     ):
         limit = reach[what]
         if not limit.holds(value):

@@ -108,7 +108,7 @@ class SlipTrialRun(PressedTrial):
         ramp = ForceRamp(
             settings.ramp_N_s, settings.speed_mm_s, self.series.rates.tick_s, self.delay_s
         )
-        ask = self._asking(ramp)
+        ask, speeds = self._asking(ramp), self.x.stage.reach()["speed"]
         slipped_mm = speed_mm_s = 0.0
 
         def pull(tick: Tick) -> bool:
@@ -117,7 +117,7 @@ class SlipTrialRun(PressedTrial):
             since_s, travel_mm, _, asked_mm_s = ask(tick)
             if asked_mm_s != speed_mm_s:
                 speed_mm_s = asked_mm_s
-                self.x.start_move(settings.end_mm, speed_mm_s)
+                self.x.start_move(settings.end_mm, speeds.nearest(speed_mm_s))
             if ramp.follows:
                 self.record.ramp_to_s = self.since_s()
             if ramp.slipped:
@@ -156,7 +156,7 @@ class SlipTrialRun(PressedTrial):
             self.delay_s,
             holds_N=load_N,
         )
-        ask = self._asking(ramp)
+        ask, speeds = self._asking(ramp), x.stage.reach()["speed"]
         weight = RestingWeight(load_N, settings.speed_mm_s)
         from_mm: float | None = None
         speed_mm_s = 0.0
@@ -170,7 +170,7 @@ class SlipTrialRun(PressedTrial):
                 to_mm = settings.end_mm if speed_mm_s > 0 else settings.start_mm
                 if abs(speed_mm_s) < SLOWEST_mm_s:
                     to_mm = x.latest.position_mm
-                x.start_move(to_mm, max(abs(speed_mm_s), SLOWEST_mm_s))
+                x.start_move(to_mm, speeds.nearest(max(abs(speed_mm_s), SLOWEST_mm_s)))
             # A fast ramp counts as followed with much of the weight missing: from its end on, what
             # still moves is the weight's way.
             if from_mm is None and ramp.follows and ramp.wanted_N(since_s) < load_N:

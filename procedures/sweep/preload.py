@@ -45,6 +45,7 @@ from rig.run.trip import TripError
 
 if TYPE_CHECKING:
     from procedures.sweep.settings import SweepSettings
+    from rig.instruments.roles import LinearStage
     from rig.run.context import Run
 
 TICK_S = 0.01
@@ -160,7 +161,7 @@ class Preload:
         self._moved = step_mm, self.target_N - missing_N
         stage = run.bench.stage_z
         speed_mm_s = min(RISE_N_s / self.stiffness_N_mm, APPROACH_mm_s)
-        stage.start_move(self.position_mm, min(speed_mm_s, stage.reach()["speed"].high))
+        stage.start_move(self.position_mm, _possible_mm_s(stage, speed_mm_s))
         return True
 
     def _learn_stiffness(self, force_N: float) -> None:
@@ -263,7 +264,7 @@ def _approach(
     """Move slowly until contact is felt, with small targets ahead of the stage; return its
     position."""
     stage, clock = run.bench.stage_z, run.clock
-    speed_mm_s = min(APPROACH_mm_s, stage.reach()["speed"].high)
+    speed_mm_s = _possible_mm_s(stage, APPROACH_mm_s)
     patience_s = (last_mm - stage.position_mm()) / speed_mm_s + LATE_S
     begin_s = clock.now()
     watch = ApproachWatch(run, CONTACT_N, target_N, torque)
@@ -338,7 +339,7 @@ def _press_from(
                 target_mm,
             )
         if abs(missing_N) > CLOSE * target_N:
-            speed_mm_s = min(_speed(stiffness, missing_N), stage.reach()["speed"].high)
+            speed_mm_s = _possible_mm_s(stage, _speed(stiffness, missing_N))
             ahead_mm = AHEAD_S * speed_mm_s
             target_mm = here_mm + min(max(missing_N / stiffness, -ahead_mm), ahead_mm)
             refuse_deeper(target_mm, deepest_mm)
@@ -354,6 +355,12 @@ def _press_from(
         "check the film and its clamp; for a small preload or a stiff film the steps of the stage "
         f"may be too coarse to hold it within {100 * HELD:g} %: choose a larger preload",
     )
+
+
+def _possible_mm_s(stage: LinearStage, wanted_mm_s: float) -> float:
+    """Return the speed nearest to the wanted one that the stage has, but none above the speed of
+    the approach, for which the bound on z's speed was checked."""
+    return min(stage.reach()["speed"].nearest(wanted_mm_s), APPROACH_mm_s)
 
 
 def _speed(stiffness_N_mm: float, missing_N: float) -> float:

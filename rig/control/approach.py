@@ -152,15 +152,18 @@ class Approach:
         acceleration_mm_s2: float = 200.0,
         stiffest_N_mm: float = STIFFEST_N_mm,
         fastest_mm_s: float = math.inf,
+        stage_mm_s: float = math.inf,
     ):
-        """`fastest_mm_s` bounds every speed after touch; the search has a bound of its own."""
+        """`fastest_mm_s` bounds every speed after touch; the search has a bound of its own, and
+        that of the stage, `stage_mm_s`."""
         self.target_N = target_N
         self._ahead_s = max(AHEAD_s, 3 * tick_s)
         self._acceleration, self._fastest_mm_s = acceleration_mm_s2, fastest_mm_s
         self._delay_s = delay_s + tick_s
-        self.search_mm_s = largest_speed_mm_s(
+        bound_mm_s = largest_speed_mm_s(
             TOUCH * target_N, stiffest_N_mm, self._delay_s, acceleration_mm_s2
         )
+        self.search_mm_s = min(bound_mm_s, stage_mm_s)
         """Speed of the search for contact, in mm/s."""
         self._stiffness = ContactStiffness()
         self._touched = False

@@ -389,7 +389,7 @@ def _refuse_misfit(record: ForceCalibration | LoadCellCalibration, source: str, 
                 f"{source}: the constants of {record.sensor!r} do not fit the readings in the same "
                 f"record: they give {computed_N:.3g} N where {known_N:g} N was put on, so the "
                 "record has been changed since it was made",
-                hint,
+                f"{hint}, or take the record out of [calibrations]",
             )
 
 

@@ -195,9 +195,11 @@ def park(run: Run, name: str, way_back: Callable[[float], None]) -> None:
 
 
 def _unload_deadline_s(run: Run) -> float:
-    """Return the longest time in s that the way off the object may take, however slow z is."""
-    way_mm = contact_range_mm(run.bench)[1] - run.bench.settings.fixture.parked_mm
-    return UNLOAD_DEADLINE_S + way_mm / travel_mm_s(run.bench.stage_z)
+    """Return the longest time in s that the way off the object may take, however slow z is and
+    wherever it stands."""
+    stage = run.bench.stage_z
+    travel = stage.reach()["position"]
+    return UNLOAD_DEADLINE_S + (travel.high - travel.low) / travel_mm_s(stage)
 
 
 def arm_from_where_it_stands(run: Run, name: str, way_back: Callable[[float], None]) -> None:

@@ -37,7 +37,8 @@ STEADY_S = 0.5
 LOOK_EVERY_S = 0.1
 """Interval between two readings of the contacts, which every driver can keep."""
 LONGEST_S = 10.0
-"""Longest time that a lift may take, and with it the longest way."""
+"""Longest time that a lift may take, and with it the longest way, at `LIFT_mm_s`; a slower stage
+has the time that it needs for that way."""
 
 Force = Callable[[], float | None]
 """Return the latest force in N, None where none is known."""
@@ -78,7 +79,8 @@ class Lift:
         if not reach["position"].holds(target_mm):
             raise NotLiftedError(f"{target_mm:g} mm is outside the limits of stage_z")
         speed_mm_s = reach["speed"].nearest(LIFT_mm_s)
-        give_up_s = min(self._clock.now() + STEADY_S + LONGEST_S, self._until_s)
+        longest_s = STEADY_S + LONGEST_S * max(1.0, LIFT_mm_s / speed_mm_s)
+        give_up_s = min(self._clock.now() + longest_s, self._until_s)
         for _ in range(round(STEADY_S / LOOK_EVERY_S)):
             self._require_contacts()
             self._clock.sleep(LOOK_EVERY_S)

@@ -156,11 +156,11 @@ def test_a_normal_force_that_own_forces_are_made_of_is_accepted(
 
 def hold_of(stopped: list[str], silent_s: float = 0.0) -> ForceHold:
     """A hold of 4 N whose link has been silent for so long; stops of z are noted."""
-    z = SimpleNamespace(stage=SimpleNamespace(stop=lambda: stopped.append("z")))
+    z = SimpleNamespace(stage=SimpleNamespace(stop=lambda: stopped.append("z")), commanded_mm=0.0)
     servo = SimpleNamespace(settings=SimpleNamespace(target_N=4.0))
     links = SimpleNamespace(silent_s=lambda role: silent_s)
     ticks, record = SimpleNamespace(begun=0), TrialRecord(1, 100.0, 1000.0, 4.0)
-    return ForceHold(servo, z, links, None, record, ticks, 0.0, None)  # type: ignore[arg-type]
+    return ForceHold(servo, z, links, None, record, ticks, 0.0, None, 15.0)  # type: ignore[arg-type]
 
 
 def test_a_force_may_relax_by_half_while_z_holds_its_place_and_no_further() -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from procedures.roll_trial.profile import Curve, ThereAndBack
-from procedures.roll_trial.trial import require_there, require_way_of_x
+from procedures.roll_trial.trial import require_nudged, require_way_of_x
 from rig.core.errors import InstrumentError, LimitError
 from rig.instruments.roles import Reach
 
@@ -45,9 +45,18 @@ def test_an_offset_that_x_cannot_follow_is_refused_before_the_roll(profile, limi
 
 
 def test_an_axis_that_has_not_followed_its_nudge_is_named():
-    require_there("rotary", 15.4, 15.5, 0.5, "deg")
     with pytest.raises(InstrumentError) as caught:
-        require_there("rotary", 15.02, 15.5, 0.5, "deg")
-    assert "rotary: measure the rotary axis: it stands at 15.02 deg after a nudge to 15.5 deg" in (
+        require_nudged("rotary", 0.02, 0.5, 0.5, "deg")
+    assert "rotary: measure the rotary axis: it has gone 0.02 deg for a nudge of 0.5 deg" in (
         caught.value.one_line()
     )
+
+
+@pytest.mark.parametrize("went_mm", [0.012, 0.02, 0.028])
+def test_an_axis_that_stops_some_micrometres_beside_its_target_has_followed(went_mm):
+    require_nudged("stage_x", went_mm, 0.02, 0.02, "mm")
+
+
+def test_an_x_that_is_never_slow_compensates_for_a_small_offset():
+    limits = reach() | {"speed": Reach(0.5, 20.0, "mm/s", "stage_x")}
+    require_way_of_x(0.001, ROLL, TICK_S, START_mm, limits)

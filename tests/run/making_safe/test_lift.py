@@ -113,6 +113,15 @@ def test_z_goes_up_slowly_until_it_is_clear_of_contact() -> None:
     assert not lift.is_needed()
 
 
+def test_a_stage_slower_than_the_lift_has_the_time_for_its_way() -> None:
+    stage = Stage()
+    slow = stage.reach() | {"speed": Reach(0.001, 0.05, "mm/s", "stage_z")}
+    stage.reach = lambda: slow  # type: ignore[method-assign]
+    lift_of(stage).carry_out(no_force)
+    assert stage.mm == pytest.approx(CLEAR_mm)
+    assert stage.now_s > 10.0
+
+
 def test_without_a_contact_range_it_goes_to_the_parking_place() -> None:
     stage = Stage()
     lift_of(stage, first_mm=None).carry_out(no_force)

@@ -9,6 +9,8 @@ import pytest
 
 from procedures.pressed.approach.contact import UNLOAD_DEADLINE_S, _go_clear, _unload_deadline_s
 from procedures.pressed.approach.way_down import TRAVEL_mm_s, travel_mm_s
+from procedures.sweep.preload import APPROACH_mm_s, _possible_mm_s
+from rig.control.approach import Approach
 from rig.instruments.roles import Reach
 
 PARKED_mm, PRESSED_mm, LATEST_mm = 5.0, 12.6, 13.0
@@ -57,5 +59,26 @@ def test_what_is_pressed_is_released_at_the_speed_that_the_stage_may_have(
 
 
 def test_a_slow_stage_has_the_time_for_its_way_off_the_object() -> None:
-    deadline_s = _unload_deadline_s(pressed_by(Stage(0.2)))
-    assert deadline_s >= UNLOAD_DEADLINE_S + (LATEST_mm - PARKED_mm) / 0.2
+    """From wherever it stands, and back to where it came from."""
+    stage = Stage(0.2)
+    travel = stage.reach()["position"]
+    assert _unload_deadline_s(pressed_by(stage)) >= UNLOAD_DEADLINE_S + travel.high / 0.2
+
+
+def test_a_slow_stage_searches_for_contact_at_its_own_speed() -> None:
+    """The watch of a stage that is held would take a slower one for it."""
+    approach = Approach(8.0, 0.01, 0.0045, stage_mm_s=0.1)
+    assert approach.search_mm_s == 0.1
+    assert approach.step(0.0, 1.0, 0.0, force_N=0.0).speed_mm_s == 0.1
+
+
+@pytest.mark.parametrize(
+    ("slowest_mm_s", "wanted_mm_s", "goes_mm_s"),
+    [(0.002, 0.0017, 0.002), (0.002, 0.3, 0.3), (0.002, 50.0, APPROACH_mm_s)],
+)
+def test_the_preload_is_brought_up_at_a_speed_that_the_stage_has(
+    slowest_mm_s: float, wanted_mm_s: float, goes_mm_s: float
+) -> None:
+    stage = Stage(20.0)
+    stage.speeds = Reach(slowest_mm_s, 20.0, "mm/s", "stage_z")
+    assert _possible_mm_s(stage, wanted_mm_s) == goes_mm_s  # type: ignore[arg-type]
