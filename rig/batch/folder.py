@@ -148,7 +148,54 @@ def find_folder(given: Path | None, results: Path) -> BatchFolder:
     Raises ConfigurationError if the results contain no batch, or several that run.
     """
     if given is not None:
-        return BatchFolder(given.parent if given.name == QUEUE else given)
+        return _named(given)
+    folders, running = _batches_in(results)
+    if len(running) > 1:
+        names = ", ".join(str(one.path) for one in running)
+        raise ConfigurationError(f"{len(running)} batches run: {names}", "name the folder of one")
+    return running[0] if running else folders[-1]
+
+
+def folder_to_resume(given: Path | None, results: Path) -> BatchFolder:
+    """Return the batch that is to be resumed: the folder that is named, or else the latest in the
+    results.
+
+    Raises ConfigurationError if the results contain no batch, several that run, or one that runs
+    and a later one: the first may be paused, the other interrupted.
+    """
+    found = find_folder(given, results)
+    if given is None and found != (latest := _batches_in(results)[0][-1]):
+        raise ConfigurationError(
+            f"two batches could be meant: {found.path} runs, {latest.path} is the latest",
+            f"name one: rig batch resume {found.path}, or rig batch resume {latest.path}",
+        )
+    return found
+
+
+def folder_to_rebuild(given: Path | None, results: Path) -> BatchFolder:
+    """Return the batch whose queue is to be rebuilt: the folder that is named, or else the latest
+    in the results that does not run.
+
+    Raises ConfigurationError if the results contain none.
+    """
+    if given is not None:
+        return _named(given)
+    folders, running = _batches_in(results)
+    resting = [one for one in folders if one not in running]
+    if not resting:
+        raise ConfigurationError(
+            f"every batch in {results} is running", "stop one first: rig batch stop"
+        )
+    return resting[-1]
+
+
+def _named(given: Path) -> BatchFolder:
+    return BatchFolder(given.parent if given.name == QUEUE else given)
+
+
+def _batches_in(results: Path) -> tuple[list[BatchFolder], list[BatchFolder]]:
+    """Return the batches in a folder of results, latest last, and those of them that run. Raises
+    ConfigurationError if there is none."""
     found = sorted(results.glob(f"*/{QUEUE}"), key=lambda queue: queue.stat().st_ctime)
     if not found:
         raise ConfigurationError(
@@ -156,11 +203,7 @@ def find_folder(given: Path | None, results: Path) -> BatchFolder:
         )
     folders = [BatchFolder(queue.parent) for queue in found]
     locked = locked_inodes()
-    running = [one for one in folders if holder_of(one.supervisor_lock, locked) is not None]
-    if len(running) > 1:
-        names = ", ".join(str(one.path) for one in running)
-        raise ConfigurationError(f"{len(running)} batches run: {names}", "name the folder of one")
-    return running[0] if running else folders[-1]
+    return folders, [one for one in folders if holder_of(one.supervisor_lock, locked) is not None]
 
 
 def _locked(file: int, path: Path) -> bool:

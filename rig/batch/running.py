@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import os
 from pathlib import Path
 
 from rig.batch.folder import BatchFolder
@@ -23,6 +25,10 @@ def is_running(folder: BatchFolder) -> bool:
 def require_own(folder: BatchFolder) -> None:
     """Raise ConfigurationError if the batch runs and is another user's, also where its folder may
     be written by all."""
+    # Some systems hide a process's descriptors from its own user: the lock file shows whose it is.
+    with contextlib.suppress(OSError):
+        if folder.supervisor_lock.stat().st_uid == os.geteuid():
+            return
     holder = holder_of(folder.supervisor_lock)
     if holder is not None and not holder.own:
         raise ConfigurationError(

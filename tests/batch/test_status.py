@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from rig.batch.execute.worker import _ended
-from rig.batch.folder import BatchFolder, find_folder
+from rig.batch.folder import BatchFolder, find_folder, folder_to_rebuild, folder_to_resume
 from rig.batch.plan.conditions import BatchCondition, BatchPlan, PlannedRun
 from rig.batch.plan.settings import BatchFile
 from rig.batch.queue import Queue
@@ -85,14 +85,54 @@ def test_the_batch_of_another_user_is_running_although_its_lock_may_not_be_opene
     assert not folder.is_held("supervisor")
 
 
+def three_batches(results: Path) -> list[BatchFolder]:
+    """Three batches that do not run, the latest last."""
+    folders = [BatchFolder(results / name) for name in ("first", "second", "third")]
+    made_s = 0.0
+    for folder in folders:
+        folder.path.mkdir()
+        Queue.create(folder.queue, BatchPlan({}, ()), {}, {"name": folder.path.name}).close()
+        while folder.queue.stat().st_ctime <= made_s:  # the clock of a file system has long steps
+            os.utime(folder.queue)
+        made_s = folder.queue.stat().st_ctime
+    return folders
+
+
+def test_a_resume_without_a_name_guesses_no_batch_where_one_runs_and_another_is_later(
+    tmp_path: Path,
+) -> None:
+    """The first may be paused and the other interrupted."""
+    first, _, third = three_batches(tmp_path)
+    assert folder_to_resume(None, tmp_path) == third
+    with third.held_by("supervisor", 0.0):
+        assert folder_to_resume(None, tmp_path) == third
+    with first.held_by("supervisor", 0.0):
+        with pytest.raises(ConfigurationError) as raised:
+            folder_to_resume(None, tmp_path)
+        assert folder_to_resume(third.path, tmp_path) == third
+    assert f"{first.path} runs, {third.path} is the latest" in raised.value.message
+    for one in (first, third):
+        assert f"rig batch resume {one.path}" in str(raised.value.hint)
+
+
+def test_a_rebuild_without_a_name_means_the_latest_batch_that_does_not_run(tmp_path: Path) -> None:
+    first, second, third = three_batches(tmp_path)
+    assert folder_to_rebuild(None, tmp_path) == third
+    with third.held_by("supervisor", 0.0):
+        assert folder_to_rebuild(None, tmp_path) == second
+        with (
+            first.held_by("supervisor", 0.0),
+            second.held_by("supervisor", 0.0),
+            pytest.raises(ConfigurationError, match=r"every batch in .* is running"),
+        ):
+            folder_to_rebuild(None, tmp_path)
+
+
 def test_without_a_name_the_batch_that_runs_is_meant_and_of_two_none_is_guessed(
     tmp_path: Path,
 ) -> None:
     """The queue written to last may be another's: a stop would not reach the batch that runs."""
-    folders = [BatchFolder(tmp_path / name) for name in ("first", "second", "third")]
-    for folder in folders:
-        folder.path.mkdir()
-        Queue.create(folder.queue, BatchPlan({}, ()), {}, {"name": folder.path.name}).close()
+    folders = three_batches(tmp_path)
     assert find_folder(None, tmp_path) == folders[2]
     with folders[0].held_by("supervisor", 0.0):
         assert find_folder(None, tmp_path) == folders[0]

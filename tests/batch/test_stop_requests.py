@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
+from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -17,6 +19,7 @@ from rig.batch.folder import BatchFolder
 from rig.batch.plan.conditions import BatchPlan
 from rig.batch.queue import Queue
 from rig.batch.queue_file import QueueWriteError
+from rig.batch.running import require_own
 from rig.cli.commands import batch
 from rig.core.errors import ExitCode
 from rig.run.locks import lock_holder
@@ -67,9 +70,88 @@ def test_a_stop_at_once_reaches_a_batch_whose_disk_takes_no_request(
     assert len(asked) == 1
 
 
+@pytest.mark.parametrize("spoil", [lambda queue: queue.write_bytes(b"x"), Path.unlink])
+def test_a_stop_at_once_reaches_a_batch_whose_queue_cannot_be_opened(
+    spoil: Callable[[Path], object],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    folder = BatchFolder(tmp_path)
+    Queue.create(folder.queue, BatchPlan({}, ()), {}, {"name": "night"}).close()
+    spoil(folder.queue)
+    asked: list[Path] = []
+    monkeypatch.setattr(lock_holder, "ask_to_stop", asked.append)
+    with folder.held_by("supervisor", 0.0):
+        batch.stop(tmp_path, now=True)
+        assert asked == [tmp_path / "supervisor.lock"]
+        with pytest.raises(typer.Exit):
+            batch.stop(tmp_path)
+    said = capsys.readouterr().err
+    assert f"batch {tmp_path}: stopping now" in said
+    assert "rig batch stop --now works without the queue" in said
+
+
+def test_a_batch_on_another_computer_whose_queue_is_damaged_is_stopped_there(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Its lock is seen on a network drive, but no process here holds it."""
+    folder = BatchFolder(tmp_path)
+    folder.queue.write_bytes(b"x")
+
+    def nobody(path: Path) -> None:
+        raise lock_holder.NotStoppedError(f"no process holds {path}: the run has ended or died")
+
+    monkeypatch.setattr(lock_holder, "ask_to_stop", nobody)
+    with folder.held_by("supervisor", 0.0), pytest.raises(typer.Exit):
+        batch.stop(tmp_path, now=True)
+    said = capsys.readouterr().err
+    assert f"batch {tmp_path} could not be asked to stop: {folder.queue} cannot be read" in said
+    assert "give the command on the computer and as the user that runs the batch" in said
+
+
+def test_a_batch_is_ones_own_although_its_process_cannot_be_looked_into(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = BatchFolder(tmp_path)
+    unseen = lock_holder.LockHolder(4242, "somebody", own=False)
+    monkeypatch.setattr("rig.batch.running.holder_of", lambda _: unseen)
+    with folder.held_by("supervisor", 0.0):
+        require_own(folder)
+
+
+def test_a_batch_whose_status_cannot_be_read_at_its_end_still_says_that_its_bench_is_not_safe(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Its folder was moved away. The exit code is that of the batch, not of the status."""
+
+    class Ended:
+        bench = "Bench is NOT safe (see above)."
+
+        def __init__(self, *_: object) -> None: ...
+
+        def run(self) -> ExitCode:
+            return ExitCode.UNSAFE
+
+    monkeypatch.setattr("rig.batch.execute.supervisor.Supervisor", Ended)
+    monkeypatch.setattr(batch, "start_log", lambda _: None)
+    with pytest.raises(typer.Exit) as ended:
+        batch._supervise(BatchFolder(tmp_path), as_json=True)
+    assert ended.value.exit_code == ExitCode.UNSAFE
+    shown = capsys.readouterr()
+    assert json.loads(shown.out) == {"folder": str(tmp_path), "exit": 7}
+    warning, bench = shown.err.splitlines()
+    assert warning.startswith(
+        f"warning: the status of the batch cannot be read: {tmp_path} holds no batch"
+    )
+    assert bench == Ended.bench
+
+
 def test_the_batch_of_another_user_is_not_asked_and_its_owner_is_named(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    nobody = os.geteuid() + 1
+    monkeypatch.setattr(os, "geteuid", lambda: nobody)
     folder = BatchFolder(tmp_path)
     Queue.create(folder.queue, BatchPlan({}, ()), {}, {"name": "night"}).close()
     owner = lock_holder.LockHolder(4242, "somebody", own=False)

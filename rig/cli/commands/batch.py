@@ -11,7 +11,7 @@ import typer
 
 from rig.cli.commands import batch_plan
 from rig.cli.outcome import print_json, reported, say, start_log
-from rig.core.errors import ConfigurationError
+from rig.core.errors import ConfigurationError, RigError
 
 if TYPE_CHECKING:
     from rig.batch.folder import BatchFolder
@@ -32,6 +32,20 @@ Folder = Annotated[
     Path | None,
     typer.Argument(
         help="Folder of the batch.  [default: the one in the results that runs, else the latest]",
+        metavar="FOLDER",
+    ),
+]
+FolderToResume = Annotated[
+    Path | None,
+    typer.Argument(
+        help="Folder of the batch.  [default: the latest in the results, unless another one runs]",
+        metavar="FOLDER",
+    ),
+]
+FolderToRebuild = Annotated[
+    Path | None,
+    typer.Argument(
+        help="Folder of the batch.  [default: the latest in the results that does not run]",
         metavar="FOLDER",
     ),
 ]
@@ -81,7 +95,7 @@ def run(
 
 @app.command()
 def resume(
-    folder: Folder = None,
+    folder: FolderToResume = None,
     results: Results = RESULTS,
     retry_failed: Annotated[
         bool, typer.Option("--retry-failed", help="Queue failed and left-out runs again.")
@@ -100,13 +114,13 @@ def resume(
     with reported(debug, as_json):
         from rig.batch.execute.batch_clock import renew_window
         from rig.batch.execute.start import refuse_changes
-        from rig.batch.folder import find_folder
+        from rig.batch.folder import folder_to_resume
         from rig.batch.plan.settings import BatchFile
         from rig.batch.queue import Queue
         from rig.batch.running import require_own
         from rig.core.units import counted
 
-        found = find_folder(folder, results)
+        found = folder_to_resume(folder, results)
         with Queue.open(found.queue) as queue:
             if found.is_held("supervisor"):
                 require_own(found)
@@ -125,7 +139,7 @@ def resume(
 
 @app.command()
 def rebuild(
-    folder: Folder = None,
+    folder: FolderToRebuild = None,
     file: Annotated[
         Path | None,
         typer.Option(help="The batch file, if it is no longer where it was.", metavar="FILE"),
@@ -142,10 +156,10 @@ def rebuild(
         from datetime import datetime
 
         from rig.batch.execute.rebuild import rebuild as make_anew
-        from rig.batch.folder import find_folder
+        from rig.batch.folder import folder_to_rebuild
         from rig.batch.report.status import status_of
 
-        found = find_folder(folder, results)
+        found = folder_to_rebuild(folder, results)
         counts = make_anew(found, file, bench, datetime.now().astimezone(), say)
         states = ", ".join(f"{n} {state}" for state, n in counts.items() if n)
         say(f"the queue of {found.path} was made anew: {states}")
@@ -236,30 +250,46 @@ def _request(command: str, shown: str, folder: Path | None, results: Path, debug
         from rig.batch.queue_file import QueueWriteError
         from rig.batch.report.status import status_of
         from rig.batch.running import require_own
-        from rig.run.locks.lock_holder import ask_to_stop
 
         found = find_folder(folder, results)
-        with Queue.open(found.queue) as queue:
-            if not found.is_held("supervisor"):
-                raise ConfigurationError(
-                    f"batch {found.path} is not running ({queue.meta('state')})",
-                    "; ".join(status_of(found).to_continue()) or "it has ended",
-                )
-            require_own(found)
-            try:
+        if not found.is_held("supervisor"):
+            status = status_of(found, running=False)
+            raise ConfigurationError(
+                f"batch {found.path} is not running ({status.state})",
+                "; ".join(status.to_continue()) or "it has ended",
+            )
+        require_own(found)
+        try:
+            with Queue.open(found.queue) as queue:
                 queue.add_request(command)
-            except QueueWriteError as error:  # as on a full disk
-                if command != "stop-now":
-                    raise QueueWriteError(
-                        error.message,
-                        "free the disk and ask again; rig batch stop --now works without the queue",
-                    ) from error
-                ask_to_stop(found.supervisor_lock)
+        except (QueueWriteError, ConfigurationError) as error:  # a full disk; a damaged queue
+            if command == "stop-now":
+                _stop_by_signal(found, error)
+            else:
+                full = isinstance(error, QueueWriteError)
+                hint = "free the disk and ask again" if full else error.hint or "ask again"
+                without = "rig batch stop --now works without the queue"
+                raise RigError(error.message, f"{hint}; {without}", error.code) from error
         say(f"batch {found.path}: {shown}")
+
+
+def _stop_by_signal(folder: BatchFolder, why: RigError) -> None:
+    """Stop a batch at once whose queue does not take the request, for the reason `why`."""
+    from rig.run.locks.lock_holder import NotStoppedError, ask_to_stop
+
+    try:
+        ask_to_stop(folder.supervisor_lock)
+    except NotStoppedError as error:
+        raise ConfigurationError(
+            f"batch {folder.path} could not be asked to stop: {why.message}",
+            "give the command on the computer and as the user that runs the batch",
+        ) from error
 
 
 def _supervise(folder: BatchFolder, as_json: bool) -> None:
     """Run a batch to its end, report it, and end with its exit code."""
+    import sqlite3
+
     from rig.batch.execute.supervisor import Supervisor
     from rig.batch.report.status import status_of
     from rig.cli.streams import LinesInTurn, say_at_once
@@ -270,9 +300,17 @@ def _supervise(folder: BatchFolder, as_json: bool) -> None:
         start_log(folder.path)
         supervisor = Supervisor(folder, stop, stack.enter_context(LinesInTurn(say)).say)
         code = supervisor.run()
-    ended = status_of(folder)
+    shown: dict[str, object] = {"folder": str(folder.path)}
+    try:
+        ended = status_of(folder)
+    except (RigError, sqlite3.Error) as error:  # the bench and the exit code are known all the same
+        why = error.one_line() if isinstance(error, RigError) else f"{folder.queue}: {error}"
+        lines = [f"warning: the status of the batch cannot be read: {why}"]
+        lines += [supervisor.bench] if supervisor.bench else []
+    else:
+        shown, lines = ended.as_object(), ended.closing_lines(supervisor.bench)
     if as_json:
-        print_json(ended.as_object() | {"exit": int(code)})
-    for line in ended.closing_lines(supervisor.bench):
+        print_json(shown | {"exit": int(code)})
+    for line in lines:
         say(line)
     raise typer.Exit(int(code))

@@ -55,6 +55,8 @@ def locked_inodes() -> dict[int, list[int]]:
             continue
         if "->" in line:  # it waits for the lock
             continue
+        # The table has the device as well, but the file system's: that of a file differs from it in
+        # a subvolume of btrfs and in an overlay.
         with contextlib.suppress(ValueError):
             inode = int(fields[5].rpartition(":")[2])
             found.setdefault(inode, []).append(int(fields[4]))
@@ -62,7 +64,8 @@ def locked_inodes() -> dict[int, list[int]]:
 
 
 def holder_of(path: Path, locked: dict[int, list[int]] | None = None) -> LockHolder | None:
-    """Return the living process that holds the lock of a file, None if there is none.
+    """Return the living process that holds the lock of a file, None if there is none; of several
+    candidates, one in which this program has seen the lock.
 
     `locked` is an answer of `locked_inodes` for several files. A lock whose process has died, but
     which its guard holds as well, has no holder here.
@@ -71,10 +74,9 @@ def holder_of(path: Path, locked: dict[int, list[int]] | None = None) -> LockHol
         status = path.stat()
     except OSError:
         return None
-    for pid in (locked_inodes() if locked is None else locked).get(status.st_ino, ()):
-        if (holder := _holder(pid, status)) is not None:
-            return holder
-    return None
+    pids = (locked_inodes() if locked is None else locked).get(status.st_ino, ())
+    found = [holder for pid in pids if (holder := _holder(pid, status)) is not None]
+    return max(found, key=lambda holder: holder.own, default=None)
 
 
 def _holder(pid: int, status: os.stat_result) -> LockHolder | None:

@@ -64,6 +64,21 @@ def test_looking_takes_no_lock_that_a_run_may_want(holding, tmp_path):
     os.close(file)
 
 
+def test_of_two_candidates_the_one_in_which_the_lock_was_seen_is_the_holder(holding, monkeypatch):
+    """A file of another disk may have the same number, and be locked by another user's process."""
+    path, process = holding
+    found = lock_holder._holder
+
+    def of_others(pid, status):
+        if pid == process.pid:
+            return found(pid, status)
+        return lock_holder.LockHolder(pid, "somebody", False)
+
+    monkeypatch.setattr(lock_holder, "_holder", of_others)
+    locked = {path.stat().st_ino: [1, process.pid, 2]}
+    assert holder_of(path, locked) == found(process.pid, path.stat())
+
+
 def test_a_number_that_another_process_has_taken_over_gets_no_signal(holding, monkeypatch):
     """As if the holder ended after it was found, and its number was given to somebody else."""
     path, process = holding
