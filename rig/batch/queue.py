@@ -131,7 +131,8 @@ class Queue(QueueView):
     @classmethod
     def open(cls, path: Path) -> Self:
         """Open an existing queue to write to it. Raises ConfigurationError if there is none,
-        QueueDamagedError if the file is not a queue."""
+        QueueNotOpenedError if it cannot be opened here, QueueDamagedError if the file is not a
+        queue."""
         return cls(path, connected(path, writing=True))
 
     def close_log(self) -> None:

@@ -12,25 +12,33 @@ from rig.core.errors import ConfigurationError, RigError
 
 BUSY_S = 30.0
 """Longest wait for a transaction of another process, in s."""
-
-
-NOT_OPENED = (
-    *("SQLITE_CANTOPEN", "SQLITE_READONLY", "SQLITE_PERM", "SQLITE_BUSY", "SQLITE_LOCKED"),
-    *("SQLITE_NOMEM", "SQLITE_FULL", "SQLITE_PROTOCOL", "SQLITE_IOERR_LOCK", "SQLITE_IOERR_SHM"),
+DAMAGED = (
+    *("SQLITE_NOTADB", "SQLITE_FORMAT", "SQLITE_ERROR"),
+    *("SQLITE_IOERR_READ", "SQLITE_IOERR_SHORT_READ", "SQLITE_IOERR_DATA"),
 )
-"""Beginnings of SQLite's error names that say nothing about what is in the file."""
+"""SQLite's names of errors that are due to what is in the file, besides all of SQLITE_CORRUPT."""
 
 
 class QueueNotOpenedError(ConfigurationError):
     """Raised where the file of a queue cannot be opened here, although it may be sound: another
-    user's, on a disk that is read only, locked."""
+    user's, on a disk that is read only or full, locked. `name` is SQLite's name of the error."""
 
-    def __init__(self, why: str, path: Path):
-        super().__init__(
-            f"{path} cannot be opened: {why}",
-            f"see that you may write to the folder {path.parent}, or copy it to where you may and "
-            "name the copy; the queue itself need not be damaged",
-        )
+    def __init__(self, why: str, path: Path, name: str):
+        super().__init__(f"{path} cannot be opened: {why}", _remedy(name, path.parent))
+
+
+def _remedy(name: str, folder: Path) -> str:
+    """Return what to do about an error of this name, which is not due to what is in the file."""
+    if name.startswith(("SQLITE_FULL", "SQLITE_IOERR_WRITE", "SQLITE_IOERR_FSYNC")):
+        return "free the disk, then give the command again"
+    if name.startswith(("SQLITE_BUSY", "SQLITE_LOCKED")):
+        return "another program has it open: wait for it or close it, then give the command again"
+    if name == "SQLITE_READONLY_ROLLBACK":
+        return f"a write to it was interrupted; roll that back with: rig batch resume {folder}"
+    return (
+        f"see that you may write to the folder {folder}, or copy it to where you may and name the "
+        "copy; the queue itself need not be damaged"
+    )
 
 
 class QueueDamagedError(ConfigurationError):
@@ -72,9 +80,10 @@ def connected(path: Path, *, writing: bool) -> QueueConnection:
             sql.execute("PRAGMA journal_mode = WAL")
             sql.execute("PRAGMA synchronous = FULL")
     except (sqlite3.DatabaseError, QueueDamagedError) as error:
-        if getattr(error, "sqlite_errorname", "").startswith(NOT_OPENED):
-            raise QueueNotOpenedError(str(error), path) from error
         why = error.__cause__ if isinstance(error, QueueDamagedError) else error
+        name = getattr(why, "sqlite_errorname", "")
+        if name and name not in DAMAGED and not name.startswith("SQLITE_CORRUPT"):
+            raise QueueNotOpenedError(str(why), path, name) from error
         raise QueueDamagedError(str(why), path) from error
     sql.path = path
     sql.row_factory = sqlite3.Row

@@ -26,8 +26,8 @@ class QueueView:
 
     @classmethod
     def open(cls, path: Path) -> Self:
-        """Open an existing queue. Raises ConfigurationError if there is none, QueueDamagedError if
-        the file is not a queue."""
+        """Open an existing queue. Raises ConfigurationError if there is none, QueueNotOpenedError
+        if it cannot be opened here, QueueDamagedError if the file is not a queue."""
         return cls(path, connected(path, writing=False))
 
     def close(self) -> None:

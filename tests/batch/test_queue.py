@@ -187,6 +187,40 @@ def test_a_queue_that_cannot_be_opened_here_is_not_called_damaged(
             is_sound(BatchFolder(tmp_path))
 
 
+@pytest.mark.parametrize(
+    ("name", "remedy"),
+    [
+        ("SQLITE_FULL", "free the disk"),
+        ("SQLITE_IOERR_WRITE", "free the disk"),
+        ("SQLITE_IOERR_FSYNC", "free the disk"),
+        ("SQLITE_BUSY_RECOVERY", "another program has it open"),
+        ("SQLITE_LOCKED", "another program has it open"),
+        ("SQLITE_READONLY_ROLLBACK", "roll that back with: rig batch resume"),
+        ("SQLITE_CANTOPEN", "see that you may write to the folder"),
+        ("SQLITE_NOLFS", "see that you may write to the folder"),
+        ("SQLITE_IOERR_READ", ""),
+        ("SQLITE_CORRUPT_INDEX", ""),
+        ("SQLITE_ERROR", ""),
+    ],
+)
+def test_a_queue_is_called_damaged_only_where_what_is_in_it_is_to_blame(
+    name: str, remedy: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    created(tmp_path, plan()).close()
+
+    def refuse(*_: object, **__: object) -> None:
+        error = sqlite3.OperationalError("refused")
+        error.sqlite_errorname = name
+        raise error
+
+    monkeypatch.setattr(sqlite3, "connect", refuse)
+    found = "cannot be opened: refused" if remedy else "cannot be read as the queue"
+    with pytest.raises(ConfigurationError, match=found) as raised:
+        Queue.open(tmp_path / "queue.sqlite")
+    assert str(raised.value.hint).find(remedy or "rebuild it: rig batch rebuild") >= 0
+    assert ("rebuild" in str(raised.value.hint)) == (not remedy)
+
+
 def test_damage_that_is_met_later_is_named_as_well(tmp_path: Path) -> None:
     with created(tmp_path, plan(20, 20)) as queue:
         content = queue.path.read_bytes()
