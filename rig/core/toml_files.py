@@ -30,9 +30,11 @@ MAX_KEYS = 10_000
 _GIVEN_TWICE = re.compile(r"Cannot overwrite a value \(at line (\d+), column \d+\)")
 
 
-def read_text(path: Path, what: str, most_bytes: int, hint: str | None = None) -> str:
-    """Return the text of a file, without the byte order mark that some editors put in front;
-    `what` names it in messages ("bench file").
+def read_text(
+    path: Path, what: str, most_bytes: int, hint: str | None = None, *, with_mark: bool = False
+) -> str:
+    """Return the text of a file, without the byte order mark that some editors put in front unless
+    `with_mark`; `what` names it in messages ("bench file").
 
     Raises ConfigurationError if it cannot be read, is not a regular file (a pipe could block), is
     longer than `most_bytes` or is not UTF-8.
@@ -51,11 +53,12 @@ def read_text(path: Path, what: str, most_bytes: int, hint: str | None = None) -
     if len(content) > most_bytes:
         raise ConfigurationError(f"{path} is not a {what}: larger than {most_bytes} bytes", hint)
     try:
-        return content.decode("utf-8").removeprefix("\ufeff")
+        text = content.decode("utf-8")
     except UnicodeDecodeError as error:
         raise ConfigurationError(
             f"{path} is not a {what}: not UTF-8 text: byte {error.start} is not part of one", hint
         ) from error
+    return text if with_mark else text.removeprefix("\ufeff")
 
 
 def read_toml(path: Path, what: str, hint: str | None = None) -> dict[str, Any]:

@@ -21,20 +21,24 @@ from rig.core.settings import fingerprint
 from rig.run.bench_selector import POPULATION
 from rig.run.source_state import source_state
 
+OF_BATCH_FILE = "fingerprint batch file"
+"""The queue's entry with the fingerprint of the batch file."""
+
 
 def begin(batch_file: Path, prepared: PreparedBatch, now: datetime) -> BatchFolder:
     """Make the folder of a batch that may begin, with its queue. Raises ConfigurationError if the
     batch file is not what was checked any more."""
     own = prepared.batch.batch
-    if batch_text(batch_file) != prepared.text:
+    text = batch_text(batch_file, with_mark=True)
+    if text.removeprefix("\ufeff") != prepared.text:
         raise ConfigurationError(
             f"{batch_file} was changed while the batch was checked; nothing was begun",
             "run it again",
         )
     folder = new_folder(Path(own.results), own.name, now)
-    text = batch_file.read_text(encoding="utf-8")
-    folder.batch_file.write_text(text, encoding="utf-8")
-    terms = terms_of(batch_file, prepared, now)
+    # Copy and fingerprint are of the text that was compared: the file may change at any moment.
+    write_text(folder.batch_file, text)
+    terms = terms_of(batch_file, prepared, now) | {OF_BATCH_FILE: _of_file(folder.batch_file)}
     write_text(folder.terms, json.dumps(terms, indent=1) + "\n")
     Queue.create(folder.queue, prepared.plan, prepared.estimates, terms).close()
     return folder
@@ -77,7 +81,7 @@ def fingerprints(
 ) -> dict[str, str]:
     """Return the fingerprints of everything that has to be unchanged for a batch to be resumed."""
     found = {
-        "fingerprint batch file": _of_file(batch_file),
+        OF_BATCH_FILE: _of_file(batch_file),
         "fingerprint program": f"{rig.__version__} {source_state()}".strip(),
     }
     if bench is not None:

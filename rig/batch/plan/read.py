@@ -30,9 +30,11 @@ def read_batch(path: Path) -> tuple[BatchFile, BatchPlan, BatchText]:
     return parse_batch(batch_text(path), str(path))
 
 
-def batch_text(path: Path) -> str:
-    """Return the text of a batch file. Raises ConfigurationError if it cannot be read."""
-    return read_text(path, WHAT, MAX_TOML_BYTES, "name a batch file (TOML)")
+def batch_text(path: Path, *, with_mark: bool = False) -> str:
+    """Return the text of a batch file, with its byte order mark if `with_mark`. Raises
+    ConfigurationError if it cannot be read."""
+    hint = "name a batch file (TOML)"
+    return read_text(path, WHAT, MAX_TOML_BYTES, hint, with_mark=with_mark)
 
 
 def parse_batch(text: str, name: str) -> tuple[BatchFile, BatchPlan, BatchText]:
