@@ -280,18 +280,23 @@ def test_another_runs_file_is_not_overwritten(journal: Path, tmp_path: Path) -> 
     assert sha256_of(other) == before
 
 
+@pytest.mark.parametrize(
+    ("number", "reason"),
+    [(errno.EMFILE, "too many files are open"), (errno.EIO, "Input/output error")],
+)
 def test_a_file_that_cannot_be_opened_is_not_overwritten_as_if_it_were_damaged(
-    journal: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    number: int, reason: str, journal: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     other = compile_run(run.write_run(tmp_path / "b.rigj", run_uuid="another"))
     before = sha256_of(other)
 
     def refuse(*_: object) -> None:
-        raise OSError(errno.EMFILE, "Unable to synchronously open file")
+        raise OSError(number, "Unable to synchronously open file")
 
     monkeypatch.setattr(h5py, "File", refuse)
-    with pytest.raises(RunFileError, match="cannot be replaced unread: too many files are open"):
+    with pytest.raises(RunFileError, match=f"cannot be replaced unread: {reason}") as raised:
         compile_run(journal, other)
+    assert raised.value.hint == "move it away, or compile to another name"
     assert sha256_of(other) == before
 
 

@@ -175,6 +175,19 @@ def test_a_share_that_locks_nothing_is_named_and_no_empty_journal_stays(
         JournalWriter.reopen(earlier)
 
 
+def test_a_new_journal_that_another_program_locks_at_once_is_not_blamed_on_the_file_system(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: object) -> None:
+        raise BlockingIOError(errno.EWOULDBLOCK, "Resource temporarily unavailable")
+
+    monkeypatch.setattr(fcntl, "flock", refuse)
+    with pytest.raises(RecordingError, match="another process is using this journal") as raised:
+        JournalWriter.create(tmp_path / "b.rigj", run.header())
+    assert "file system" not in str(raised.value.hint)
+    assert not (tmp_path / "b.rigj").exists()
+
+
 @pytest.mark.parametrize(
     ("changes", "finding"),
     [

@@ -189,8 +189,11 @@ class JournalWriter:
             try:
                 fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except OSError as error:
-                cause = f"it cannot be locked: {error.strerror}"
-                raise RecordingError(path, cause, f"{LOCKS_NEEDED}, {_NOTHING_YET}") from error
+                cause, hint = f"it cannot be locked: {error.strerror}", LOCKS_NEEDED
+                if error.errno not in NO_LOCKS:
+                    cause = "another process is using this journal"
+                    hint = "find out which program opens new files in that folder"
+                raise RecordingError(path, cause, f"{hint}, {_NOTHING_YET}") from error
             writer.append([MAGIC, record])
             writer.sync()
             sync_folder(path.parent)

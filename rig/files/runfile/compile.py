@@ -15,6 +15,7 @@ journal. An earlier file of the same run is replaced. The same journal gives the
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 from pathlib import Path
 
@@ -33,6 +34,10 @@ from rig.files.runfile.sample_walk import SampleWalk
 from rig.files.runfile.table import point_table
 from rig.files.runfile.write_entry import write_entry, write_root
 from rig.files.runfile.write_samples import SampleWriter
+
+SHOWS_DAMAGE = (errno.EINVAL, errno.EFAULT, errno.EOVERFLOW)
+"""Error numbers that are due to what is in a file: HDF5 asks the system for bytes at an address
+that a damaged file names."""
 
 
 def compile_run(
@@ -148,8 +153,14 @@ def _refuse_other_run(target: Path, contents: JournalContents) -> None:
             refuse_links(file)
             found = text_of(file["entry/identifier_experiment"])
     except DAMAGE as error:
-        if reason := why_not_opened(error):  # it may be sound, and another run's
-            raise RunFileError(target, f"cannot be replaced unread: {reason}") from error
+        number = error.errno if isinstance(error, OSError) else None
+        if number and number not in SHOWS_DAMAGE:  # it may be sound, and another run's
+            reason = why_not_opened(error) or os.strerror(number)
+            raise RunFileError(
+                target,
+                f"cannot be replaced unread: {reason}",
+                "move it away, or compile to another name",
+            ) from error
         return
     if found != plain_text(contents.header.run_uuid):
         raise RunFileError(
