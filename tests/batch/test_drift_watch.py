@@ -2,13 +2,27 @@
 
 from __future__ import annotations
 
+import errno
+import fcntl
+import shutil
+from collections.abc import Iterator
 from datetime import UTC, datetime
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
+import pytest
+
+from rig.batch.execute.between_runs import SelfEnding
+from rig.batch.execute.disk_room import has_room
 from rig.batch.execute.drift_watch import DriftWatch
+from rig.batch.execute.supervisor import Supervisor
+from rig.batch.execute.worker import Worker
+from rig.batch.folder import BatchFolder
 from rig.batch.plan.read import parse_batch
 from rig.batch.queue import Queue
-from rig.batch.queue_records import RunEstimate
+from rig.batch.queue_records import AttemptResult, RunEstimate
+from rig.run.stopping import StopFlag
 
 BATCH = """
 [batch]
@@ -19,24 +33,138 @@ procedure = "sweep"
 """
 
 
+class Night:
+    """A batch of one run between its runs, and the holds that its worker asks for."""
+
+    def __init__(self, path: Path) -> None:
+        self.folder, self.moved = path / "night", path / "moved"
+        (self.folder / "runs").mkdir(parents=True)
+        self.file, plan, _ = parse_batch(BATCH, "night.toml")
+        estimates = dict.fromkeys(plan.conditions, RunEstimate(18.0, 1.0))
+        self.queue = Queue.create(self.folder / "queue.sqlite", plan, estimates, {"name": "night"})
+        self.watch = DriftWatch(self.queue, self.file, None, path)
+        self.holds: list[tuple[str, SelfEnding | None]] = []
+        worker: Any = Worker.__new__(Worker)
+        worker._folder, worker._queue, worker._watch = (
+            BatchFolder(self.folder),
+            self.queue,
+            self.watch,
+        )
+        worker._batch = self.file.batch
+        worker._commands = SimpleNamespace(take_given_up=lambda: False)
+        worker._send = lambda *_, **__: None
+        worker._between = SimpleNamespace(hold=lambda why, over: self.holds.append((why, over)))
+        self.worker = worker
+
+    def move_away(self) -> None:
+        """Move the folder; the journal that has lost its name makes one of that name anew."""
+        self.folder.rename(self.moved)
+        (self.folder / "runs").mkdir(parents=True)
+
+    def move_back(self) -> None:
+        """Put the folder to its place."""
+        shutil.rmtree(self.folder)
+        self.moved.rename(self.folder)
+
+    def fail(self, kind: str) -> tuple[str, SelfEnding | None]:
+        """Return the hold after an attempt that failed for a reason of this kind."""
+        ended = AttemptResult("failed", kind, 1, "r1.rigj: it cannot be written")
+        self.worker._conclude(self.queue.claim(1), ended)
+        return self.holds[-1]
+
+
+@pytest.fixture
+def night(tmp_path: Path) -> Iterator[Night]:
+    found = Night(tmp_path)
+    with found.queue:
+        yield found
+
+
 def test_a_batch_whose_folder_is_moved_away_waits_and_does_not_record_elsewhere(
-    tmp_path: Path,
+    night: Night,
 ) -> None:
     """Its queue is open and stays with the folder that was moved; a run makes its folder anew."""
-    folder, moved = tmp_path / "night", tmp_path / "moved"
-    folder.mkdir()
-    file, plan, _ = parse_batch(BATCH, "night.toml")
-    estimates = dict.fromkeys(plan.conditions, RunEstimate(18.0, 1.0))
-    with Queue.create(folder / "queue.sqlite", plan, estimates, {"name": "night"}) as queue:
-        watch, now = DriftWatch(queue, file, None, tmp_path), datetime.now(UTC)
-        upcoming = queue.upcoming()
-        assert upcoming is not None
-        assert watch.before(upcoming, now) == []
-        folder.rename(moved)
-        (folder / "runs").mkdir(parents=True)
-        (reason,) = watch.before(upcoming, now)
-        assert reason.text == f"the folder {folder} of the batch was moved or deleted"
-        (folder / "runs").rmdir()
-        folder.rmdir()
-        moved.rename(folder)
-        assert watch.before(upcoming, now) == []
+    watch, now = night.watch, datetime.now(UTC)
+    upcoming = night.queue.upcoming()
+    assert upcoming is not None
+    assert watch.before(upcoming, now) == []
+    night.move_away()
+    (reason,) = watch.before(upcoming, now)
+    assert reason.text == f"the folder {night.folder} of the batch was moved or deleted"
+    assert "put its content back into that folder, queue.sqlite last" in reason.hint
+    night.move_back()
+    assert watch.before(upcoming, now) == []
+
+
+def test_a_copy_of_the_queue_does_not_end_the_hold(night: Night) -> None:
+    """What is recorded goes to the file that is open, not to the copy."""
+    night.move_away()
+    shutil.copy(night.moved / "queue.sqlite", night.folder)
+    (reason,) = night.watch.folder()
+    assert "was replaced by a copy" in reason.text
+    assert "Ctrl-C, then rig batch resume" in reason.hint
+
+
+def test_a_run_whose_folder_was_moved_away_waits_for_the_folder_and_not_for_room(
+    night: Night, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    claim = night.queue.claim(1)
+    night.move_away()
+    assert not night.worker._disk_has_room(), "the room is in another folder"
+    monkeypatch.setattr(night.queue, "finish", lambda *_: None)
+    night.worker._conclude(claim, AttemptResult("failed", "storage", 1, "r1.rigj: was moved"))
+    why, over = night.holds[-1]
+    assert "was moved or deleted: put its content back" in why
+    assert over is not None
+    assert over.words == "the folder is in its place"
+    assert not over.is_over()
+    night.move_back()
+    assert over.is_over()
+    assert night.worker._disk_has_room()
+
+
+def test_a_hold_for_want_of_room_ends_by_itself_and_one_for_want_of_locks_does_not(
+    night: Night,
+) -> None:
+    """The next attempt would fail in the same way, and the one after it."""
+    why, over = night.fail("storage")
+    assert why.startswith("the data cannot be saved: r1.rigj")
+    assert over is not None
+    assert over.words == "there is room on the disk"
+    why, over = night.fail("recording")
+    assert why.startswith("the data cannot be saved: r1.rigj")
+    assert over is None
+
+
+def test_a_disk_that_locks_nothing_has_no_room_for_a_journal(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert has_room(tmp_path, 1000)
+
+    def refuse(*_: object) -> None:
+        raise OSError(errno.ENOLCK, "No locks available")
+
+    monkeypatch.setattr(fcntl, "flock", refuse)
+    assert not has_room(tmp_path, 1000)
+    assert not list(tmp_path.iterdir())
+
+
+def test_people_are_notified_of_a_hold_once_and_its_state_is_set_each_time(tmp_path: Path) -> None:
+    said: list[str] = []
+    supervisor: Any = Supervisor(BatchFolder(tmp_path), StopFlag(), said.append)
+    states: list[str] = []
+    notified: list[str] = []
+    supervisor._queue = SimpleNamespace(set_meta=None)
+    supervisor._record = lambda _, *values: states.append(values[-1])
+    supervisor._notify = lambda _, text: notified.append(text)
+    hold = {"text": "the folder was moved", "by_itself": "the folder is in its place"}
+    supervisor._on_hold(hold)
+    supervisor._on_state({"state": "running", "text": "the folder is in its place again"})
+    supervisor._on_hold(hold)
+    held = "held: the folder was moved"
+    assert states == [held, "running: the folder is in its place again", held]
+    assert notified == ["the folder was moved"]
+    assert said[-1] == (
+        "the bench is safe and the batch waits; it continues when the folder is in its place, or "
+        f"with: rig batch resume {tmp_path}"
+    )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 from typing import Any
 
 import pytest
@@ -47,6 +48,24 @@ def test_the_first_cause_says_the_kind_but_an_unsafe_bench_comes_before(
     code: int, failure: RigError, kind: FailureKind
 ) -> None:
     assert kind_of(code, [failure, LimitError("what came of it")]) == kind
+
+
+@pytest.mark.parametrize(
+    ("number", "kind"),
+    [
+        (errno.ENOSPC, "storage"),
+        (errno.EMFILE, "recording"),
+        (errno.ENFILE, "recording"),
+        (errno.ENOLCK, "recording"),
+    ],
+)
+def test_data_that_no_room_on_the_disk_would_save_are_another_kind(
+    number: int, kind: FailureKind
+) -> None:
+    failure = RecordingError("run.rigj", "it cannot be locked")
+    failure.__cause__ = RecordingError("run.rigj", "the same")
+    failure.__cause__.__cause__ = OSError(number, "refused")
+    assert kind_of(ExitCode.INTERNAL, [failure]) == kind
 
 
 def test_a_bench_that_the_guard_made_safe_is_one_that_can_be_continued_with() -> None:
@@ -98,7 +117,7 @@ def test_what_a_failure_means_for_the_batch(
 
 
 def test_a_full_disk_holds_and_an_unsafe_bench_ends_the_batch_and_neither_costs_the_run() -> None:
-    for kind, becomes in (("storage", "hold"), ("unsafe", "end")):
+    for kind, becomes in (("storage", "hold"), ("recording", "hold"), ("unsafe", "end")):
         verdict = after_failure(batch(), kind, {kind: 1}, 5, 5, "x")  # type: ignore[arg-type]
         assert (verdict.run, verdict.batch) == ("again", becomes)
 

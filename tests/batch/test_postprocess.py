@@ -31,6 +31,10 @@ from rig.batch.execute.postprocess import (
     result_from,
 )
 from rig.batch.execute.run_files import RunFiles
+from rig.batch.folder import BatchFolder
+from rig.batch.plan.conditions import BatchCondition, BatchPlan, PlannedRun
+from rig.batch.queue import Queue
+from rig.batch.queue_records import AttemptResult, RunEstimate
 from rig.core.child import ChildResult
 from rig.detector.registered import chosen_detector
 from rig.files.verify import verify
@@ -159,6 +163,39 @@ def test_a_warning_of_a_figure_is_in_the_log_of_the_batch(
         files.poll(start=True)
     assert said == ["warning: the figure x: late"]
     assert (tmp_path / "batch.log").read_text() == "warning: the figure x: late\n"
+
+
+def test_a_run_whose_folder_is_away_is_not_written_off(tmp_path: Path) -> None:
+    """Its files are made once the folder is back."""
+    folder, moved = BatchFolder(tmp_path / "night"), tmp_path / "moved"
+    folder.path.mkdir()
+    sweep = BatchCondition("sweep-001", 0, "sweep", {}, {})
+    plan = BatchPlan({"sweep-001": sweep}, (PlannedRun(1, "sweep-001", 1),))
+    estimates = {"sweep-001": RunEstimate(10.0, 2.0)}
+    settings: Any = SimpleNamespace(figures=True, detect=False)
+    with (
+        Queue.create(folder.queue, plan, estimates, {"name": "night"}) as queue,
+        (tmp_path / "batch.log").open("ab", buffering=0) as log,
+    ):
+        queue.finish(queue.claim(1), AttemptResult("complete"), "done")
+        files = RunFiles(
+            folder,
+            settings,
+            queue,
+            lambda write, *values: write(*values),
+            lambda _: None,
+            log,
+            log.fileno(),
+        )
+        folder.path.rename(moved)
+        (folder.path / "runs").mkdir(parents=True)
+        files.add_all(queue.unprocessed())
+        assert queue.unprocessed() == [(1, "sweep")]
+        (folder.path / "runs").rmdir()
+        folder.path.rmdir()
+        moved.rename(folder.path)
+        files.add_all(queue.unprocessed())
+        assert queue.unprocessed() == [], "now it is known to have failed before its first record"
 
 
 # --- the processes -----------------------------------------------------------------------------

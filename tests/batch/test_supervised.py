@@ -6,6 +6,7 @@ import contextlib
 import os
 import signal
 import subprocess
+import threading
 import time
 from types import SimpleNamespace
 from typing import Any
@@ -13,7 +14,7 @@ from typing import Any
 import pytest
 from nights import QUICK_NIGHT, await_answer, await_point, folder_of, worker_of, write_night
 
-from rig.batch.execute.between_runs import SUPERVISOR_S, BetweenRuns
+from rig.batch.execute.between_runs import SUPERVISOR_S, BetweenRuns, SelfEnding
 from rig.batch.execute.worker_process import BEAT, send_beat
 from rig.run.stopping import StopRequestedError
 
@@ -68,6 +69,18 @@ def test_a_supervisor_that_hangs_is_waited_for_before_a_run_begins(
     (reported,) = between.reported
     assert "the supervisor of the batch was not heard for 10 s" in reported
     assert "no run was begun until it was heard again" in reported
+
+
+def test_a_hold_that_ends_by_itself_says_what_is_there_again(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    between = Between(0.0, monkeypatch)
+    between.waits._until = None
+    between.commands.paused = threading.Event()
+    between.commands.paused.set()
+    between.waits._wait("held", SelfEnding(lambda: True, "the folder is in its place"))
+    assert between.reported == ["the folder is in its place again"]
+    assert not between.commands.paused.is_set()
 
 
 def test_a_stop_request_ends_that_wait(monkeypatch: pytest.MonkeyPatch) -> None:

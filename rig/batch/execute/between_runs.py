@@ -6,10 +6,12 @@ import contextlib
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
 from rig.batch.execute.batch_clock import window_of
 from rig.batch.execute.disk_room import LEAST_B, has_room
+from rig.batch.execute.drift_watch import PUT_BACK
 from rig.batch.plan.settings import BatchFile
 from rig.batch.plan.window import does_not_fit, how_to_continue
 from rig.batch.queue import Queue, give_up
@@ -28,7 +30,7 @@ if TYPE_CHECKING:
     from rig.core.clock import Clock
 
 LOOK_EVERY_S = 1.0
-"""Interval in s at which a batch that is held by a full disk looks for room on it."""
+"""Interval in s at which a batch whose hold can end by itself looks whether it is over."""
 CHECK_EVERY_S = 0.05
 """Interval in s at which a worker that waits for a person checks for commands."""
 SUPERVISOR_S = 10.0
@@ -39,6 +41,20 @@ UNSUPERVISED = (
     f"the supervisor of the batch was not heard for {SUPERVISOR_S:g} s, it was stopped or hung: no "
     "run was begun until it was heard again"
 )
+
+
+@dataclass(frozen=True)
+class SelfEnding:
+    """What ends a hold without a person."""
+
+    is_over: Callable[[], bool]
+    words: str
+    """What is so then, for people: "there is room on the disk"."""
+
+
+def room_on_disk(is_there: Callable[[], bool]) -> SelfEnding:
+    """Return the end of a hold because of a full disk."""
+    return SelfEnding(is_there, "there is room on the disk")
 
 
 class EndOfBatchError(RigError):
@@ -113,32 +129,41 @@ class BetweenRuns:
         self._clock.wait_until(self._from, self.check)
         self._send("state", state="running")
 
-    def hold(self, why: str, over: Callable[[], bool] | None = None) -> None:
+    def hold(self, why: str, over: SelfEnding | None = None) -> None:
         """Wait for a person, or end the batch, as `on_hold` says. With `over` the batch also
-        continues by itself as soon as that is true."""
+        continues by itself as soon as that is so."""
         self._queue.add_event("hold", why)
         if self._on_hold == "stop":
             raise EndOfBatchError(why, "rig batch resume", ExitCode.STOPPED_BY_CONDITION)
         self._commands.paused.set()
-        self._send("hold", text=why, by_itself=over is not None)
+        self._send("hold", text=why, by_itself="" if over is None else over.words)
         self._wait("held", over)
 
     def wait_for_the_queue(self, error: QueueWriteError) -> None:
-        """Return when the disk has room again; between runs, with the bench safe. The queue tries
-        its transaction again then, before anything else happens."""
+        """Return when the disk has room again, and the batch's folder is in its place; between
+        runs, with the bench safe. The queue tries its transaction again then, before anything else
+        happens."""
         if self._on_hold == "stop":
             self._queue.wait_for_disk = give_up
             raise EndOfBatchError(error.message, "rig batch resume", ExitCode.STOPPED_BY_CONDITION)
         paused = self._commands.paused.is_set()
         self._commands.paused.set()
-        self._send("hold", text=error.one_line(), by_itself=True)
+        over, why = room_on_disk(self._queue_has_room), error.one_line()
+        if not self._queue.path.exists():  # SQLite writes to no file that was moved
+            over = SelfEnding(self._queue_has_room, "the folder is in its place")
+            why = f"the folder {self._folder.path} of the batch was moved or deleted: {PUT_BACK}"
+        self._send("hold", text=why, by_itself=over.words)
         try:
-            self._wait("held", lambda: has_room(self._folder.path, LEAST_B))
+            self._wait("held", over)
         except RigError:
             self._queue.wait_for_disk = give_up  # the batch ends, with or without its record
             raise
         if paused:
             self._commands.paused.set()
+
+    def _queue_has_room(self) -> bool:
+        # Where the folder is away, one of its name may have been made anew.
+        return self._queue.path.exists() and has_room(self._folder.path, LEAST_B)
 
     def require_time(self, takes_s: float, spread_s: float) -> None:
         """Raise EndOfBatchError where a run of this length, and of this uncertainty, would not end
@@ -167,7 +192,7 @@ class BetweenRuns:
 
         return TimeLimit(self._limit_name(), left_s)
 
-    def _wait(self, state: str, over: Callable[[], bool] | None = None) -> None:
+    def _wait(self, state: str, over: SelfEnding | None = None) -> None:
         looked_s = time.monotonic()
         with self._interlocks_watched():
             while self._commands.paused.is_set():
@@ -179,9 +204,9 @@ class BetweenRuns:
                     raise self.time_over(f"{self._limit_name()} was reached while it was {state}")
                 if over is not None and time.monotonic() - looked_s >= LOOK_EVERY_S:
                     looked_s = time.monotonic()
-                    if over():
+                    if over.is_over():
                         self._commands.paused.clear()
-                        self._send("state", state="running", text="there is room on the disk again")
+                        self._send("state", state="running", text=f"{over.words} again")
                         return
                 time.sleep(CHECK_EVERY_S)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import os
 import tempfile
 from collections import deque
@@ -18,13 +19,14 @@ MOST_WAITING = 10_000
 
 
 def has_room(folder: Path, size_B: int) -> bool:
-    """Return whether files of this size can be written below `folder` now. They are written as
-    far as the file system reserves their blocks, and deleted."""
+    """Return whether files of this size can be written, and locked as a journal is, below `folder`
+    now. They are written as far as the file system reserves their blocks, and deleted."""
     try:
         descriptor, name = tempfile.mkstemp(prefix=".room-", dir=folder)
     except OSError:
         return False
     try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         os.posix_fallocate(descriptor, 0, max(size_B, LEAST_B))
     except OSError:
         return False

@@ -3,6 +3,7 @@ and the disk. The worker acts on them."""
 
 from __future__ import annotations
 
+import os
 import shutil
 from datetime import datetime, timedelta
 from pathlib import Path
@@ -17,6 +18,7 @@ from rig.batch.execute.drift import (
     watched_figures,
     zero_drift,
 )
+from rig.batch.folder import QUEUE
 from rig.batch.plan.procedures import installed
 from rig.batch.plan.settings import BatchFile
 from rig.batch.queue import Queue
@@ -31,26 +33,47 @@ ACCEPTED = "accepted "
 """Prefix of the queue's entries that say from which run on a figure is compared, after a person has
 looked at the bench and resumed the batch."""
 
+PUT_BACK = (
+    f"put its content back into that folder, {QUEUE} last (a folder of this name may have been "
+    "made anew: keep the rescued journal in it); if it was deleted, end the batch with Ctrl-C"
+)
+"""Remedy where the folder of the batch is away. A run whose journal has lost its name has made a
+folder of that name anew, so that the other one cannot be moved to its place as a whole."""
+
 
 class DriftWatch:
     """Judges a batch between its runs."""
 
     def __init__(self, queue: Queue, file: BatchFile, bench: Path | None, results: Path):
         self._queue, self._file, self._results = queue, file, results
+        self._opened = queue.path.stat()
+        """What the file system says of the queue's file, which is open."""
         self._plan: BenchPlan | None = None if bench is None else read_bench(bench)
 
     def before(self, claim: Claim, now: datetime) -> list[HoldReason]:
         """Return the reasons not to begin this run now."""
         batch = self._file.batch
-        if not self._queue.path.exists():  # what is recorded now would be in another folder
-            text = f"the folder {self._queue.path.parent} of the batch was moved or deleted"
-            return [HoldReason("folder", text, "move it back, then continue")]
+        if away := self.folder():
+            return away
         found = self.disk()
         if self._plan is not None and not batch.allow_expired:
             run_s = claim.condition.rest_s + claim.estimate_s
             records = [(path, record) for _, path, record in records_of(self._plan)]
             found += expiring(records, now, timedelta(seconds=run_s))
         return found
+
+    def folder(self) -> list[HoldReason]:
+        """Return the reason not to continue while the batch's folder is not in its place, or its
+        queue is another file: what is recorded now would not be found there."""
+        path = self._queue.path
+        try:
+            if os.path.samestat(path.stat(), self._opened):
+                return []
+        except OSError:
+            text = f"the folder {path.parent} of the batch was moved or deleted"
+            return [HoldReason("folder", text, PUT_BACK)]
+        text = f"{path} was replaced by a copy, in which nothing is recorded"
+        return [HoldReason("folder", text, "end the batch with Ctrl-C, then rig batch resume")]
 
     def disk(self) -> list[HoldReason]:
         """Return the reason not to continue on this disk, if there is one."""

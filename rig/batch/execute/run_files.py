@@ -47,7 +47,9 @@ class RunFiles:
         """Have the files of this run made after those that wait."""
         journal = self._folder.journal(number, procedure)
         if not journal.exists() and not self._folder.run_file(number, procedure).exists():
-            self._record(self._queue.set_processed, number, {})  # it failed before its first record
+            if self._folder.queue.exists():  # otherwise the folder is away, and so are its files
+                # The run failed before its first record.
+                self._record(self._queue.set_processed, number, {})
             return
         self._numbers[journal] = number
         self._jobs.add(PostprocessJob(journal, self._settings.figures, self._settings.detect))

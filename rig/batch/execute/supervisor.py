@@ -116,8 +116,9 @@ class Supervisor:
         """Reason why the batch was held last, until a run has ended."""
         self.bench = ""
         """How the latest run left its bench, as a sentence; empty where that is not known."""
-        self._disk_was_full = False
-        """True if files of runs may not have been made for that reason."""
+        self._files_were_left = False
+        """True if files of runs may not have been made, because the disk was full or the batch's
+        folder away."""
 
     def run(self) -> ExitCode:
         """Take all runs and return the exit code of the batch. Raises ConfigurationError if another
@@ -289,7 +290,7 @@ class Supervisor:
     def _finish_files(self) -> None:
         """Make the files of all finished runs. A stop request leaves out those that are not under
         way; `rig batch resume` makes them."""
-        if self._disk_was_full:
+        if self._files_were_left:
             self._files.add_all(self._queue.unprocessed())
         if self._stop.requested is None and len(self._files):
             self._say(f"finishing: making the files of {counted(len(self._files), 'run')} ...")
@@ -365,15 +366,14 @@ class Supervisor:
         self._say(shown)
 
     def _on_hold(self, event: Mapping[str, Any]) -> None:
-        """Record that the batch is held, once for each reason until another run has ended."""
-        self._progress.state, self._progress.text = "held", event["text"]
-        self._disk_was_full |= bool(event.get("by_itself"))
-        if event["text"] == self._held_for:
-            return
-        self._held_for = event["text"]
+        """Record that the batch is held; people are notified once for each reason until another run
+        has ended."""
         self._set_state("held", event["text"])
-        self._notify("hold", event["text"])
-        by_itself = "when there is room on the disk, or " if event.get("by_itself") else ""
+        self._files_were_left |= bool(event["by_itself"])
+        if event["text"] != self._held_for:
+            self._held_for = event["text"]
+            self._notify("hold", event["text"])
+        by_itself = f"when {event['by_itself']}, or " if event["by_itself"] else ""
         self._say(
             f"the bench is safe and the batch waits; it continues {by_itself}with: "
             f"rig batch resume {self._folder.path}"

@@ -27,7 +27,13 @@ from typing import TYPE_CHECKING, Any
 
 import rig
 from rig.batch.execute.batch_clock import clock_of
-from rig.batch.execute.between_runs import BetweenRuns, EndOfBatchError, stopped_by_request
+from rig.batch.execute.between_runs import (
+    BetweenRuns,
+    EndOfBatchError,
+    SelfEnding,
+    room_on_disk,
+    stopped_by_request,
+)
 from rig.batch.execute.crash_recovery import archive_files, journal_to_resume, outcome_from_journal
 from rig.batch.execute.disk_room import has_room
 from rig.batch.execute.drift_watch import DriftWatch
@@ -141,8 +147,7 @@ class Worker:
             takes_s = rest_s + upcoming.estimate_s + MAKING_SAFE_S
             self._between.require_time(takes_s, upcoming.spread_s)
             if found := self._watch.before(upcoming, self._clock.now()):
-                only_disk = all(one.kind == "disk" for one in found)
-                self._between.hold(_text_of(found), self._disk_has_room if only_disk else None)
+                self._hold_for(found)
                 continue
             if not rest_s:
                 return upcoming
@@ -155,8 +160,21 @@ class Worker:
         again = upcoming.attempt > 1 and self._queue.attempts(upcoming.number)
         return upcoming.condition.rest_s + (self._batch.retries.rest_s if again else 0.0)
 
+    def _hold_for(self, found: Sequence[HoldReason]) -> None:
+        """Hold the batch for these reasons. A hold for want of room, or of the batch's folder, ends
+        by itself as well."""
+        kinds = {one.kind for one in found}
+        over = None
+        if kinds == {"disk"}:
+            over = room_on_disk(self._disk_has_room)
+        elif kinds == {"folder"}:
+            over = SelfEnding(lambda: not self._watch.folder(), "the folder is in its place")
+        self._between.hold(_text_of(found), over)
+
     def _disk_has_room(self) -> bool:
         """Return whether the next run's files, and the rest of the batch, fit on the disk."""
+        if self._watch.folder():  # one of its name may have been made anew
+            return False
         upcoming = self._queue.upcoming()
         size_B = 0 if upcoming is None else upcoming.size_B
         return has_room(self._folder.path / "runs", size_B) and not self._watch.disk()
@@ -246,9 +264,11 @@ class Worker:
         if verdict.batch == "end":
             raise EndOfBatchError(verdict.why, None, ExitCode(ended.code or ExitCode.INTERNAL))
         if verdict.batch == "hold":
-            self._between.hold(
-                verdict.why, self._disk_has_room if ended.kind == "storage" else None
-            )
+            if ended.kind == "storage" and (away := self._watch.folder()):
+                self._hold_for(away)  # room on the disk would not help
+                return
+            over = room_on_disk(self._disk_has_room) if ended.kind == "storage" else None
+            self._between.hold(verdict.why, over)
 
     def _set_aside(self, claim: Claim) -> None:
         name = claim.condition.id

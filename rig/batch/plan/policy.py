@@ -15,7 +15,7 @@ from typing import Literal
 
 from rig.batch.plan.settings import BatchSettings
 from rig.core.errors import ExitCode, InstrumentTimeoutError, RigError
-from rig.files.errors import RecordingError
+from rig.files.errors import NO_LOCKS, TOO_MANY_OPEN, RecordingError
 from rig.run.holds import HoldLimitError
 from rig.run.interlocks.watch import InterlockError
 
@@ -28,10 +28,12 @@ FailureKind = Literal[
     "limit",
     "usage",
     "storage",
+    "recording",
     "unsafe",
     "internal",
 ]
-"""Reason of a failure, as retries distinguish it."""
+"""Reason of a failure, as retries distinguish it. "storage" and "recording" are failures to save
+data: the first may pass once the disk has room, the other needs a person."""
 
 
 @dataclass(frozen=True)
@@ -52,7 +54,7 @@ def kind_of(code: int, failures: Sequence[RigError], made_safe: bool = False) ->
         return "instrument" if made_safe else "unsafe"
     first = failures[0] if failures else None
     if isinstance(first, RecordingError):
-        return "storage"
+        return "recording" if _errno_of(first) in (*NO_LOCKS, *TOO_MANY_OPEN) else "storage"
     if isinstance(first, HoldLimitError):
         return "holds"
     if isinstance(first, InterlockError):
@@ -65,6 +67,13 @@ def kind_of(code: int, failures: Sequence[RigError], made_safe: bool = False) ->
         ExitCode.USAGE: "usage",
     }
     return by_code.get(code, "internal")
+
+
+def _errno_of(error: BaseException | None) -> int | None:
+    """Return the number of the system's error behind an error; None if there is none."""
+    while error is not None and not isinstance(error, OSError):
+        error = error.__cause__
+    return None if error is None else error.errno
 
 
 def after_failure(
@@ -85,7 +94,7 @@ def after_failure(
         return FailureDecision("again", "end", f"the bench could not be made safe: {reason}")
     if kind == "interlock":  # a person has to reset it, and to start the batch again
         return FailureDecision("again", "end", reason)
-    if kind == "storage":
+    if kind in ("storage", "recording"):
         return FailureDecision("again", "hold", f"the data cannot be saved: {reason}")
     if before.get(kind, 0) <= getattr(batch.retries, kind, 0):
         return FailureDecision("again")
