@@ -139,7 +139,7 @@ def test_an_axis_that_does_not_follow_a_nudge_is_not_taken_for_an_offset(rig):
     ended = roll(rig, "", "--fault", fault)
     assert ended.code == 3, ended.stderr
     (error,) = ended.errors
-    assert "rotary: measure the rotary axis: it stands at 15 deg after a nudge to 15.5" in error
+    assert "rotary: measure the rotary axis: it has gone 0 deg for a nudge of 0.5 deg" in error
     assert_off_the_object(rig)
 
 

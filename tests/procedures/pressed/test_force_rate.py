@@ -15,7 +15,10 @@ from rig.core.errors import LimitError
 from rig.instruments.roles import Reach
 
 RATES = ServoRates(100.0, DELAY_S, 100.0)
-STAGE_REACH = {"speed": Reach(0.001, 20.0, "mm/s", "stage_z")}
+STAGE_REACH = {
+    "position": Reach(0.0, 14.0, "mm", "stage_z"),
+    "speed": Reach(0.001, 20.0, "mm/s", "stage_z"),
+}
 
 
 def test_the_usual_rate_changes_nothing_of_delay_and_age() -> None:
