@@ -30,11 +30,12 @@ the other, the force is lost: no motion of a trial changes it so much. The servo
 its full rate if the sensor were at fault."""
 
 FOLLOW_FROM = 0.05
-"""Rise of the set point, as a share of it, from which the force has to follow."""
+"""Rise of the set point, as a share of it, from which the force has to follow: more than the error
+of the force in a valid trial, so that z may move for another reason below it."""
 FOLLOWED_SHARE, FOLLOWED_WITHIN, FOLLOWED_STEPS = 0.25, 0.02, 5
 """The force has followed where its mean over so many steps is as near to the set point as the first
-of these, as a share of the rise, or the second, as a share of the set point: a single reading may
-be noise."""
+of these, as a share of the rise, or the second, as a share of the set point, which is the largest
+rms error of a valid trial: a single reading may be noise."""
 FOLLOW_WAY, FOLLOW_SHARE = 2.5, 0.3
 """Way of z, in ways that a rise of the set point needs, and share of the held force that a slip may
 take from it meanwhile: where z has gone so far and the force has not followed, the sensor is

@@ -381,8 +381,8 @@ def require_valid(
 
 
 def _refuse_misfit(record: ForceCalibration | LoadCellCalibration, source: str, hint: str) -> None:
-    """Raise ConfigurationError for a record whose constants do not fit its own readings: somebody
-    has changed it, and a run would press with another force than it reads."""
+    """Raise ConfigurationError for a record whose constants do not fit its own readings: it
+    was changed after it was made, and a run would press with another force than it reads."""
     for known_N, computed_N in record.computed_N():
         if not abs(computed_N - known_N) <= LARGEST_MISFIT * max(record.weights_N):
             raise ConfigurationError(

@@ -26,6 +26,13 @@ from rig.run.locks import lock_holder
 from rig.run.stopping import StopFlag
 
 
+def batch_in(path: Path) -> BatchFolder:
+    """The folder of a batch without runs."""
+    folder = BatchFolder(path)
+    Queue.create(folder.queue, BatchPlan({}, ()), {}, {"name": "night"}).close()
+    return folder
+
+
 def supervisor(tmp_path: Path, request: str) -> Supervisor:
     """A supervisor of a batch for which a terminal has left this request."""
     folder = BatchFolder(tmp_path)
@@ -52,8 +59,7 @@ def test_a_stop_at_once_reaches_a_batch_whose_disk_takes_no_request(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Its queue cannot be written: the supervisor gets the signal of a terminal instead."""
-    folder = BatchFolder(tmp_path)
-    Queue.create(folder.queue, BatchPlan({}, ()), {}, {"name": "night"}).close()
+    folder = batch_in(tmp_path)
     asked: list[Path] = []
 
     def full(self: Queue, kind: str) -> None:
@@ -77,8 +83,7 @@ def test_a_stop_at_once_reaches_a_batch_whose_queue_cannot_be_opened(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    folder = BatchFolder(tmp_path)
-    Queue.create(folder.queue, BatchPlan({}, ()), {}, {"name": "night"}).close()
+    folder = batch_in(tmp_path)
     spoil(folder.queue)
     asked: list[Path] = []
     monkeypatch.setattr(lock_holder, "ask_to_stop", asked.append)
@@ -114,7 +119,7 @@ def test_a_batch_is_ones_own_although_its_process_cannot_be_looked_into(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     folder = BatchFolder(tmp_path)
-    unseen = lock_holder.LockHolder(4242, "somebody", own=False)
+    unseen = lock_holder.LockHolder(4242, "bob", own=False)
     monkeypatch.setattr("rig.batch.running.holder_of", lambda _: unseen)
     with folder.held_by("supervisor", 0.0):
         require_own(folder)
@@ -152,15 +157,14 @@ def test_the_batch_of_another_user_is_not_asked_and_its_owner_is_named(
 ) -> None:
     nobody = os.geteuid() + 1
     monkeypatch.setattr(os, "geteuid", lambda: nobody)
-    folder = BatchFolder(tmp_path)
-    Queue.create(folder.queue, BatchPlan({}, ()), {}, {"name": "night"}).close()
-    owner = lock_holder.LockHolder(4242, "somebody", own=False)
+    folder = batch_in(tmp_path)
+    owner = lock_holder.LockHolder(4242, "bob", own=False)
     monkeypatch.setattr("rig.batch.running.holder_of", lambda _: owner)
     with folder.held_by("supervisor", 0.0):
         for asking in (batch.stop, batch.pause, batch.resume):
             with pytest.raises(typer.Exit):
                 asking(tmp_path)
-            assert "belongs to somebody (process 4242)" in capsys.readouterr().err
+            assert "belongs to bob (process 4242)" in capsys.readouterr().err
     with Queue.open(folder.queue) as queue:
         assert queue.take_requests() == []
 

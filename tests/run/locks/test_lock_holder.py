@@ -72,7 +72,7 @@ def test_of_two_candidates_the_one_in_which_the_lock_was_seen_is_the_holder(hold
     def of_others(pid, status):
         if pid == process.pid:
             return found(pid, status)
-        return lock_holder.LockHolder(pid, "somebody", False)
+        return lock_holder.LockHolder(pid, "bob", False)
 
     monkeypatch.setattr(lock_holder, "_holder", of_others)
     locked = {path.stat().st_ino: [1, process.pid, 2]}
@@ -80,7 +80,7 @@ def test_of_two_candidates_the_one_in_which_the_lock_was_seen_is_the_holder(hold
 
 
 def test_a_number_that_another_process_has_taken_over_gets_no_signal(holding, monkeypatch):
-    """As if the holder ended after it was found, and its number was given to somebody else."""
+    """As if the holder ended after it was found, and its number was given to another process."""
     path, process = holding
     bystander = subprocess.Popen([sys.executable, "-c", "import signal; signal.pause()"])
     try:
