@@ -30,8 +30,8 @@ the other, the force is lost: no motion of a trial changes it so much. The servo
 its full rate if the sensor were at fault."""
 
 FOLLOW_FROM = 0.05
-"""Rise of the set point, as a share of it, from which the force has to follow: more than the error
-of the force in a valid trial, so that z may move for another reason below it."""
+"""Rise of the set point, as a share of it, from which the force has to follow: the largest
+error of the force in a valid trial. Below it z may move for another reason."""
 FOLLOWED_SHARE, FOLLOWED_WITHIN, FOLLOWED_STEPS = 0.25, 0.02, 5
 """The force has followed where its mean over so many steps is as near to the set point as the first
 of these, as a share of the rise, or the second, as a share of the set point, which is the largest

@@ -43,3 +43,24 @@ def test_a_sensor_that_fails_under_a_weight_does_not_make_the_grip_press_on(rig,
     assert largest_N(rig) < 15.0
     touched = [e["what"] for e in rig.log() if e["what"] in ("touch-down", "lift-off")]
     assert touched[-1] == "lift-off"
+
+
+@pytest.mark.thorough
+def test_a_sensor_that_sticks_with_noise_ends_a_course_of_the_force(rig):
+    """The set point is to rise from 4 to 8 N in a second; from the beginning on the sensor shows
+    4 N and its noise, so that no repeated reading betrays it. Only the torque ended it before, at
+    11 N."""
+    when = 'move = 2\nof = "stage_x"\n'
+    stuck = 'kind = "dead-noisy"\nshows_N = 4.0\n'
+    plan = rig.fault(f'[[fault]]\ndevice = "force_sensor"\n{stuck}{when}')
+    ended = rig.run(
+        "path-trial", "--json", "--no-figures", "--world-log", str(rig.world_log), "--fault", plan,
+        "--world", rig.world("[watch]\nforce_limit_N = 100.0\n"),
+        "--path-times", "0s,1s", "--path-positions", "0mm,0.05mm",
+        "--force-times", "0s,1s", "--force-shares", "1,2",
+    )  # fmt: skip
+    assert ended.code in (3, 7), ended.stderr  # 7: the sensor shows 4 N off the object as well
+    assert "the force has not followed" in ended.stderr
+    assert largest_N(rig) < 8.0
+    touched = [e["what"] for e in rig.log() if e["what"] in ("touch-down", "lift-off")]
+    assert touched[-1] == "lift-off"

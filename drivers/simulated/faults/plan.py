@@ -276,6 +276,8 @@ class DeadSensor(Placed):
     kind: Literal["dead-noisy"]
     noise_N: float = Field(default=0.0, ge=0, le=10)
     """Standard deviation of further noise, in each millisecond and along each axis."""
+    shows_N: float = Field(default=0.0, ge=-100, le=100)
+    """Force along z about which the noise lies: a sensor that sticks, and not to the last bit."""
 
 
 class StuckSensorAxis(Placed):

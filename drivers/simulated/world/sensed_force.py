@@ -37,7 +37,8 @@ class SensedForce:
             begun = times_s >= begin_s
             if isinstance(fault, DeadSensor):
                 noise_N = fault.noise_N * _noise(times_s) if fault.noise_N else 0.0
-                force_N = np.where(begun[:, None], noise_N, force_N)
+                shown_N = noise_N + np.array([0.0, 0.0, fault.shows_N])
+                force_N = np.where(begun[:, None], shown_N, force_N)
             elif isinstance(fault, WrongScale):
                 force_N = np.where(begun[:, None], fault.factor * force_N, force_N)
             else:
