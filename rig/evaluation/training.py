@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -192,6 +192,9 @@ def learn(
     chance = np.random.default_rng(seed)
     recordings = [one for one in recordings if len(one.inputs)]
     middle, spread = _scale(recordings)
+    # Scaled inputs let one learning rate suit all of them; the scale is folded into the weights
+    # below.
+    scaled = [replace(one, inputs=(one.inputs - middle) / spread) for one in recordings]
     inputs = middle.size
     weights = [
         chance.standard_normal((units, inputs)).astype(np.float32) / math.sqrt(inputs),
@@ -209,11 +212,15 @@ def learn(
         losses = 0.0
         for begin in range(0, len(order), size):
             at = order[begin : begin + size]
-            batch = together([recordings[k] for k in at])
-            # Scaled inputs let one learning rate suit all of them; the scale is folded into the
-            # weights below.
-            x = (batch.inputs - middle) / spread
-            loss, slopes = _slopes(x, batch, weights)
+            # One recording at a time, whose rows stay in the processor's cache: as one array those
+            # of a batch took 1.8 times as long.
+            rows = sum(len(recordings[k].inputs) for k in at)
+            loss, slopes = 0.0, [np.zeros_like(w) for w in weights]
+            for k in at:
+                of_one, its_slopes = _slopes(scaled[k], weights)
+                loss += of_one / rows
+                for sum_of, slope in zip(slopes, its_slopes, strict=True):
+                    sum_of += slope / np.float32(rows)
             losses += loss
             steps += 1
             rate = 0.004 * 0.5 * (1 + math.cos(math.pi * steps / (epochs * count)))
@@ -230,20 +237,6 @@ def learn(
     return hidden, np.column_stack([out, out_bias])
 
 
-def together(recordings: Sequence[TrainingRows]) -> TrainingRows:
-    """Return the rows of several recordings as those of one; their slips are counted on."""
-    count, slips = 0, list[NDArray[np.int64]]()
-    for one in recordings:
-        slips.append(np.where(one.slip < 0, -1, one.slip + count))
-        count += int(one.slip.max(initial=-1)) + 1
-    return TrainingRows(
-        inputs=np.concatenate([one.inputs for one in recordings]),
-        right=np.concatenate([one.right for one in recordings]),
-        weight=np.concatenate([one.weight for one in recordings]),
-        slip=np.concatenate(slips),
-    )
-
-
 def _scale(recordings: Sequence[TrainingRows]) -> tuple[Singles, Singles]:
     """Return mean and standard deviation of the inputs over all rows."""
     count = sum(len(one.inputs) for one in recordings)
@@ -254,12 +247,13 @@ def _scale(recordings: Sequence[TrainingRows]) -> tuple[Singles, Singles]:
     return middle.astype(np.float32), spread.astype(np.float32)
 
 
-def _slopes(x: Singles, rows: TrainingRows, weights: list[Singles]) -> tuple[float, list[Singles]]:
-    """Return the mean loss of the rows of a batch, with the scaled inputs `x`, and its derivatives
-    with respect to the weights."""
+def _slopes(rows: TrainingRows, weights: list[Singles]) -> tuple[float, list[Singles]]:
+    """Return the loss of a recording, summed over its rows, with its derivatives with respect to
+    the weights. Its inputs are scaled already."""
     into, bias, out, out_bias = weights
-    total = x @ into.T + bias
-    answer = total / (1 + np.abs(total))
+    total = rows.inputs @ into.T + bias
+    flatness = 1 / (1 + np.abs(total))
+    answer = total * flatness
     odds = answer @ out.T + out_bias
     said = 1 / (1 + np.exp(-odds))
     loss = rows.weight * (np.logaddexp(0, odds) - rows.right * odds)
@@ -267,10 +261,9 @@ def _slopes(x: Singles, rows: TrainingRows, weights: list[Singles]) -> tuple[flo
     at = np.flatnonzero(rows.slip >= 0)
     if at.size:
         loss[at, 0], error[at, 0] = _of_slips(odds[at, 0], rows.slip[at], rows.weight[at, 0])
-    error /= len(x)
-    back = (error @ out) * (1 - np.abs(answer)) ** 2
-    return float(loss.sum() / len(x)), [
-        back.T @ x,
+    back = (error @ out) * flatness**2
+    return float(loss.sum()), [
+        back.T @ rows.inputs,
         back.sum(axis=0),
         error.T @ answer,
         error.sum(axis=0),

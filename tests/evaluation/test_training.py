@@ -15,7 +15,6 @@ from rig.evaluation.training import (
     learn,
     learn_together,
     rows_of,
-    together,
 )
 
 NEVER = float("nan")
@@ -97,15 +96,6 @@ def test_a_slip_of_many_pieces_weighs_as_much_as_one_of_ten():
     assert len(pieces) == 24
     share = MOST_PIECES / len(pieces)
     assert rows.weight[rows.slip > 0, 0] == pytest.approx(SLIP_WEIGHT * FURTHER_SLIP * share)
-
-
-def test_the_slips_of_several_recordings_stay_apart():
-    first, second = rows_of(lesson(slips_s=np.array([[0.6, 0.7], [0.8, 0.9]]))), rows_of(lesson())
-    both = together([first, rows_of(lesson(slips_s=NONE)), second])
-    assert (both.slip[:1000] == first.slip).all()
-    assert (both.slip[1000:2000] == -1).all()
-    assert set(both.slip[2000:]) == {-1, 2}
-    assert both.inputs.shape == (3000, 3)
 
 
 def test_a_hold_teaches_no_slip_at_all():
@@ -235,13 +225,13 @@ def test_the_derivatives_are_those_of_the_loss():
     for number in (0, 1):  # the rows of a slip share one weight
         rows.weight[slip == number, 0] = rows.weight[slip == number, 0][0]
     weights = [chance.standard_normal(shape) for shape in ((4, 3), 4, (2, 4), 2)]
-    _, slopes = training._slopes(x, rows, weights)
+    _, slopes = training._slopes(rows, weights)
     for one, slope in zip(weights, slopes, strict=True):
         at = tuple(0 for _ in one.shape)
         was = one[at]
         losses = []
         for moved in (-1e-4, 1e-4):
             one[at] = was + moved
-            losses.append(training._slopes(x, rows, weights)[0])
+            losses.append(training._slopes(rows, weights)[0])
         one[at] = was
         assert slope[at] == pytest.approx((losses[1] - losses[0]) / 2e-4, rel=0.02, abs=1e-4)
