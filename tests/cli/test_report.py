@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import signal
 import subprocess
 from collections.abc import Callable
@@ -218,7 +219,9 @@ def test_ctrl_c_ends_the_wait_for_figures_and_not_the_run_which_is_over(
     drawing._child = busy
     monkeypatch.setattr(drawing, "draw", lambda *given: DrawingProcess.draw(drawing, *given))
     monkeypatch.setattr("rig.figures.drawing.SLOW_S", 0.5)
-    Timer(2.0, signal.raise_signal, [signal.SIGINT]).start()
+    # To the process, as from a terminal: one that a thread raises for itself would not end the wait
+    # of the main thread.
+    Timer(2.0, os.kill, [os.getpid(), signal.SIGINT]).start()
     outcome = RunOutcome("complete", ExitCode.DONE, 2, 2, file=Path("r.h5"), safe=True)
     outcome.made_safe = ("generator off",)
     report.finish(Sweep, outcome, as_json=False, drawing=drawing, debug=False)
