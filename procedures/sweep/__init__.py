@@ -34,7 +34,7 @@ from procedures.sweep.settings import (
 )
 from rig.bench.settings import FixtureSettings
 from rig.instruments.roles import Acquisition, InputChannel
-from rig.run.points import Move, Point, Reading
+from rig.run.points import RANGE_FOUND_LATER_V, Move, Point, Reading
 from rig.run.procedure import DriftFigure, Procedure, StreamPlan
 
 if TYPE_CHECKING:
@@ -277,7 +277,7 @@ def _point(
     frequency = condition.frequency_Hz
     rate = settings.rate_at(frequency)
     samples = whole_cycles(frequency, rate, settings.shortest_at(frequency))
-    channels = tuple(InputChannel(name, 1.25) for name in CHANNELS)
+    channels = tuple(InputChannel(name, RANGE_FOUND_LATER_V) for name in CHANNELS)
     load = "loads_N" if settings.loads_N else "load_N"
     frequencies = ("frequencies_Hz",) if settings.frequencies_Hz else ("lowest_Hz", "highest_Hz")
     return Point(

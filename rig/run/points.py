@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +20,10 @@ Reading = dict[str, float | int | bool | str | None]
 
 _BENCH_FILE_HINT = ", or correct the bench file if the limit is wrong"
 """End of the hint of a LimitError, for a bench that has a bench file."""
+
+RANGE_FOUND_LATER_V = 0.0
+"""Range of a planned channel of which the procedure finds the range when it measures, among those
+that the DAQ has."""
 
 
 @dataclass(frozen=True)
@@ -44,7 +48,8 @@ class Point:
     moves: tuple[Move, ...]
     """Every value that it requires of an instrument; all are checked before the first motion."""
     acquisitions: tuple[Acquisition, ...] = ()
-    """Every acquisition that it requires of the DAQ; all are checked before the first motion."""
+    """Every acquisition that it requires of the DAQ; all are checked before the first motion. The
+    range of a channel may be `RANGE_FOUND_LATER_V`."""
     acquisitions_given: tuple[str, ...] = ()
     """Settings that the acquisitions are computed from, for the message that refuses one."""
     duration_s: float = 0.0
@@ -121,10 +126,21 @@ def refusals(
                 yield LimitError(error.message + origin, remedy(error, bench))
         for acquisition in point.acquisitions:
             try:
-                bench.daq.check(acquisition)
+                bench.daq.check(_in_widest_range(acquisition, bench))
             except LimitError as error:
                 message = error.message + _origin(point.acquisitions_given, settings)
                 yield LimitError(f"point {point.id}: {message}", remedy(error, bench))
+
+
+def _in_widest_range(acquisition: Acquisition, bench: Bench) -> Acquisition:
+    """Return an acquisition with the widest range of the DAQ where its range is found later."""
+    if all(channel.range_V != RANGE_FOUND_LATER_V for channel in acquisition.channels):
+        return acquisition
+    widest_V = max(bench.daq.ranges_V())
+    channels = tuple(
+        replace(channel, range_V=channel.range_V or widest_V) for channel in acquisition.channels
+    )
+    return replace(acquisition, channels=channels)
 
 
 def remedy(error: LimitError, bench: Bench) -> str | None:
