@@ -372,7 +372,7 @@ class U2300ADaq:
         return [t for t in range(101, 101 + self.model.terminals) if t not in wanted]
 
     def _scan_order(self, acquisition: Acquisition) -> tuple[InputChannel, ...]:
-        """Return the channels in the order of their samples.
+        """Return the channels in the order in which the unit sends their samples.
 
         A scan list keeps its order; simultaneous channels come in the terminals' order.
         """
@@ -383,7 +383,7 @@ class U2300ADaq:
     def _scaling_at(self, acquisition: Acquisition, rate_S_s: float) -> Scaling:
         """Return the scaling from codes to volts, and the delay of each channel by the multiplexer,
         from the data sheet."""
-        model, channels = self.model, self._scan_order(acquisition)
+        model, channels = self.model, acquisition.channels
         spare = 16 - model.bits
         # U2331A: V = code * span / (2^12 - 1); 16-bit models: V = code * range / 32768.
         per_range = 2 / (2**model.bits - 1) if spare else 1 / 2 ** (model.bits - 1)
@@ -405,6 +405,9 @@ class U2300ADaq:
         width = len(acquisition.channels)
         raw = self._link.query_block("WAV:DATA?", 2 * width * acquisition.samples)
         words = np.frombuffer(raw, dtype="<i2").reshape(-1, width)
+        sent = self._scan_order(acquisition)
+        if sent != acquisition.channels:  # who records the counts goes by the order asked for
+            words = words[:, [sent.index(channel) for channel in acquisition.channels]]
         return words >> (16 - self.model.bits)
 
     def _ask(self, query: str, known: tuple[str, ...]) -> str:

@@ -210,7 +210,8 @@ class Acquisition:
 
 @dataclass(frozen=True)
 class Scaling:
-    """Conversion of raw counts to volts, and sampling delays; per channel, in scan order."""
+    """Conversion of raw counts to volts, and sampling delays; per channel, in the order of the
+    acquisition."""
 
     channels: tuple[str, ...]
     rate_S_s: float
@@ -225,7 +226,10 @@ class Scaling:
 
 @dataclass(frozen=True)
 class Record:
-    """Samples of a converter: counts (n, channels) int16, with their scaling."""
+    """Samples of a converter: counts (n, channels) int16, with their scaling.
+
+    The channels are in the order of the acquisition, whatever order the instrument sends them in.
+    """
 
     counts: npt.NDArray[np.int16]
     scaling: Scaling

@@ -34,8 +34,8 @@ def _acquisition(daq: Any, rate_S_s: float, samples: int) -> Acquisition:
 
 def _check_record(record: Record, wanted: Acquisition, service: Any, since_s: float) -> None:
     """Check that the record shows what the terminals carried, at instants after `since_s`."""
-    names = {channel.name for channel in wanted.channels}
-    same("the channels of a record", set(record.scaling.channels), names)
+    names = tuple(channel.name for channel in wanted.channels)
+    same("the channels of a record, in the order asked for", tuple(record.scaling.channels), names)
     same("the shape of counts", record.counts.shape, (wanted.samples, len(wanted.channels)))
     rows = np.arange(wanted.samples) / record.scaling.rate_S_s
     for channel in wanted.channels:

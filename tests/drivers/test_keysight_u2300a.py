@@ -80,7 +80,7 @@ def test_a_multiplexed_12_bit_unit_lowers_its_rate_sets_the_scan_and_samples_onc
     assert record.clipped("load_cell") == 1
 
 
-def test_a_simultaneous_unit_gives_channels_in_terminal_order_without_skew() -> None:
+def test_a_simultaneous_unit_sends_terminal_order_and_the_record_has_the_order_asked_for() -> None:
     set_up = (
         "STOP;:ACQ:SRAT 3;:ROUT:ENAB ON,(@101,102);:ROUT:ENAB OFF,(@103,104);"
         f":{RANGES};:ACQ:SRAT 1000;:ACQ:POIN 3;:ACQ:SRAT?;:ACQ:POIN?;:SYST:ERR?"
@@ -92,9 +92,9 @@ def test_a_simultaneous_unit_gives_channels_in_terminal_order_without_skew() -> 
         daq = connected(resource)
         record = daq.acquire(THREE_ROWS)
         daq.close()
-    assert record.scaling.channels == ("load_cell", "film")
-    assert record.scaling.range_V == (5.0, 1.25)
-    assert record.counts.tolist() == words.tolist()
+    assert record.scaling.channels == ("film", "load_cell")
+    assert record.scaling.range_V == (1.25, 5.0)
+    assert record.counts.tolist() == words[:, ::-1].tolist()
     assert record.volts("load_cell")[1] == pytest.approx(32767 * 5 / 32768)
     assert record.volts("film")[1] == pytest.approx(-1.25)
     assert record.scaling.delay_s == (0.0, 0.0)
