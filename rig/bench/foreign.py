@@ -2,8 +2,8 @@
 
 When it is connected: that there is an instrument, with the methods and limits of its role
 (`connect_foreign`). Later: every position of a stage (`CheckedStage`), every frame of a force
-sensor (`CheckedForceSensor`), and the output of a generator that was made safe
-(`CheckedGenerator`). A driver of this package judges its own positions
+sensor (`CheckedForceSensor`), every record of a DAQ (`CheckedDaq`), and the output of a generator
+that was made safe (`CheckedGenerator`). A driver of this package judges its own positions
 (`drivers.shared.stage.TravelBound`) and is left as it is.
 
 Only what is returned is judged, never what is sent: stops, motions and keep-alives reach the driver
@@ -30,11 +30,23 @@ from rig.core.errors import (
     shortened,
 )
 from rig.instruments.interfaces import INTERFACES, members
-from rig.instruments.roles import ForceFrames, Identity, Instrument, Reach, axes_of
+from rig.instruments.roles import (
+    Acquisition,
+    ForceFrames,
+    Identity,
+    Instrument,
+    Reach,
+    Record,
+    Scaling,
+    axes_of,
+)
 
 BEYOND = 1.0
 """How far outside its limits a stage may be seen, in mm or deg: more than an axis overshoots, and
 far less than a position of another unit or of another drive is off."""
+
+ROUNDED = 0.01
+"""How much the rate of a DAQ may differ from the one asked for, relative: it has only some."""
 
 
 def foreign(part: InstrumentPlan) -> EntryPoint | None:
@@ -50,7 +62,8 @@ def connect_foreign(
     part: InstrumentPlan, entry: EntryPoint, connect: Callable[[], Any]
 ) -> Instrument:
     """Connect by a driver of another package, and return its instrument: a stage as a
-    `CheckedStage`, a force sensor as a `CheckedForceSensor`, a generator as a `CheckedGenerator`.
+    `CheckedStage`, a force sensor as a `CheckedForceSensor`, a DAQ as a `CheckedDaq`, a generator
+    as a `CheckedGenerator`.
 
     Raises BrokenPackageError, which names the package, where `connect` raises something else than a
     RigError, or returns what does not fulfil its role; that is closed.
@@ -77,6 +90,8 @@ def connect_foreign(
         instrument = checked_stage(part.role, instrument, driver)
     elif part.role == "force_sensor":
         instrument = checked_force_sensor(instrument, driver)
+    elif part.role == "daq":
+        instrument = checked_daq(instrument, driver)
     elif part.role == "generator":
         instrument = checked_generator(instrument, driver)
     found: Instrument = instrument
@@ -256,6 +271,54 @@ class CheckedForceSensor:
         raise WrongFramesError("force_sensor", "read", f"its driver returned {wrong}", hint)
 
 
+class CheckedDaq:
+    """A DAQ of another package, whose records are checked; all else is the driver's own.
+
+    A record has counts (n, channels) of int16 that follow the one before without a gap, and the
+    scaling of what was asked for.
+    """
+
+    def __init__(self, daq: Any, driver: str):
+        self._daq, self._driver = daq, driver
+        self._wanted: Acquisition | None = None
+        """The acquisition that was started last."""
+        self._next = 0
+        """Index of the row that has to come next."""
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._daq, name)
+
+    def acquire(self, acquisition: Acquisition) -> Record:
+        """See `DataAcquisition`. Raises InstrumentError for a wrong record."""
+        record = self._daq.acquire(acquisition)
+        self._require("acquire", _wrong_record(record, acquisition, 0))
+        if len(record.counts) != acquisition.samples:
+            found = f"{len(record.counts)} samples, not {acquisition.samples}"
+            self._require("acquire", found)
+        return cast("Record", record)
+
+    def start(self, acquisition: Acquisition) -> Scaling:
+        """See `DataAcquisition`. Raises InstrumentError for a wrong scaling."""
+        scaling = self._daq.start(acquisition)
+        self._require("start", _wrong_scaling(scaling, acquisition))
+        self._wanted, self._next = acquisition, 0
+        return cast("Scaling", scaling)
+
+    def read(self) -> Record | None:
+        """See `DataAcquisition`. Raises InstrumentError for a wrong record, or one that does not
+        follow the one before."""
+        record = self._daq.read()
+        if record is not None and self._wanted is not None:
+            self._require("read", _wrong_record(record, self._wanted, self._next))
+            self._next += len(record.counts)
+        return cast("Record | None", record)
+
+    def _require(self, command: str, wrong: str | None) -> None:
+        if wrong is not None:
+            hint = f"check the unit and its cable, and the driver {self._driver}"
+            raise InstrumentError("daq", command, f"its driver returned {wrong}", hint)
+
+
 class CheckedGenerator:
     """A generator of another package, which is asked whether its output is off once it has been
     made safe; all else is the driver's own."""
@@ -278,6 +341,39 @@ class CheckedGenerator:
                 f"its output is still on (output_is_on() returned {_shown(on)})",
                 f"switch the generator off by hand; check the driver {self._driver}",
             )
+
+
+def _wrong_record(record: Any, wanted: Acquisition, first: int) -> str | None:
+    """Return what is wrong with a record of an acquisition whose next row is `first`; None for a
+    record."""
+    if not isinstance(record, Record):
+        return f"{_shown(record)}, not a Record"
+    counts: Any = record.counts
+    if (kind := getattr(counts, "dtype", type(counts).__name__)) != "int16":
+        return f"counts of the type {kind}, not int16"
+    if counts.ndim != 2 or counts.shape[1] != len(wanted.channels):
+        return f"counts of the shape {counts.shape}, not (n, {len(wanted.channels)})"
+    if record.first_index != first:
+        return f"samples from {_shown(record.first_index)} on, where {first} comes next: a gap"
+    return _wrong_scaling(record.scaling, wanted)
+
+
+def _wrong_scaling(scaling: Any, wanted: Acquisition) -> str | None:
+    """Return what is wrong with the scaling of an acquisition; None if it gives volts."""
+    if not isinstance(scaling, Scaling):
+        return f"{_shown(scaling)}, not a Scaling"
+    names = tuple(channel.name for channel in wanted.channels)
+    if tuple(scaling.channels) != names:
+        return f"a scaling of the channels {scaling.channels}, not {names}"
+    if not math.isclose(scaling.rate_S_s, wanted.rate_S_s, rel_tol=ROUNDED):
+        return f"a rate of {scaling.rate_S_s:g} 1/s, where {wanted.rate_S_s:g} 1/s was asked for"
+    for name in ("volts_per_count", "offset_V", "range_V", "delay_s"):
+        values = getattr(scaling, name)
+        if len(values) != len(names) or not all(map(math.isfinite, values)):
+            return f"a scaling with {name} = {values}, not {len(names)} finite numbers"
+    if not all(scaling.volts_per_count):
+        return f"a scaling with volts_per_count = {scaling.volts_per_count}"
+    return None
 
 
 def _wrong_in(frames: Any, axes: str) -> str | None:
@@ -306,6 +402,11 @@ def checked_stage(role: str, stage: Any, driver: str) -> Any:
 def checked_force_sensor(sensor: Any, driver: str) -> Any:
     """Return a force sensor with its frames checked."""
     return _with_members_of(sensor, CheckedForceSensor, "_sensor")(sensor, driver)
+
+
+def checked_daq(daq: Any, driver: str) -> Any:
+    """Return a DAQ with its records checked."""
+    return _with_members_of(daq, CheckedDaq, "_daq")(daq, driver)
 
 
 def checked_generator(generator: Any, driver: str) -> Any:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from importlib.metadata import EntryPoint
 from typing import Any
 
@@ -14,6 +15,7 @@ from rig.bench import connect as connecting
 from rig.bench.connect import connect
 from rig.bench.connected import close_all
 from rig.bench.foreign import (
+    checked_daq,
     checked_force_sensor,
     checked_generator,
     checked_stage,
@@ -24,7 +26,16 @@ from rig.core.clock import WallClock
 from rig.core.entry_points import BrokenPackageError
 from rig.core.errors import InstrumentError, WrongFramesError, WrongPositionError
 from rig.core.settings import Settings
-from rig.instruments.roles import ForceFrames, Identity, Reach, ReportsFault
+from rig.instruments.roles import (
+    Acquisition,
+    ForceFrames,
+    Identity,
+    InputChannel,
+    Reach,
+    Record,
+    ReportsFault,
+    Scaling,
+)
 
 ENTRY = EntryPoint("zstage", "zstage.driver", "rig.drivers")
 PART: Any = InstrumentPlan("stage_x", "zstage", None, Settings())  # type: ignore[arg-type]
@@ -272,3 +283,87 @@ def test_a_generator_that_is_still_on_or_does_not_say_is_not_safe(on: Any) -> No
     with pytest.raises(InstrumentError, match="its output is still on") as raised:
         checked.make_safe()
     assert "'acme' of the package lab" in raised.value.one_line()
+
+
+PLAN = Acquisition((InputChannel("strip_1", 1.25), InputChannel("strip_2", 1.25)), 1000.0, 4)
+NONE = (0.0, 0.0)
+STEPS = (4e-5, 4e-5)
+RANGES = (1.25, 1.25)
+SCALING = Scaling(("strip_1", "strip_2"), 1000.0, STEPS, NONE, RANGES, NONE, -32768, 32767)
+COUNTS = np.zeros((4, 2), np.int16)
+
+
+class Converter:
+    """A DAQ that returns what it was given, one after the other."""
+
+    def __init__(self, *returned: Any, scaling: Any = SCALING):
+        self.returned, self.scaling = list(returned), scaling
+
+    def start(self, acquisition: Acquisition) -> Any:
+        return self.scaling
+
+    def read(self) -> Any:
+        return self.returned.pop(0)
+
+    def acquire(self, acquisition: Acquisition) -> Any:
+        return self.returned.pop(0)
+
+    def ranges_V(self) -> tuple[float, ...]:  # noqa: N802
+        return (1.25,)
+
+
+@pytest.mark.parametrize(
+    ("returned", "words"),
+    [
+        ([COUNTS], "returned a list, not a Record"),
+        (Record(COUNTS * 1.0, SCALING, 0), "counts of the type float64, not int16"),  # type: ignore[arg-type]
+        (Record(COUNTS.tolist(), SCALING, 0), "counts of the type list, not int16"),
+        (Record(COUNTS.T, SCALING, 0), r"counts of the shape \(2, 4\), not \(n, 2\)"),
+        (Record(COUNTS[:, :1], SCALING, 0), r"counts of the shape \(4, 1\), not \(n, 2\)"),
+        (Record(COUNTS, SCALING, 7), "samples from 7 on, where 0 comes next: a gap"),
+        (Record(COUNTS, None, 0), "returned None, not a Scaling"),  # type: ignore[arg-type]
+    ],
+)
+def test_samples_that_cannot_be_recorded_name_the_driver(returned: Any, words: str) -> None:
+    for take in ("read", "acquire"):
+        daq = checked_daq(Converter(returned), "'mole' of the package lab")
+        daq.start(PLAN)
+        with pytest.raises(InstrumentError, match=words) as caught:
+            daq.read() if take == "read" else daq.acquire(PLAN)
+        assert "the driver 'mole' of the package lab" in str(caught.value.hint)
+
+
+@pytest.mark.parametrize(
+    ("changed", "words"),
+    [
+        (
+            {"channels": ("strip_2", "strip_1")},
+            r"channels \('strip_2', 'strip_1'\), not \('strip_1', 'strip_2'\)",
+        ),
+        ({"rate_S_s": 500.0}, "a rate of 500 1/s, where 1000 1/s was asked for"),
+        ({"volts_per_count": (math.nan, 1.0)}, r"volts_per_count = \(nan, 1.0\), not 2 finite"),
+        ({"volts_per_count": (0.0, 1.0)}, r"volts_per_count = \(0.0, 1.0\)"),
+        ({"delay_s": (0.0,)}, r"delay_s = \(0.0,\), not 2 finite numbers"),
+    ],
+)
+def test_a_scaling_that_gives_no_volts_ends_the_acquisition(changed: Any, words: str) -> None:
+    daq = checked_daq(Converter(scaling=replace(SCALING, **changed)), "'mole' of the package lab")
+    with pytest.raises(InstrumentError, match=words):
+        daq.start(PLAN)
+
+
+def test_samples_that_follow_each_other_are_handed_over_as_they_are() -> None:
+    blocks = Record(COUNTS, SCALING, 0), Record(COUNTS, SCALING, 4)
+    daq = checked_daq(Converter(None, *blocks, blocks[0]), "")
+    assert daq.start(PLAN) is SCALING
+    assert daq.read() is None
+    assert daq.read() is blocks[0]
+    assert daq.read() is blocks[1]
+    assert daq.acquire(PLAN) is blocks[0]
+    assert daq.ranges_V() == (1.25,)
+
+
+def test_a_record_that_is_too_short_is_refused() -> None:
+    daq = checked_daq(Converter(Record(COUNTS[:3], SCALING, 0)), "'mole' of the package lab")
+    with pytest.raises(InstrumentError, match="3 samples, not 4"):
+        daq.acquire(PLAN)
