@@ -339,9 +339,11 @@ def _blame(procedure: type[Procedure], error: BaseException) -> RigError:
     return _package_fault(name, place_in(top, error), error)
 
 
-def driver_fault(plan: BenchPlan, error: BaseException) -> RigError | None:
+def driver_fault(plan: BenchPlan, error: BaseException | None) -> RigError | None:
     """Return the error that reports an exception from a driver of another package; None for an
-    exception in which none took part."""
+    exception in which none took part, and for errors that say what is wrong already."""
+    if error is None or isinstance(error, (RigError, MemoryError)):
+        return None
     for part in plan.instruments:
         entry = foreign(part)
         if entry is not None and (place := place_in(entry.module.split(".")[0], error)):

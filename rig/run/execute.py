@@ -198,12 +198,13 @@ class _Execution:
         except TooSlowError as late:
             self._stopped_or_too_slow(late)
         except RigError as error:
-            _failed(self.outcome, error)
+            unexpected = error.__cause__ if error.code is ExitCode.INTERNAL else None
+            _failed(self.outcome, driver_fault(self.bench.plan, unexpected) or error)
         except KeptBackError as kept:
             _failed(self.outcome, self._cause_of(kept))
             self.outcome.warnings.append(self.procedure.kept_back(kept))
         except BaseException as error:  # noqa: BLE001 - a bug ends a run as safely as anything else
-            _failed(self.outcome, internal(error))
+            _failed(self.outcome, driver_fault(self.bench.plan, error) or internal(error))
         finally:
             unregister()
             self._make_safe()

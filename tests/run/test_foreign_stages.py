@@ -159,3 +159,14 @@ def test_a_fault_of_a_driver_in_the_checks_names_its_package(acme: Any) -> None:
     assert "error: a fault in the package acme: acme/x_driver.py line " in done.stderr
     assert "Traceback (most recent call last)" in done.stderr
     assert "rig.log" not in done.stderr
+
+
+@pytest.mark.thorough
+def test_an_exception_in_a_driver_during_a_trial_names_its_package(acme: Any) -> None:
+    change(acme, "x", "        self._target = position_mm\n", "        1 / 0\n")
+    done = dry_run(acme)
+    assert done.code == 1, done.stderr
+    assert "error: a fault in the package acme: acme/x_driver.py line " in done.stderr
+    assert "ZeroDivisionError: division by zero" in done.stderr
+    assert "internal error" not in done.stderr
+    assert z_is_lifted(acme)
