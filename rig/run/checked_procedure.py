@@ -48,6 +48,8 @@ SIMPLER = "return numbers, texts, truth values or None, or lists and dicts of th
 """Remedy for a value that a run file cannot hold."""
 LONGEST_SUMMARY_S = 120.0
 """Longest time of a hook that computes when the bench is safe."""
+VERDICT = "invalid"
+"""Key of the column that says why a reading is invalid."""
 TRUTH = "simulated_truth"
 """Key that every reading may have: the simulated bench's own record of the point."""
 
@@ -114,7 +116,18 @@ class CheckedProcedure:
             return self._points("refine", self._procedure.refine(readings))
 
     def why_invalid(self, reading: Reading) -> str:
-        """Return why a reading is invalid; "" for a valid one."""
+        """Return why a reading that `take` has returned is invalid; "" for a valid one."""
+        if self._has_verdict:
+            return str(reading.get(VERDICT) or "")
+        return self._judged(reading)
+
+    @property
+    def _has_verdict(self) -> bool:
+        """True if readings have a column for the reason why they are invalid."""
+        columns = self._procedure.layout.columns
+        return any(column.key == VERDICT and column.kind == "text" for column in columns)
+
+    def _judged(self, reading: Reading) -> str:
         with self._blamed():
             return str(self._procedure.why_invalid(reading) or "")
 
@@ -129,7 +142,8 @@ class CheckedProcedure:
             self._procedure.arm(run)
 
     def take(self, run: Run, point: Point) -> Reading:
-        """Measure one point; return a reading with the columns that the layout declares.
+        """Measure one point; return a reading with the columns that the layout declares, of which
+        ``invalid``, where there is one, has what the procedure's `why_invalid` says.
 
         Raises ProcedureFaultError if the procedure returns anything else.
         """
@@ -138,7 +152,10 @@ class CheckedProcedure:
         fault = reading_fault(self._procedure.layout, reading)
         if fault is not None:
             raise self._fault(f"take() returned {fault}")
-        return dict(reading)
+        whole: Reading = dict(reading)
+        if self._has_verdict:  # what the file, the summary and the exit code go by
+            whole[VERDICT] = self._judged(whole)
+        return whole
 
     def summarise(self, readings: Sequence[Reading]) -> Mapping[str, Any]:
         """Return the results of the whole run.

@@ -464,13 +464,15 @@ class _Execution:
             outcome.journal = self.journal.path
 
     def _summarise(self) -> None:
-        """Ask the procedure for its summary and record it as the run's results. The data are on the
-        disk already: whatever fails here is a warning and costs the results, nothing else."""
+        """Ask the procedure for its summary and record it as the run's results, if there is a
+        reading. The data are on the disk already: whatever fails here is a warning and costs the
+        results, nothing else."""
+        if not self.readings:
+            return
         try:
             found = results_of(self.job.procedure, self.loop.readings(), self.bench.simulated)
             self.outcome.summary = found.values
-            if self.readings:
-                self.recorder.put_results(found)
+            self.recorder.put_results(found)
             try:
                 self.outcome.in_brief = self.procedure.in_brief(found.values, found.put_in)
             except RigError as error:  # a bug of the procedure: its values are shown one by one

@@ -169,7 +169,8 @@ class Procedure(ABC):
 
         Called after each point. An invalid reading is recorded all the same, reported at the end
         of the run, and makes its exit code 5. Before that, its point is discarded and retaken as
-        often as `retries_of_invalid` says.
+        often as `retries_of_invalid` says. Where the layout has a text column ``invalid``, that
+        gets the reason.
         """
         return ""
 
@@ -208,12 +209,12 @@ class Procedure(ABC):
     def summarise(self, readings: Sequence[Reading]) -> Mapping[str, Any]:
         """Return the results of the whole run for the closing lines and ``--json``.
 
-        Called when the bench is safe and the data are on the disk, also for a run that was stopped:
-        `readings` may be empty. It is called for old run files too (``rig show``). The run file has
-        the result as ``/entry/results``. There, a table with the keys value, standard_error, low,
-        high and unit is an estimate, and a table ``standard_errors`` has the errors of other values
-        by their names. An exception costs the summary and is a warning, as is more than 120 s; the
-        data stay saved.
+        Called when the bench is safe and the data are on the disk, also for a run that was stopped,
+        but not for one without a reading. It is called for old run files too (``rig show``). The
+        run file has the result as ``/entry/results``. There, a table with the keys value,
+        standard_error, low, high and unit is an estimate, and a table ``standard_errors`` has the
+        errors of other values by their names. An exception costs the summary and is a warning, as
+        is more than 120 s; the data stay saved.
         """
         return {}
 

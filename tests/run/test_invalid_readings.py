@@ -1,14 +1,19 @@
-"""How often a point with an invalid reading is retaken."""
+"""How often a point with an invalid reading is retaken, and where the reason is written."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
-from made_up import Example, run_of
+from made_up import LAYOUT, Example, run_of
 
-from rig.core.errors import ExitCode
+from rig.core.errors import ConfigurationError, ExitCode
 from rig.core.settings import Settings
+from rig.files.journal.layout import Column
+from rig.files.runfile.reader import RunFile
 from rig.run.context import Run
 from rig.run.points import Point, Reading
 
@@ -45,3 +50,50 @@ def test_a_procedure_says_how_often_an_invalid_point_is_retaken(
     outcome = run_of(procedure, tmp_path, monkeypatch)
     assert [entry for entry in procedure.log if entry in ("first", "second")] == taken
     assert outcome.code == code
+
+
+class Judged(Doubtful):
+    """A procedure with a column for the reason, which `take` fills otherwise than its hook says."""
+
+    layout = replace(LAYOUT, columns=(*LAYOUT.columns, Column("invalid", "", "Why", "text")))
+
+    def take(self, run: Run, point: Point) -> Reading:
+        return {**super().take(run, point), "invalid": "" if point.id == "first" else "a doubt"}
+
+    def why_invalid(self, reading: Reading) -> str:
+        assert reading["invalid"] in ("", "a doubt")  # the hook is asked once, before it is filled
+        return "too noisy" if reading["x_V"] == 1 else ""
+
+    def summarise(self, readings: Any) -> Mapping[str, Any]:
+        return {"invalid": [reading["invalid"] for reading in readings]}
+
+
+def test_the_file_the_summary_and_the_exit_code_have_the_reason_of_the_procedure(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    outcome = run_of(Judged(Settings()), tmp_path, monkeypatch)
+    assert outcome.code == ExitCode.FINISHED_WITH_FAILURES
+    assert outcome.warnings == ["first is invalid: too noisy"]
+    assert outcome.summary == {"invalid": ["too noisy", ""]}
+    assert outcome.file is not None
+    with RunFile.open(outcome.file) as run:
+        assert list(run.column("invalid")) == ["too noisy", ""]
+
+
+class Broken(Example):
+    """A procedure whose first point cannot be measured, and whose summary needs a reading."""
+
+    def take(self, run: Run, point: Point) -> Reading:
+        raise ConfigurationError("not today")
+
+    def summarise(self, readings: Any) -> Mapping[str, Any]:
+        return {"largest": max(reading["x_V"] for reading in readings)}
+
+
+def test_a_run_without_a_reading_is_not_summarised(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    outcome = run_of(Broken(Settings()), tmp_path, monkeypatch)
+    assert [failure.message for failure in outcome.failures] == ["not today"]
+    assert outcome.warnings == []
+    assert outcome.summary == {}
