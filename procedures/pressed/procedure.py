@@ -32,6 +32,7 @@ import math
 from abc import abstractmethod
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
+from numbers import Real
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from procedures.pressed.approach.way_down import require_possible
@@ -205,6 +206,7 @@ class PressedProcedure(TrialProcedure):
                 "ask for a longer one",
             )
         self._refuse_force_without_effect()
+        self._refuse_too_large_a_force()
         moves = self.moves()
         if not isinstance(moves, (tuple, list)):
             raise self._wrong_return(
@@ -331,6 +333,22 @@ class PressedProcedure(TrialProcedure):
                 f"{self.name} has forces of its own, {own} N: --normal-force {given_N:g} N "
                 "has no effect",
                 "leave --normal-force out",
+            )
+
+    def _refuse_too_large_a_force(self) -> None:
+        """Raise ConfigurationError where the settings ask for a held force that is not below
+        ``--largest-force``."""
+        held_N, limit_N = self.settings.largest_held_N, self.settings.largest_force_N
+        if not isinstance(held_N, Real):
+            raise ConfigurationError(
+                f"{self.name}: largest_held_N of its settings is {shortened(repr(held_N))}",
+                "let it return a number",
+            )
+        if not held_N < limit_N:
+            raise ConfigurationError(
+                f"{self.name}: a held force of {held_N:g} N is not below --largest-force "
+                f"{limit_N:g} N",
+                "hold a smaller force, or raise --largest-force if skin and bench bear it",
             )
 
     def _conditions(self) -> tuple[tuple[float, float], ...]:

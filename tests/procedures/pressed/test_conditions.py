@@ -248,3 +248,25 @@ def test_columns_that_cannot_be_are_refused_where_the_class_is_made(
     with pytest.raises((TypeError, ValueError)) as refused:
         type("Odd", (Forces,), {"columns": columns})
     assert reported in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("held_N", "words"),
+    [
+        (20.0, "forces: a held force of 20 N is not below --largest-force 15 N"),
+        (15.0, "forces: a held force of 15 N is not below --largest-force 15 N"),
+        (float("nan"), "forces: a held force of nan N is not below --largest-force 15 N"),
+        (None, "forces: largest_held_N of its settings is None"),
+    ],
+)
+def test_a_held_force_that_reaches_the_limit_is_refused_before_anything_is_connected(
+    held_N: Any,
+    words: str,
+) -> None:
+    class Held(PressedSettings):
+        @property
+        def largest_held_N(self) -> float:  # noqa: N802
+            return held_N  # type: ignore[no-any-return]
+
+    with pytest.raises(ConfigurationError, match=words):
+        Forces(Held()).points()
