@@ -65,7 +65,11 @@ def parse(text: str, annotation: Any, unit: str | None) -> Any:
     if type(None) in arguments:
         if text.strip().lower() == "none":
             return None
-        annotation = next(a for a in arguments if a is not type(None))
+        return parse(text, next(a for a in arguments if a is not type(None)), unit)
+    if (
+        typing.get_origin(annotation) is typing.Literal
+    ):  # a choice that is a number is given as text
+        return next((choice for choice in arguments if str(choice) == text.strip()), text)
     if annotation is float:
         return quantity(text, unit)
     return text

@@ -14,6 +14,7 @@ from typing import Any, get_args, get_origin
 
 from rig.bench.settings import Fixture
 from rig.core.entry_points import PROCEDURES, load
+from rig.core.errors import finding
 from rig.core.settings import Settings, option_name
 from rig.core.units import is_unit
 from rig.files.journal.layout import Column, Layout
@@ -88,6 +89,7 @@ def _faults(procedure: Any, entry_point: str) -> Iterator[str]:
     yield from _wrong_layout(procedure.layout, procedure.streams)
     yield from _ambiguous_options(procedure.Settings)
     yield from _no_options(procedure.Settings)
+    yield from _wrong_defaults(procedure.Settings)
 
 
 def _misspelt(procedure: type[Procedure]) -> Iterator[str]:
@@ -239,12 +241,34 @@ def _wrong_layout(layout: Layout, streams: tuple[StreamPlan, ...]) -> Iterator[s
 
 def _no_options(model: type[Settings]) -> Iterator[str]:
     """Yield a fault for each setting of a type that no option can give a value to."""
+    collections = (list, set, frozenset, dict, Sequence)
     for field, info in model.model_fields.items():
-        if get_origin(info.annotation) in (list, set, frozenset, dict, Sequence):
+        kind = info.annotation
+        if kind == (bool | None):
+            yield (
+                f"has the setting {field!r} of a type that {option_name(field)} cannot give; a "
+                "switch is bool"
+            )
+        if kind in collections or get_origin(kind) in collections:
             yield (
                 f"has the setting {field!r} of a type that {option_name(field)} cannot give; "
                 "several numbers are tuple[float, ...]"
             )
+
+
+def _wrong_defaults(model: type[Settings]) -> Iterator[str]:
+    """Yield a fault for each setting whose default its own type and bounds refuse: whoever runs the
+    procedure has not given it. What a validator refuses may be meant to be given."""
+    from pydantic import ValidationError
+
+    try:
+        model()
+    except ValidationError as error:
+        for item in error.errors():
+            if item["loc"] and item["type"] not in ("missing", "value_error", "assertion_error"):
+                yield f"has a setting with a default that it refuses: {finding(item)}"
+    except Exception:  # noqa: BLE001 - a validator: reported with the settings that it fails for
+        return
 
 
 def _ambiguous_options(model: type[Settings]) -> Iterator[str]:

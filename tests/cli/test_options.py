@@ -339,6 +339,39 @@ def test_a_list_may_be_given_in_parts_and_of_anything_else_the_last_holds() -> N
     assert texts_of(Example, given) == {"speeds_mm_s": "1,2,1cm/s", "cycles": "8"}
 
 
+class OfAnotherPackage(Settings):
+    """Settings of kinds that this project's procedures do not have."""
+
+    gentle: bool = True
+    """Gently."""
+    words: tuple[str, ...] = ("up", "down")
+    """Words."""
+    more_N: tuple[float, ...] | None = None
+    """Forces."""
+    side: Literal[1, 2] = 1
+    """Side."""
+
+
+def test_a_switch_that_is_on_can_be_turned_off() -> None:
+    (on,) = (one for one in parameters(OfAnotherPackage) if one.name == "gentle")
+    option = on.annotation.__metadata__[0]
+    assert option.default == "--gentle/--no-gentle"  # typer: the first name of the option
+    assert option.help == "Gently.  [default: on]"
+    given = texts_of(OfAnotherPackage, {"gentle": False, "words": None})
+    assert given == {"gentle": "false"}
+    assert settings_from(OfAnotherPackage, given).gentle is False  # type: ignore[attr-defined]
+
+
+def test_lists_of_texts_optional_lists_and_choices_of_numbers_can_be_given() -> None:
+    helps = {one.name: one.annotation.__metadata__[0].help for one in parameters(OfAnotherPackage)}
+    assert helps["words"] == "Words.  [default: up, down]"
+    texts = texts_of(OfAnotherPackage, {"words": ["a"], "more_N": ["2", "3 N"], "side": ["2"]})
+    found: Any = settings_from(OfAnotherPackage, texts)
+    assert (found.words, found.more_N, found.side) == (("a",), (2.0, 3.0), 2)
+    with pytest.raises(ConfigurationError, match="--side 3: must be 1 or 2"):
+        settings_from(OfAnotherPackage, {"side": "3"})
+
+
 def test_a_seed_beside_a_bench_file_is_refused(rig) -> None:
     (rig.folder / "bench.toml").write_text("")
     ended = rig.run("slip-trial", "--seed", "5")

@@ -50,6 +50,27 @@ class ListOfForces(Settings):
     """Forces."""
 
 
+class MaybeGentle(Settings):
+    """A switch that a text on the command line cannot be."""
+
+    gentle: bool | None = None
+    """Gently."""
+
+
+class OneForce(Settings):
+    """A default that its own type refuses."""
+
+    forces_N: tuple[float, ...] = 3.0  # type: ignore[assignment]
+    """Forces."""
+
+
+class ShortHold(Settings):
+    """A default outside its own bounds."""
+
+    hold_s: float = Field(default=0.1, ge=0.2)
+    """Time."""
+
+
 class TwoHolds(Settings):
     """Settings that would make one option."""
 
@@ -140,6 +161,18 @@ FAULTS: dict[str, tuple[dict[str, Any], str]] = {
         {"Settings": ListOfForces},
         "has the setting 'forces_N' of a type that --forces cannot give; several numbers are "
         "tuple[float, ...]",
+    ),
+    "a switch that may be None": (
+        {"Settings": MaybeGentle},
+        "has the setting 'gentle' of a type that --gentle cannot give; a switch is bool",
+    ),
+    "a default of another type": (
+        {"Settings": OneForce},
+        "has a setting with a default that it refuses: forces_N = 3.0 N: has to be a list",
+    ),
+    "a default outside its bounds": (
+        {"Settings": ShortHold},
+        "has a setting with a default that it refuses: hold_s = 0.1 s: has to be at least 0.2 s",
     ),
     "one word for points": ({"point_name": "trial"}, "has a point_name that is not a pair"),
 }

@@ -66,7 +66,7 @@ def parameters(model: type[Settings]) -> list[inspect.Parameter]:
             annotation=Annotated[
                 bool | None if info.annotation is bool else list[str] | None,
                 typer.Option(
-                    option_name(field),
+                    _switch(field) if info.default is True else option_name(field),
                     *_short(info),
                     help=_help(field, info, said.get(field, "")),
                     metavar=_metavar(field, info),
@@ -95,22 +95,30 @@ def _metavar(field: str, info: FieldInfo) -> str:
 
 
 def texts_of(model: type[Settings], given: Mapping[str, list[str] | bool | None]) -> dict[str, str]:
-    """Return one text for each option that was given, "true" for a switch. A list that is given in
-    several parts is one list; of any other option that is given twice the last one holds, as is
-    usual in a shell."""
+    """Return one text for each option that was given, "true" or "false" for a switch. A list that
+    is given in several parts is one list; of any other option that is given twice the last one
+    holds, as is usual in a shell."""
     return {
-        field: _text_of(model.model_fields[field], parts) for field, parts in given.items() if parts
+        field: _text_of(model.model_fields[field], parts)
+        for field, parts in given.items()
+        if parts is not None and parts != []
     }
 
 
-def _text_of(info: FieldInfo, parts: list[str] | Literal[True]) -> str:
-    if parts is True:
-        return "true"
+def _switch(field: str) -> str:
+    """Return the option of a switch that is on by default, with the one that turns it off."""
+    on = option_name(field)
+    return f"{on}/--no-{on.removeprefix('--')}"
+
+
+def _text_of(info: FieldInfo, parts: list[str] | bool) -> str:
+    if isinstance(parts, bool):
+        return str(parts).lower()
     return ",".join(parts) if _is_list(info) else parts[-1]
 
 
 def _is_list(info: FieldInfo) -> bool:
-    return get_origin(info.annotation) is tuple
+    return tuple in (get_origin(info.annotation), *map(get_origin, get_args(info.annotation)))
 
 
 def settings_from(model: type[Settings], given: Mapping[str, str | None]) -> Settings:
@@ -233,7 +241,11 @@ def _help(field: str, info: FieldInfo, said: str) -> str:
     facts = []
     if default is not None and default is not False and default not in ("", ()):
         if isinstance(default, tuple):
-            shown = f"{len(default)} values, {default[0]:g} to {default[-1]:g}"
+            shown = ", ".join(map(str, default))
+            if all(isinstance(value, (int, float)) for value in default):
+                shown = f"{len(default)} values, {default[0]:g} to {default[-1]:g}"
+        elif default is True:
+            shown = "on"
         else:
             shown = f"{default:g}" if isinstance(default, float) else str(default)
         facts.append(f"default: {shown} {unit_of(field) or ''}".rstrip())
