@@ -36,6 +36,8 @@ EXPIRY_WARNING_DAYS = 14.0
 LARGEST_MISFIT = 0.02
 """Largest difference between a force that was put on and what a record computes from its reading,
 as a share of the largest weight: twice what a record is made with (`rig.analysis.weighing`)."""
+LONGEST_SENSOR_NAME = 200
+"""Largest number of characters of a sensor's name."""
 FOLDER = "calibrations"
 """Folder of the records, next to the bench file."""
 
@@ -99,7 +101,7 @@ class CalibrationRecord(Settings):
 
     format: Literal[1] = 1
     kind: Kind
-    sensor: str = Field(min_length=1, max_length=200)
+    sensor: str = Field(min_length=1, max_length=LONGEST_SENSOR_NAME)
     """Label of the film; serial number or name of a sensor."""
     date: AwareDatetime
     """Time of the measurement."""

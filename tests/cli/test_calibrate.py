@@ -20,6 +20,8 @@ import pytest
 
 from procedures.sweep.layout import LAYOUT
 from rig.analysis.estimate import with_error
+from rig.cli.options.calibration import sensor_name
+from rig.core.errors import ConfigurationError
 from rig.files.journal.writer import JournalWriter
 from rig.files.runfile.compile import compile_run
 from rig.instruments.calibration import (
@@ -161,7 +163,7 @@ STOPPED = {"status": "stopped", "reason": "stopped by Ctrl-C", "exit": 130}
         ({"bench_toml": ""}, (), ("does not state the film", "--film")),
         ({}, ("--valid", "soon"), ("--valid soon", "90d")),
         ({}, ("--valid", "0d"), ("1 to 3650 days",)),
-        ({}, ("--film", "f" * 201), ("sensor", "200")),
+        ({}, ("--film", "f" * 201), ("--film", "200")),
         ({}, ("--to", "run.h5"), ("cannot be written", "--to")),
     ],
     ids=["incomplete", "procedure", "few", "narrow", "old", "no film", "valid", "zero", "label",
@@ -480,6 +482,9 @@ def test_ctrl_c_within_a_reading_ends_the_stream_and_writes_nothing(
         (("--rate", "fast"), "--rate fast"),
         (("--weights", "10N,5N"), "--weights 10N,5N: every weight has to be larger"),
         (("--temperature", "-400"), "--temperature -400: has to be -40 to 85 degC"),
+        (("--notes", "M\udcfcller"), r"--notes M\udcfcller: this text is not UTF-8"),
+        (("--operator", "M\udcfcller"), r"--operator M\udcfcller: this text is not UTF-8"),
+        (("--sensor", "x" * 201), "--sensor has 201 characters: a record keeps at most 200"),
     ],
 )
 @pytest.mark.thorough
@@ -491,6 +496,12 @@ def test_options_that_cannot_be_are_refused_before_any_bench_is_started(
     (error,) = ended.errors
     assert reported in error
     assert ended.stderr.splitlines() == [error]
+
+
+@pytest.mark.parametrize("text", ["x" * 201, "M\udcfcller"])
+def test_a_name_that_no_record_could_keep_is_refused_before_the_weights(text: str) -> None:
+    with pytest.raises(ConfigurationError, match=r"^--sensor "):
+        sensor_name("--sensor", text)
 
 
 def test_an_error_is_reported_to_two_figures_never_as_zero() -> None:

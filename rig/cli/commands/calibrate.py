@@ -20,6 +20,7 @@ from rig.cli.options.calibration import (
     directions,
     number,
     reading_times,
+    sensor_name,
     weights_of,
 )
 from rig.cli.options.groups import with_option_groups
@@ -83,7 +84,7 @@ def pvdf(
             assert run.header.start_time is not None, "a sweep has one"
             date = datetime.fromisoformat(run.header.start_time)
             fields = wanted.fields("pvdf", date, run.header.user.name)
-            record = film_record(run, analysis, film, fields)
+            record = film_record(run, analysis, sensor_name("--film", film), fields)
             bench_file = Path(run.header.bench_file)
         folder = bench_file.parent if bench_file.is_file() else Path()
         for line in sentences(record, analysis):
@@ -121,6 +122,7 @@ def force(
 
         weights_N = weights_of(weights)
         forces = sequence(directions(axes), weights_N)
+        sensor = sensor_name("--sensor", sensor)
         fields = {**wanted.fields("force", _now()), **conditions(options, weights_N)}
         readings, frames_s = reading_times(options), number(rate, "1/s", "--rate")
         with _at_the_bench(options, wanted, "force_sensor") as (connected, person, folder):
@@ -172,6 +174,7 @@ def load_cell(
         weights_N = weights_of(weights)
         forces = sequence([DIRECTIONS["+z"]], weights_N)
         range_V = number(input_range, "V", "--range")
+        sensor = sensor_name("--sensor", sensor)
         fields = {**wanted.fields("load-cell", _now()), **conditions(options, weights_N)}
         readings = reading_times(options)
         with _at_the_bench(options, wanted, "daq") as (connected, person, folder):

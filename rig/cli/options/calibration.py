@@ -16,6 +16,7 @@ import typer
 from rig.cli.options.groups import AsJson, BenchFile, Debug, Seed, World, WorldLog, option_group
 from rig.cli.options.numbers import real_number
 from rig.core.errors import ConfigurationError
+from rig.core.text import printable
 
 if TYPE_CHECKING:
     from rig.instruments.calibration import Kind
@@ -69,7 +70,8 @@ class RecordOptions:
     def fields(self, kind: Kind, date: datetime, operator: str = "") -> dict[str, Any]:
         """Return the fields of a record that was measured at `date`.
 
-        Raises ConfigurationError for a temperature that is not that of a room.
+        Raises ConfigurationError for a temperature that is not that of a room, and for texts that
+        are not UTF-8.
         """
         import rig
         from rig.instruments.calibration import VALID_DAYS
@@ -84,9 +86,9 @@ class RecordOptions:
         return {
             "date": date,
             "valid_until": date + timedelta(days=days),
-            "operator": self.operator or operator or _login(),
+            "operator": _as_utf8("--operator", self.operator or operator or _login()),
             "temperature_degC": self.temperature,
-            "notes": self.notes,
+            "notes": _as_utf8("--notes", self.notes),
             "program": f"tactile-rig {rig.__version__}",
         }
 
@@ -119,6 +121,21 @@ class WeighingOptions:
     seed: Seed = 0
     world: World = None
     world_log: WorldLog = None
+
+
+def sensor_name(option: str, text: str) -> str:
+    """Return the name of a sensor as a record can keep it, before a weight is put on.
+
+    Raises ConfigurationError, which names the option, for a text that is too long or not UTF-8.
+    """
+    from rig.instruments.calibration import LONGEST_SENSOR_NAME
+
+    if len(text) > LONGEST_SENSOR_NAME:
+        raise ConfigurationError(
+            f"{option} has {len(text)} characters: a record keeps at most {LONGEST_SENSOR_NAME}",
+            "use a shorter name",
+        )
+    return _as_utf8(option, text)
 
 
 def directions(text: str) -> list[Vector]:
@@ -222,6 +239,19 @@ def _days(text: str) -> int:
             f"--valid {text}: has to be 1 to 3650 days", "write it as --valid 90d"
         )
     return int(match[1])
+
+
+def _as_utf8(option: str, text: str) -> str:
+    """Return the text. Raises ConfigurationError if it has bytes that are not UTF-8: no record
+    could be written with it once all weights were on."""
+    try:
+        text.encode()
+    except UnicodeEncodeError as error:
+        raise ConfigurationError(
+            f"{option} {printable(text)}: this text is not UTF-8, so a record cannot keep it",
+            "set the terminal to UTF-8, or use ASCII characters only",
+        ) from error
+    return text
 
 
 def _login() -> str:
