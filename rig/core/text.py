@@ -1,9 +1,21 @@
-"""Text from files, for a terminal."""
+"""Text from files and names of files, for a terminal or another program."""
 
 from __future__ import annotations
+
+import os
 
 
 def printable(text: str) -> str:
     """Return the text with control characters and unencodable characters escaped: a name or a title
     from a file must not control the terminal."""
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
+
+
+def shown_name(name: str) -> str:
+    r"""Return the name of a file or folder as text that UTF-8 and JSON can hold: bytes of another
+    encoding are written as ``\xNN``.
+
+    >>> shown_name("M\udcfcller")
+    'M\\xfcller'
+    """
+    return os.fsencode(name).decode("utf-8", "backslashreplace")

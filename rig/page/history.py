@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from rig.core.errors import RigError
+from rig.core.text import shown_name
 from rig.files.describe import describe, describe_processed
 from rig.files.naming import JOURNAL_SUFFIX, RUN_SUFFIX
 from rig.files.processed.reader import ProcessedFile
@@ -124,7 +125,7 @@ class RunIndex:
         files = self._files(run)
         shown: dict[str, Any] = {
             "id": run_id,
-            "name": run.path.name,
+            "name": shown_name(run.path.name),
             "files": [
                 {"name": name, "bytes": size}
                 for name, path in sorted(files.items())
@@ -135,7 +136,7 @@ class RunIndex:
             try:
                 with RunFile.open(run.path) as opened:
                     shown["summary"] = describe(run.path, opened.header, opened.outcome)
-                    shown["summary"]["file"] = run.path.name
+                    shown["summary"]["file"] = shown["name"]
             except RigError as error:
                 shown["problem"] = error.one_line()
             shown["processed"] = _processed(files)
@@ -143,7 +144,8 @@ class RunIndex:
 
     def file(self, run_id: str, name: str) -> tuple[Path, str] | None:
         """Return a file of a run and its media type; None for any that is not one of them. The
-        name is looked up among the run's own files and never becomes part of a path."""
+        name, as `detail` has it, is looked up among the run's own files and never becomes part of
+        a path."""
         with self._lock:
             run = self._by_id.get(run_id)
         if run is None:
@@ -152,7 +154,8 @@ class RunIndex:
         return None if path is None else (path, KINDS[path.suffix])
 
     def _files(self, run: IndexedRun) -> dict[str, Path]:
-        """Return the files of a run by their names: of its own folder and of ``processed``."""
+        """Return the files of a run by their names as they are shown: of its own folder and of
+        ``processed``."""
         stem = run.path.name.removesuffix(run.path.suffix)
         found: dict[str, Path] = {}
         for folder in (run.path.parent, run.path.parent / PROCESSED):
@@ -165,7 +168,7 @@ class RunIndex:
             for path in entries:
                 own = path.name.startswith((f"{stem}.", f"{stem}-"))
                 if own and path.suffix in KINDS and path.is_file() and not path.is_symlink():
-                    found[path.name] = path
+                    found[shown_name(path.name)] = path
         return found
 
 
@@ -189,7 +192,7 @@ def _processed(files: dict[str, Path]) -> list[dict[str, Any]]:
         if path.parent.name == PROCESSED and path.suffix == RUN_SUFFIX:
             try:
                 with ProcessedFile.open(path) as opened:
-                    found.append(describe_processed(opened) | {"file": path.name})
+                    found.append(describe_processed(opened) | {"file": shown_name(path.name)})
             except RigError:
                 continue
     return found
@@ -198,7 +201,7 @@ def _processed(files: dict[str, Path]) -> list[dict[str, Any]]:
 def _fields(path: Path) -> dict[str, Any]:
     """Return what the list shows of a run file, or of a journal by its name."""
     fields: dict[str, Any] = {
-        "name": path.name,
+        "name": shown_name(path.name),
         "procedure": "",
         "sample": "",
         "start": None,

@@ -35,14 +35,14 @@ from typing import Any
 import uvicorn
 from starlette.applications import Starlette
 from starlette.requests import Request
-from starlette.responses import FileResponse, JSONResponse, PlainTextResponse, Response
+from starlette.responses import FileResponse, PlainTextResponse, Response
 from starlette.routing import Route
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from rig.batch.folder import BatchFolder
 from rig.batch.running import ask_batch, batch_of, is_running
 from rig.core.errors import RigError
-from rig.core.json_text import finite
+from rig.core.json_text import finite, json_text
 from rig.core.threads import start_thread
 from rig.page.access import HEADERS, Access, AccessRefusedError
 from rig.page.frames import Cursor, as_event, next_frame
@@ -112,27 +112,27 @@ def application(state: PageState) -> ASGIApp:
         return _Live(state, request.scope["rig.right"] == "stop")
 
     async def night_of(_: Request) -> Response:
-        return JSONResponse(await asyncio.to_thread(_night, state))
+        return _json(await asyncio.to_thread(_night, state))
 
     async def runs(request: Request) -> Response:
         query = request.query_params
         names = ("procedure", "sample", "outcome")
         procedure, sample, outcome = (query.get(name, "")[:200] for name in names)
         found = await asyncio.to_thread(state.index.rows, procedure, sample, outcome)
-        return JSONResponse(found)
+        return _json(found)
 
     async def run(request: Request) -> Response:
         found = await asyncio.to_thread(state.index.detail, request.path_params["run"])
         if found is None:
             return PlainTextResponse("no run of this name in the results folder", 404)
-        return Response(json.dumps(found, default=str), media_type="application/json")
+        return _json(found)
 
     async def file(request: Request) -> Response:
         wanted = request.path_params
         found = await asyncio.to_thread(state.index.file, wanted["run"], wanted["name"])
         if found is None:
             return PlainTextResponse("the run has no such file", 404)
-        return FileResponse(found[0], media_type=found[1], filename=found[0].name)
+        return FileResponse(found[0], media_type=found[1], filename=wanted["name"])
 
     routes = [
         Route("/", _page),
@@ -240,6 +240,12 @@ def _night(state: PageState) -> dict[str, Any]:
     return state.night or {}
 
 
+def _json(content: Any, status: int = 200) -> Response:
+    """Return an answer in JSON. It is ASCII, so that a message with a path that is not UTF-8 can be
+    sent as well."""
+    return Response(json_text(content), status, media_type="application/json")
+
+
 async def _left(receive: Receive) -> None:
     while (await receive())["type"] != "http.disconnect":
         pass
@@ -266,21 +272,21 @@ def _changing(state: PageState, change: Change) -> Callable[[Request], Any]:
 
     async def endpoint(request: Request) -> Response:
         if request.scope["rig.right"] != "stop":
-            return JSONResponse({"problem": "This link is view-only."}, 403)
+            return _json({"problem": "This link is view-only."}, 403)
         body = b""
         async for chunk in request.stream():
             body += chunk
             if len(body) > MOST_BODY_BYTES:
-                return JSONResponse({"problem": "the request is too long"}, 413)
+                return _json({"problem": "the request is too long"}, 413)
         try:
             wanted = json.loads(body or b"{}")
         except (ValueError, RecursionError):
             wanted = None
         if not isinstance(wanted, dict):
-            return JSONResponse({"problem": "the request is not a JSON object"}, 400)
+            return _json({"problem": "the request is not a JSON object"}, 400)
         loop = asyncio.get_running_loop()
         status, answer = await loop.run_in_executor(state.changes, change, state, wanted)
-        return JSONResponse(answer, status)
+        return _json(answer, status)
 
     return endpoint
 

@@ -1,0 +1,41 @@
+"""The list of runs, and what a browser gets of one of them."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+
+import recorded_run as run
+
+from rig.files.runfile.compile import compile_run
+from rig.page.history import RunIndex
+from rig.page.server import _json
+
+
+def test_a_run_whose_files_have_names_that_are_not_utf8_is_listed_and_handed_out(
+    tmp_path: Path,
+) -> None:
+    journal = run.write_run(tmp_path / "2026-11-21T22-00-00_sweep_r001.rigj")
+    compile_run(journal, retire=True)
+    file = journal.with_suffix(".h5")
+    renamed = file.rename(tmp_path / os.fsdecode(os.fsencode(file.stem) + b"-M\xfcller.h5"))
+    picture = renamed.with_suffix(".png")
+    picture.write_bytes(b"picture")
+    index = RunIndex(tmp_path)
+    index.update()
+    (listed,) = json.loads(_json(index.rows()).body)["runs"]
+    assert listed["name"].endswith(r"-M\xfcller.h5")
+    detail = json.loads(_json(index.detail(listed["id"])).body)
+    names = [file["name"] for file in detail["files"]]
+    assert [index.file(listed["id"], name) for name in names] == [
+        (renamed, "application/x-hdf5"),
+        (picture, "image/png"),
+    ]
+    for name in (detail["name"], detail["summary"]["file"], *names):
+        name.encode()  # a browser asks for it in UTF-8
+
+
+def test_an_answer_with_a_path_that_is_not_utf8_or_a_number_that_is_not_finite_is_json() -> None:
+    answer = _json({"problem": "M\udcfcller: damaged", "duration_s": float("nan")})
+    assert json.loads(answer.body.decode("ascii"))["duration_s"] is None
