@@ -79,7 +79,9 @@ def stop_course(signs: StopSigns) -> StopCourse:
     if not signs.process_lives:
         if signs.guard_report:
             return StopCourse("guard", signs.guard_report, True, signs.guard_safe)
-        if signs.guard_pid is None and not signs.recording:  # a batch that rested has no END
+        # A batch that rested has no END. The END of a run was perhaps read before it could be taken
+        # for this one's: while a long journal was still read, or before the press.
+        if signs.bench_safe or (signs.guard_pid is None and not signs.recording):
             text = f"Process {signs.pid} has ended. The state above says how it left the bench."
             return StopCourse("ended", text, True, signs.bench_safe)
         text = "The run's process is gone. Its guard is making the bench safe; no report yet."

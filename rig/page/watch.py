@@ -80,6 +80,8 @@ class BenchWatch:
         """The process that writes the journal."""
         self._run_pid = -1
         """Process that was seen to write the journal that is shown."""
+        self._ended_pid = -1
+        """Process that was seen to record the END that is shown; -1 if none was."""
         self._guarded = False
         self.stop: Stop | None = None
         self.word = BenchWord("unknown", "nothing was read yet")
@@ -160,7 +162,7 @@ class BenchWatch:
             self.path, self.view, self._problem = path, RunView(), ""
             self.word = BEGUN  # the word before was that of another run
             self.generation += 1
-            self._run_pid = -1
+            self._run_pid = self._ended_pid = -1
             self.behind = True
             self._grew_s = time.monotonic()
             if self.stop is not None and self.stop.journal != path:
@@ -188,6 +190,9 @@ class BenchWatch:
                 goes_on = not isinstance(record, (End, Results))
                 if self.stop is not None and self.stop.over and goes_on:
                     self.stop = None  # another attempt at the same run
+                if not isinstance(record, Results):
+                    ended_now = isinstance(record, End) and not self.behind
+                    self._ended_pid = self._run_pid if ended_now else -1
                 if self.stop is not None and not self.behind:
                     self.stop.reacted |= _reacts(record)
                     if isinstance(record, End):
@@ -338,6 +343,8 @@ class BenchWatch:
         holder = (end_the_run or ask_to_stop)(target)
         with self.lock:
             self.stop = Stop(holder, journal, run_only=end_the_run is not None)
+            if journal is not None and holder.pid == self._ended_pid:
+                self.stop.end = self.view.end  # it only saves its data: no other END will come
             return self.stop
 
     def _target(self) -> tuple[Path, Path | None]:

@@ -201,6 +201,8 @@ def test_a_stop_is_red_from_the_press_to_the_end_record_or_the_guards_report():
     assert "by hand" in stop_course(signs(since_s=3.0, guard_pid=None)).text
     gone = stop_course(signs(process_lives=False))
     assert (gone.phase, gone.over, gone.safe) == ("guard", False, False)
+    caught_up = stop_course(signs(process_lives=False, bench_safe=True))  # its END was read late
+    assert (caught_up.phase, caught_up.over, caught_up.safe) == ("ended", True, True)
     stated = stop_course(signs(process_lives=False, guard_report="it acted", guard_safe=True))
     assert (stated.phase, stated.over, stated.safe) == ("guard", True, True)
     assert stop_course(signs(ended=True, exit=143, status="stopped")).safe

@@ -305,6 +305,21 @@ def test_a_run_without_an_open_point_is_seen_to_react_as_it_makes_the_bench_safe
         assert watch.stop.reacted is reacted
 
 
+def test_a_press_while_an_ended_run_saves_its_data_finds_it_ended(
+    stopping: tuple[JournalWriter, BenchWatch], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    journal, watch = stopping
+    watch.stop = None
+    journal.end(run.end())
+    journal.sync()
+    words(watch)
+    monkeypatch.setattr("rig.page.watch.ask_to_stop", lambda _: LockHolder(os.getpid(), "", True))
+    watch.ask_to_stop()
+    course = watch.course()
+    assert course is not None
+    assert (course.phase, course.over, course.safe) == ("ended", True, True)
+
+
 def test_another_attempt_by_the_same_process_takes_the_bar_of_an_ended_stop_away(
     stopping: tuple[JournalWriter, BenchWatch],
 ) -> None:
