@@ -194,7 +194,7 @@ class Jog:
         """Return the actions that stop all axes and block motions until `unblock` is called."""
         self._blocked = why
         self._homing_asked_s = None
-        return [StopAxes(None, why), ShowMessage(f"stopped: {why}; nothing moves until then")]
+        return [StopAxes(None, why), ShowMessage(f"stopped: {why}; nothing moves meanwhile")]
 
     def unblock(self) -> list[Action]:
         """Return the actions when the reason for blocking is over."""

@@ -34,7 +34,7 @@ from rig.jog.keys import (
 )
 from rig.jog.watch import JogWatch, Vector
 from rig.run.arming import SHUTDOWN_DEADLINE_S, Arming, ShutdownFailure
-from rig.run.holds import HoldError, PauseSwitch
+from rig.run.holds import PAUSE, HoldError, PauseSwitch
 from rig.run.interlocks.store import InterlockStore
 from rig.run.locks.bench_mark import BenchMarks
 from rig.run.making_safe.guard import GuardLink
@@ -204,7 +204,8 @@ class JogSession:
             self._after_trip(trip)
         except HoldError as hold:
             self._watch.hold_is_known()
-            self._perform(self._jog.block(hold.message))
+            why = f"{PAUSE} (Ctrl-Z continues)" if hold.message == PAUSE else hold.message
+            self._perform(self._jog.block(why))
 
     def _pass(self) -> None:
         self._clock.sleep(TICK_S)

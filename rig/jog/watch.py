@@ -157,6 +157,11 @@ class JogWatch:
             self._force.check()
         if not self._held:
             self.holds.check()
-        if not self._guard_missed and (trouble := self._guard.trouble()) is not None:
-            self._guard_missed = True
-            self._say(f"the guard {trouble}: if this program dies as well, only the drives stop")
+        trouble = self._guard.trouble()
+        if (trouble is not None) is not self._guard_missed:
+            self._guard_missed = trouble is not None
+            self._say(
+                "the guard reads heartbeats again and watches this program"
+                if trouble is None
+                else f"the guard {trouble}: if this program dies as well, only the drives stop"
+            )

@@ -310,13 +310,19 @@ class _Execution:
         self.guard.kill()
 
     def _miss_guard(self) -> None:
-        """Report once that the guard has died or does not react. The run continues: to end it would
-        gain nothing."""
-        if not self._guard_missed and (trouble := self.guard.trouble()) is not None:
-            self._guard_missed = True
+        """Report that the guard has died or does not react, and that it reacts again. The run
+        continues: to end it would gain nothing."""
+        trouble = self.guard.trouble()
+        if (trouble is not None) is self._guard_missed:
+            return
+        self._guard_missed = trouble is not None
+        if trouble is not None:
+            level = "warning"
             text = f"the guard {trouble}: if this run dies as well, nothing makes the bench safe"
-            self.run.event("warning", "guard", text)
-            self.observers.event("warning", text)
+        else:
+            level, text = "info", "the guard reads heartbeats again and watches this run"
+        self.run.event(level, "guard", text)
+        self.observers.event(level, text)
 
     def _notice_set_clock(self) -> None:
         """Record that the computer's clock was set."""

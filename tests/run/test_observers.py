@@ -226,3 +226,19 @@ def test_several_calls_wait_once_for_an_observer_that_blocks() -> None:
     observers.end()
     assert waits == [observing.OBSERVED_S, observing.ANNOUNCED_S]
     assert seen == ["a", "b", "c"]
+
+
+def test_a_guard_that_reads_heartbeats_again_is_reported_as_it_was_missed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    looks = iter([None, "is silent", "is silent"])
+    monkeypatch.setattr("made_up.Guard.trouble", lambda _: next(looks, None))
+    monkeypatch.setattr("rig.run.execute.BEAT_EVERY_S", 0.0)
+    seen = Noting()
+    outcome = run_of(Example(Settings()), tmp_path, monkeypatch, seen)
+    missed = "the guard is silent: if this run dies as well, nothing makes the bench safe"
+    assert [values for name, values in seen.said if name == "event"] == [
+        ("warning", missed),
+        ("info", "the guard reads heartbeats again and watches this run"),
+    ]
+    assert outcome.warnings == [missed]

@@ -174,7 +174,7 @@ def test_ctrl_c_at_a_held_key_ends_in_order_and_a_second_owner_is_refused(rig, j
     assert f"in use by pid {typist.process.pid}" in second.stderr
     typist.holds(MORE, r"stage_z 10\.\d+ mm moving")
     typist.types(b"\x1a")
-    paused = typist.sees(r"stopped: paused by the operator; nothing moves until then")
+    paused = typist.sees(r"stopped: paused by the operator \(Ctrl-Z continues\); nothing moves")
     typist.types(b"\x1a")
     typist.sees(r"Resumed", since=paused)
     typist.types(b"\x03")
