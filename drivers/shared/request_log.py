@@ -7,7 +7,7 @@ stood still; or they were sent and did not arrive.
 
 from __future__ import annotations
 
-from rig.core.clock import Clock
+from rig.core.clock import Clock, suspended_s
 
 REMEMBERED_S = 30.0
 """Age in s up to which a pause explains a time-out that is read now."""
@@ -25,6 +25,8 @@ class RequestLog:
     def note(self) -> None:
         """Note that a request is being sent."""
         now_s = self._clock.now()
+        if not self._clock.is_virtual:
+            now_s += suspended_s()  # the drive's time-out runs on meanwhile
         pause_s = 0.0 if self._latest_s is None else now_s - self._latest_s
         longest_s, ended_s = self._pause
         if pause_s >= longest_s or now_s - ended_s > REMEMBERED_S:
@@ -43,5 +45,8 @@ class RequestLog:
             why = "the procedure hung, or the computer stood still"
         else:
             instrument, waited_s = self._clock.overdue
-            why = f"the procedure waited for {instrument}, without an answer for {waited_s:.2g} s"
+            why = (
+                f"the procedure waited for {instrument}, without an answer for {waited_s:.2g} s, "
+                "or the program was suspended"
+            )
         return f"this program sent it nothing for {pause_s:.2g} s: {why}"

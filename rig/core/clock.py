@@ -52,6 +52,12 @@ longer."""
 Unregister = Callable[[], None]
 
 
+def suspended_s() -> float:
+    """Return for how long the computer has been suspended since it was started, in s: the monotonic
+    clock, and with it bench time, stands still meanwhile."""
+    return time.clock_gettime(time.CLOCK_BOOTTIME) - time.monotonic()
+
+
 class StreamConsumer(Protocol):
     """A reader that takes the bytes of a stream off its link."""
 

