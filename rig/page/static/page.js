@@ -371,7 +371,8 @@ async function change(path, body, patience_ms = 4000) {
   try {
     const answer = await ask(path, {method: "POST", body: JSON.stringify(body), headers: {"Content-Type": "application/json"}, signal: AbortSignal.timeout(patience_ms)});
     const said = object(await answer.text());
-    notice(said.problem || "");
+    // It stays until the next press: the time says that it may be of an earlier run.
+    notice(said.problem ? said.problem + (last ? ` (asked at ${last.time})` : "") : "");
     return {ok: answer.ok, ...said};
   } catch (error) {
     notice("The page's server does not answer: end the run at its terminal (Ctrl-C), or press the emergency stop.");
