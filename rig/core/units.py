@@ -66,9 +66,8 @@ def parse(text: str, annotation: Any, unit: str | None) -> Any:
         if text.strip().lower() == "none":
             return None
         return parse(text, next(a for a in arguments if a is not type(None)), unit)
-    if (
-        typing.get_origin(annotation) is typing.Literal
-    ):  # a choice that is a number is given as text
+    # A choice may be a number, which is given as text like any other.
+    if typing.get_origin(annotation) is typing.Literal:
         return next((choice for choice in arguments if str(choice) == text.strip()), text)
     if annotation is float:
         return quantity(text, unit)

@@ -17,7 +17,7 @@ SMALLEST_JUMP_S = 1.0
 
 
 class TimeOfDay:
-    """Tells local time, and notices when the computer's clock is set or the computer suspended."""
+    """Gives local time, and notices when the computer's clock is set or the computer suspended."""
 
     def __init__(self, no_earlier_than: datetime | None = None) -> None:
         """Begin with the computer's clock, or with a later time that is known to have passed: the
