@@ -133,7 +133,8 @@ class RunJob:
     def open_journal(self, bench: Bench, points: Sequence[Point]) -> Journal:
         """Begin the journal, or continue the interrupted one.
 
-        Raises ConfigurationError if the bench has changed since the interrupted run began.
+        Raises ConfigurationError if the bench, or what the procedure's readings consist of, has
+        changed since the interrupted run began.
         """
         if self.resume is None:
             time_of_day = TimeOfDay()
@@ -142,7 +143,14 @@ class RunJob:
             )
         time_of_day = TimeOfDay(_latest(self.resume))
         header, begun = self._header(bench, points, time_of_day), self.resume.header
+        had = [column.key for column in begun.layout.columns]
+        has = [column.key for column in self.procedure.layout.columns]
         for what, was, now in (
+            (
+                "columns",
+                ", ".join(key for key in had if key not in has) or "none",
+                ", ".join(key for key in has if key not in had) or "none",
+            ),
             ("settings or bench", begun.fingerprint, header["fingerprint"]),
             ("program version", begun.program.version, header["program"]["version"]),
         ):

@@ -13,7 +13,14 @@ import typer
 
 from rig.cli.outcome import of_the_computer, print_json, reported, say, say_all, say_failure
 from rig.cli.show.words import in_words
-from rig.core.errors import ConfigurationError, ExitCode, FoundWrongError, RigError, is_stop
+from rig.core.errors import (
+    ConfigurationError,
+    ExitCode,
+    FoundWrongError,
+    RigError,
+    finding,
+    is_stop,
+)
 from rig.core.text import printable
 
 if TYPE_CHECKING:
@@ -60,12 +67,20 @@ def resume(
         from pydantic import ValidationError
 
         from rig.cli.commands.procedures import ProcedureRequest, perform
+        from rig.cli.show.digest import not_usable
+        from rig.core.entry_points import PROCEDURES, names
         from rig.files.naming import results_of
         from rig.files.runfile.recover import interrupted
         from rig.run.load_procedure import load_procedure
 
         contents = interrupted(file)
         header = contents.header
+        if header.procedure not in names(PROCEDURES):
+            version = f" {header.procedure_version}" if header.procedure_version else ""
+            raise ConfigurationError(
+                f"{file}: procedure {not_usable(header)}",
+                f"install {header.procedure_package or 'the package that has it'}{version}",
+            )
         try:
             procedure = load_procedure(header.procedure)
         except ConfigurationError as error:
@@ -73,7 +88,12 @@ def resume(
         try:
             settings = procedure.Settings.model_validate_json(json.dumps(header.settings))
         except ValidationError as error:
-            raise ConfigurationError.from_validation(error, str(file)) from error
+            found = "; ".join(map(finding, error.errors()))
+            raise ConfigurationError(
+                f"{file}: procedure {header.procedure} has changed since the run began and does "
+                f"not take its settings: {found}",
+                "restore the version that began the run, or start a new run",
+            ) from error
         with _world_of(header.bench_toml, str(file)) as (world, stages):
             bench_file = None if world is not None else Path(header.bench_file)
             request = ProcedureRequest(

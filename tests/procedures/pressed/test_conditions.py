@@ -270,3 +270,34 @@ def test_a_held_force_that_reaches_the_limit_is_refused_before_anything_is_conne
 
     with pytest.raises(ConfigurationError, match=words):
         Forces(Held()).points()
+
+
+@pytest.mark.thorough
+def test_a_run_whose_procedure_has_changed_or_is_gone_is_not_resumed(relaxation: Any) -> None:
+    module = relaxation.folder / "site" / "lab" / "relaxation.py"
+    raising = MODULE.replace(
+        "force_N, number =", "assert record.trial == 1\n        force_N, number ="
+    )
+    module.write_text(raising)
+    stopped = relaxation.run("relaxation", "--hold", "200ms", "--no-figures")
+    assert stopped.code == 1, stopped.stderr
+    journal = relaxation.only("*.rigj")
+
+    module.write_text(
+        MODULE.replace('"moved", "um"', '"travel", "um"').replace("moved_", "travel_")
+    )
+    changed = relaxation.run("resume", str(journal))
+    assert changed.code == 2
+    assert "columns changed since the run began (moved_um then, travel_um now)" in changed.stderr
+
+    module.write_text(MODULE.replace("hold_s", "stay_s"))
+    changed = relaxation.run("resume", str(journal))
+    assert changed.code == 2
+    assert "procedure relaxation has changed since the run began" in changed.stderr
+    assert "does not take its settings: hold_s: unknown key; restore the" in changed.stderr
+
+    for metadata in module.parents[1].glob("*/entry_points.txt"):
+        metadata.unlink()
+    gone = relaxation.run("resume", str(journal))
+    assert gone.code == 2
+    assert "procedure relaxation of lab is not installed here; install lab 1" in gone.stderr
