@@ -21,7 +21,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from rig.core.entry_points import DETECTORS, OWN_PACKAGE, find, load, names, package
-from rig.core.errors import ConfigurationError, is_stop
+from rig.core.errors import ConfigurationError, finding, is_stop
 from rig.core.settings import Settings
 from rig.detector.checking import CheckedDetector, DetectorError, asked, quiet_stdout
 from rig.detector.contract import Detector
@@ -167,7 +167,10 @@ def _fault(name: str, value: Any) -> str | None:
     except (Exception, SystemExit) as error:
         if is_stop(error):
             raise
-        return f"has Settings without usable defaults: {' '.join(str(error).split())}"
+        words = str(error)
+        if isinstance(error, ValidationError):
+            words = "; ".join(map(finding, error.errors()))
+        return f"has Settings without usable defaults: {' '.join(words.split())}"
     return None if again == settings else "has Settings that JSON does not hold"
 
 

@@ -129,7 +129,7 @@ BROKEN = {
     ),
     "settings without defaults": (
         LEVEL.replace("Field(20.0, gt=0)", "Field(gt=0)"),
-        "has Settings without usable defaults: .*level_mV",
+        "has Settings without usable defaults: level_mV: missing; fix the package",
     ),
     "rates that do not ascend": (
         LEVEL.replace('version = "3"', 'version = "3"\n    slowest_Hz = 2000.0'),
