@@ -34,8 +34,8 @@ if TYPE_CHECKING:
     from rig.run.points import Reading
 
 STALE_S = 0.1
-"""Age in s of an alarm's sample from which nothing is squeezed: what slipped then has gone on
-slipping or has stopped; the detector alarms again if it continues."""
+"""Age in s of an alarm's sample from which nothing is squeezed: what slipped then has
+slipped on or has stopped."""
 BLIND_S = 0.05
 """Additional age in s of the latest force from which nothing is squeezed."""
 SEEN_SHARE = 0.5
@@ -134,19 +134,28 @@ class Grip:
         settings = self._settings
         if settings is None or not self._armed or one.kind != SLIP:
             return
-        if why := self._why_not(settings, one, set_N):
+        needless = self._needless(settings, one)
+        if why := needless or self._prevented(one, set_N):
             self._record.unanswered.append(one.time_s)
-            self._run.event("info", "no-squeeze", f"{self._record.point}: no squeeze: {why}")
+            # What the grip would have held may be lost: the person has to know that it was not the
+            # grip that failed.
+            level = "info" if needless else "warning"
+            self._run.event(level, "no-squeeze", f"{self._record.point}: no squeeze: {why}")
             return
         self._raise(settings.regrip_step_N, one.time_s, set_N)
 
-    def _why_not(self, settings: GripSettings, one: Detection, set_N: float) -> str:
-        """Return why an alarm raises nothing; "" where it does."""
-        record, force = self._record, self._run.force
+    def _needless(self, settings: GripSettings, one: Detection) -> str:
+        """Return why an alarm is not to raise the force; "" where it is."""
+        record = self._record
         if one.time_s < record.motion_from_s:
             return "the alarm came before the motion"
         if len(record.squeezes) >= settings.regrip_times:
             return f"all {settings.regrip_times} steps have been made (--regrip-times)"
+        return ""
+
+    def _prevented(self, one: Detection, set_N: float) -> str:
+        """Return what is too late or too uncertain for the force to be raised; "" for nothing."""
+        record, force = self._record, self._run.force
         age_s = self._run.clock.now() - record.begun_s - one.time_s
         if age_s > STALE_S:
             return f"the alarm came {age_s:.2g} s after its sample, more than {STALE_S:g} s"

@@ -30,6 +30,7 @@ class Held:
         self.now_s, self.older_s, self.shown_N = 2.0, 0.0, SET_N
         self.rises_N: list[float] = []
         self.events: list[tuple[str, str]] = []
+        self.warnings: list[str] = []
         self.tripped = False
         self.settings = GripSettings(regrip=True, **changes)
         self.record = TrialRecord(1, 100.0, 1000.0, 4.0, motion_from_s=1.0)
@@ -40,10 +41,15 @@ class Held:
                 older_s=0.0, mean_N=lambda seconds: np.array([0.0, 0.0, self.shown_N])
             ),
             check_watchers=self.check_watchers,
-            event=lambda level, code, message: self.events.append((code, message)),
+            event=self.event,
         )
         self.run = run
         self.grip = Grip(run, self.record, self.squeeze)
+
+    def event(self, level: str, code: str, message: str) -> None:
+        self.events.append((code, message))
+        if level == "warning":
+            self.warnings.append(message)
 
     def check_watchers(self) -> None:
         if self.tripped:
@@ -101,6 +107,7 @@ def test_an_alarm_for_ever_raises_the_stated_number_of_steps_and_no_more() -> No
     assert held.rises_N == [0.8] * 3
     assert len(held.record.unanswered) == 47
     assert "all 3 steps have been made (--regrip-times)" in held.events[-1][1]
+    assert held.warnings == []
 
 
 def test_an_alarm_that_comes_late_raises_nothing() -> None:
@@ -109,6 +116,7 @@ def test_an_alarm_that_comes_late_raises_nothing() -> None:
     held.alarm(age_s=0.11)
     assert held.rises_N == []
     assert "0.11 s after its sample, more than 0.1 s" in held.events[-1][1]
+    assert held.warnings == [held.events[-1][1]], "the closing lines repeat it"
     held.alarm(age_s=0.09)
     assert held.rises_N == [0.8]
 
@@ -125,6 +133,7 @@ def test_a_force_that_is_old_or_not_there_raises_nothing() -> None:
         "the latest force is 0.06 s old",
         "the force sensor shows 1.9 N where 4 N are held",
     ]
+    assert len(held.warnings) == 2
 
 
 def test_a_trip_comes_before_the_squeeze() -> None:
