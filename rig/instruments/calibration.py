@@ -36,6 +36,8 @@ EXPIRY_WARNING_DAYS = 14.0
 LARGEST_MISFIT = 0.02
 """Largest difference between a force that was put on and what a record computes from its reading,
 as a share of the largest weight: twice what a record is made with (`rig.analysis.weighing`)."""
+LEVEL_REFERENCE = " re 1 V/N"
+"""Reference of a level in dB, which a record may state."""
 LONGEST_SENSOR_NAME = 200
 """Largest number of characters of a sensor's name."""
 FOLDER = "calibrations"
@@ -69,6 +71,15 @@ class Quantity(Settings):
         ):
             raise ValueError(f"the interval {low} to {high} does not hold the value {value}")
         return self
+
+
+def _require_units(record: CalibrationRecord, **units: str) -> None:
+    """Raise ValueError for a quantity that is stated in another unit than that of its field: its
+    value would be used as if it were in that."""
+    for name, unit in units.items():
+        found = getattr(record, name).unit
+        if found.removesuffix(LEVEL_REFERENCE) != unit:
+            raise ValueError(f"{name} is stated in {found!r}; it has to be in {unit!r}")
 
 
 class CalibrationFiles(Settings):
@@ -177,6 +188,13 @@ class FilmCalibration(CalibrationRecord):
             raise ValueError("b_dB has no value")
         return self
 
+    @model_validator(mode="after")
+    def _is_in_its_units(self) -> FilmCalibration:
+        _require_units(self, b_dB="dB", corner_Hz="Hz", delay_us="us")
+        if self.lowest_frequency_Hz > self.highest_frequency_Hz:
+            raise ValueError("lowest_frequency_Hz is above highest_frequency_Hz")
+        return self
+
 
 class WeighedForce(Settings):
     """A reading of the force sensor under a known force."""
@@ -250,6 +268,7 @@ class LoadCellCalibration(Weighed):
     def _is_a_sensor(self) -> LoadCellCalibration:
         if not self.sensitivity_V_N.value:
             raise ValueError("sensitivity_V_N has no value")
+        _require_units(self, zero_V="V", sensitivity_V_N="V/N")
         return self
 
     def computed_N(self) -> Iterator[tuple[float, float]]:  # noqa: N802 - the unit keeps its capital

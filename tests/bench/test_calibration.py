@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from pydantic import ValidationError
 
 from rig.core.errors import ConfigurationError, ExitCode
 from rig.instruments.calibration import (
@@ -195,6 +196,9 @@ def spoiled(record: CalibrationRecord, **changes: Any) -> str:
         (spoiled(film(), b_dB=quantity(1.0) | {"low": 2.0}).encode(), "does not hold the value"),
         (spoiled(film(), date="2026-11-21T22:00:00").encode(), "date"),
         (spoiled(film(), valid_until="2026-11-20T22:00:00Z").encode(), "not after date"),
+        (spoiled(film(), b_dB=quantity(1.0, unit="dB re 1 mV/N")).encode(), "has to be in 'dB'"),
+        (spoiled(film(), corner_Hz=quantity(2.0, unit="kHz")).encode(), "has to be in 'Hz'"),
+        (spoiled(film(), lowest_frequency_Hz=3e4).encode(), "above highest_frequency_Hz"),
         (spoiled(film(), covariance=[[1.0]]).encode(), "covariance: 6 x 6 numbers belong"),
         (spoiled(film(), inverse_corner_s=float("nan")).encode(), "inverse_corner_s"),
         (as_text(film())[:-200].encode(), "not a calibration record"),
@@ -213,6 +217,11 @@ def test_a_file_that_is_no_such_record_is_reported_in_one_line(
     assert str(path) in line
     assert "rig calibrate pvdf" in line
     assert caught.value.code is ExitCode.USAGE
+
+
+def test_a_load_cell_in_another_unit_is_not_taken_for_volts_per_newton() -> None:
+    with pytest.raises(ValidationError, match="sensitivity_V_N is stated in 'mV/N'"):
+        load_cell(sensitivity_V_N=quantity(100.0, 0.01, "mV/N"))
 
 
 # --- validity --------------------------------------------------------------------------------
