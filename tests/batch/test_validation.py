@@ -49,6 +49,9 @@ class Instrument:
     def reach(self) -> dict[str, Reach]:
         return {name: Reach(0.0, high, "u", "it") for name, high in self._highest.items()}
 
+    def ranges_V(self) -> tuple[float, ...]:  # noqa: N802 - the unit keeps its capital
+        return (10.0,)
+
     def check(self, acquisition: Acquisition) -> None:
         """Any acquisition."""
 
