@@ -41,12 +41,11 @@ class RequestLog:
                 f"it was asked every {pause_s:.2g} s or more often, which did not reach it: the "
                 "connection was silent"
             )
-        if self._clock.overdue is None:
-            why = "the procedure hung, or the computer stood still"
+        waited = self._clock.overdue
+        # A wait that is much shorter than the pause was another one, or the computer was suspended.
+        if waited is None or waited[1] < 0.5 * pause_s:
+            why = "the procedure hung, or the computer stood still or was suspended"
         else:
-            instrument, waited_s = self._clock.overdue
-            why = (
-                f"the procedure waited for {instrument}, without an answer for {waited_s:.2g} s, "
-                "or the program was suspended"
-            )
+            instrument, waited_s = waited
+            why = f"the procedure waited for {instrument}, without an answer for {waited_s:.2g} s"
         return f"this program sent it nothing for {pause_s:.2g} s: {why}"

@@ -350,7 +350,7 @@ def _wrong_record(record: Any, wanted: Acquisition, first: int) -> str | None:
         return f"{_shown(record)}, not a Record"
     counts: Any = record.counts
     if (kind := getattr(counts, "dtype", type(counts).__name__)) != "int16":
-        return f"counts of the type {kind}, not int16"
+        return f"counts of the type {kind}, not int16 (.astype('int16') converts them)"
     if counts.ndim != 2 or counts.shape[1] != len(wanted.channels):
         return f"counts of the shape {counts.shape}, not (n, {len(wanted.channels)})"
     if record.first_index != first:
@@ -362,6 +362,15 @@ def _wrong_scaling(scaling: Any, wanted: Acquisition) -> str | None:
     """Return what is wrong with the scaling of an acquisition; None if it gives volts."""
     if not isinstance(scaling, Scaling):
         return f"{_shown(scaling)}, not a Scaling"
+    try:
+        return _wrong_numbers(scaling, wanted)
+    except (TypeError, ValueError):  # None, a text or one number where several belong
+        return f"a scaling that is not of numbers, one a channel: {_shown(scaling)}"
+
+
+def _wrong_numbers(scaling: Scaling, wanted: Acquisition) -> str | None:
+    """Return what is wrong with the numbers of a scaling; None if they give volts. Raises TypeError
+    or ValueError where they are not numbers."""
     names = tuple(channel.name for channel in wanted.channels)
     if tuple(scaling.channels) != names:
         return f"a scaling of the channels {scaling.channels}, not {names}"
@@ -371,6 +380,8 @@ def _wrong_scaling(scaling: Any, wanted: Acquisition) -> str | None:
         values = getattr(scaling, name)
         if len(values) != len(names) or not all(map(math.isfinite, values)):
             return f"a scaling with {name} = {values}, not {len(names)} finite numbers"
+    if not scaling.lowest_count < scaling.highest_count:
+        return f"counts from {scaling.lowest_count} to {scaling.highest_count}"
     if not all(scaling.volts_per_count):
         return f"a scaling with volts_per_count = {scaling.volts_per_count}"
     return None

@@ -33,6 +33,8 @@ class StopSigns:
     reacted: bool
     """A point was given up since, or the run makes the bench safe, or the END is there."""
     ended: bool
+    after_end: bool = False
+    """The process had recorded its END before the press, and nothing since."""
     exit: int = 0
     status: str = ""
     guard_pid: int | None = None
@@ -90,6 +92,12 @@ def stop_course(signs: StopSigns) -> StopCourse:
         return StopCourse(
             "switching off", f"The run is making the bench safe.{again}", False, False
         )
+    if signs.after_end:
+        text = (
+            f"The run had ended before the press. Process {signs.pid} still holds the bench: it "
+            f"saves its data, or begins the run again.{again}"
+        )
+        return StopCourse("asked", text, False, False)
     if signs.since_s >= REACTS_WITHIN_S:
         return StopCourse("hanging", _hanging(signs) + again, False, False)
     return StopCourse("asked", f"Process {signs.pid} was asked to stop.{again}", False, False)

@@ -49,6 +49,9 @@ class Stop:
         self.presses = 1
         self.guard_pid = guard_of(holder.pid)
         self.reacted = False
+        self.after_end = False
+        """The process had recorded an END before the press, and nothing since: it saves its data,
+        or has begun another attempt at the run."""
         self.end: End | None = None
 
     @property
@@ -194,6 +197,7 @@ class BenchWatch:
                     ended_now = isinstance(record, End) and not self.behind
                     self._ended_pid = self._run_pid if ended_now else -1
                 if self.stop is not None and not self.behind:
+                    self.stop.after_end &= not goes_on
                     self.stop.reacted |= _reacts(record)
                     if isinstance(record, End):
                         self.stop.end = record
@@ -297,6 +301,7 @@ class BenchWatch:
                 pid=stop.holder.pid,
                 process_lives=lives(stop.holder.pid),
                 reacted=stop.reacted,
+                after_end=stop.after_end,
                 ended=stop.end is not None,
                 exit=0 if stop.end is None else stop.end.exit,
                 status=""
@@ -343,8 +348,7 @@ class BenchWatch:
         holder = (end_the_run or ask_to_stop)(target)
         with self.lock:
             self.stop = Stop(holder, journal, run_only=end_the_run is not None)
-            if journal is not None and holder.pid == self._ended_pid:
-                self.stop.end = self.view.end  # it only saves its data: no other END will come
+            self.stop.after_end = journal is not None and holder.pid == self._ended_pid
             return self.stop
 
     def _target(self) -> tuple[Path, Path | None]:

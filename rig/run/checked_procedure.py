@@ -35,6 +35,7 @@ from rig.core.toml_files import check_nesting
 from rig.files.journal.format import MAX_JSON, to_json, unlike_json
 from rig.run.passing import KeptBackError
 from rig.run.points import Move, Point, Reading
+from rig.run.procedure import Procedure
 
 if TYPE_CHECKING:
     from rig.bench.connected import Bench
@@ -42,7 +43,6 @@ if TYPE_CHECKING:
     from rig.bench.settings import FixtureSettings
     from rig.files.journal.layout import Column, Layout
     from rig.run.context import Run
-    from rig.run.procedure import Procedure
 
 SIMPLER = "return numbers, texts, truth values or None, or lists and dicts of them"
 """Remedy for a value that a run file cannot hold."""
@@ -57,6 +57,12 @@ TRUTH = "simulated_truth"
 class ProcedureFaultError(RigError):
     """Raised for a procedure's unexpected exception, or a return value that its layout does not
     declare."""
+
+    code = ExitCode.INTERNAL
+
+
+class UnexpectedFaultError(RigError):
+    """Raised for an unexpected exception in this program's own code."""
 
     code = ExitCode.INTERNAL
 
@@ -117,19 +123,20 @@ class CheckedProcedure:
 
     def why_invalid(self, reading: Reading) -> str:
         """Return why a reading that `take` has returned is invalid; "" for a valid one."""
-        if self._has_verdict:
-            return str(reading.get(VERDICT) or "")
-        return self._judged(reading)
+        # A run that was begun by an earlier version has readings whose column was left empty.
+        written = str(reading.get(VERDICT) or "") if self._has_verdict else ""
+        return written or self._judged(reading)
 
     @property
     def _has_verdict(self) -> bool:
-        """True if readings have a column for the reason why they are invalid."""
+        """True if the procedure judges its readings and they have a column for the reason."""
         columns = self._procedure.layout.columns
-        return any(column.key == VERDICT and column.kind == "text" for column in columns)
+        written = any(column.key == VERDICT and column.kind == "text" for column in columns)
+        return written and type(self._procedure).why_invalid is not Procedure.why_invalid
 
     def _judged(self, reading: Reading) -> str:
         with self._blamed():
-            return str(self._procedure.why_invalid(reading) or "")
+            return str(self._procedure.why_invalid(dict(reading)) or "")
 
     def retries_of_invalid(self) -> int:
         """Return how many times a point with an invalid reading is retaken."""
@@ -295,7 +302,7 @@ def internal(error: BaseException) -> RigError:
             "end other programs, or raise the limit (ulimit -v), and start again",
         )
     else:
-        wrapped = RigError(
+        wrapped = UnexpectedFaultError(
             f"internal error: {type(error).__name__}: {error}",
             "this is a defect of the program: run again with --debug and report the traceback",
         )

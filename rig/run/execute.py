@@ -32,7 +32,13 @@ from rig.files.journal.reader import read_journal
 from rig.files.journal.recorder import Recorder
 from rig.files.runfile.compile import compile_run
 from rig.run.arming import BEAT_EVERY_S, ShutdownFailure
-from rig.run.checked_procedure import CheckedProcedure, driver_fault, internal
+from rig.run.checked_procedure import (
+    CheckedProcedure,
+    ProcedureFaultError,
+    UnexpectedFaultError,
+    driver_fault,
+    internal,
+)
 from rig.run.context import Run
 from rig.run.holds import HoldError, PauseSwitch
 from rig.run.in_brief import single_values
@@ -198,7 +204,9 @@ class _Execution:
         except TooSlowError as late:
             self._stopped_or_too_slow(late)
         except RigError as error:
-            unexpected = error.__cause__ if error.code is ExitCode.INTERNAL else None
+            # Where a driver or a procedure has said itself what is wrong, that stands.
+            blamed = isinstance(error, (UnexpectedFaultError, ProcedureFaultError))
+            unexpected = error.__cause__ if blamed else None
             _failed(self.outcome, driver_fault(self.bench.plan, unexpected) or error)
         except KeptBackError as kept:
             _failed(self.outcome, self._cause_of(kept))
@@ -481,7 +489,9 @@ class _Execution:
         if not self.readings:
             return
         try:
-            found = results_of(self.job.procedure, self.loop.readings(), self.bench.simulated)
+            # A run that was resumed and ended before its plan has those of before.
+            readings = self.loop.readings() or list(self.readings.values())
+            found = results_of(self.job.procedure, readings, self.bench.simulated)
             self.outcome.summary = found.values
             self.recorder.put_results(found)
             try:

@@ -58,8 +58,8 @@ class Disturbances:
                     f"{counted(number, 'hold')} {where}, the limit is {limit} ([holds] {key} of "
                     f"the bench file), the latest: {reason}; in this run "
                     f"{counted(self.holds, 'hold')}, {counted(self.presses, 'press', 'presses')}",
-                    "check the sensor's plug and cable, a contact of the process, and whether the "
-                    "computer is too busy; then resume the run",
+                    "check the sensor's plug and cable, the contacts of the process interlock, and "
+                    "whether the computer is too busy; then resume the run",
                 )
 
 

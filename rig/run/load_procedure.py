@@ -244,11 +244,6 @@ def _no_options(model: type[Settings]) -> Iterator[str]:
     collections = (list, set, frozenset, dict, Sequence)
     for field, info in model.model_fields.items():
         kind = info.annotation
-        if kind == (bool | None):
-            yield (
-                f"has the setting {field!r} of a type that {option_name(field)} cannot give; a "
-                "switch is bool"
-            )
         if kind in collections or get_origin(kind) in collections:
             yield (
                 f"has the setting {field!r} of a type that {option_name(field)} cannot give; "
@@ -258,14 +253,16 @@ def _no_options(model: type[Settings]) -> Iterator[str]:
 
 def _wrong_defaults(model: type[Settings]) -> Iterator[str]:
     """Yield a fault for each setting whose default its own type and bounds refuse: whoever runs the
-    procedure has not given it. What a validator refuses may be meant to be given."""
+    procedure has not given it. What a validator refuses, and None or "", may be meant to be
+    given."""
     from pydantic import ValidationError
 
     try:
         model()
     except ValidationError as error:
         for item in error.errors():
-            if item["loc"] and item["type"] not in ("missing", "value_error", "assertion_error"):
+            by_validator = item["type"] in ("missing", "value_error", "assertion_error")
+            if item["loc"] and not by_validator and item["input"] not in (None, ""):
                 yield f"has a setting with a default that it refuses: {finding(item)}"
     except Exception:  # noqa: BLE001 - a validator: reported with the settings that it fails for
         return
@@ -277,17 +274,18 @@ def _ambiguous_options(model: type[Settings]) -> Iterator[str]:
     letters: dict[str, str] = {}
     for field, info in model.model_fields.items():
         option = option_name(field)
+        off = f"--no-{option.removeprefix('--')}" if info.default is True else option
         if option in COMMON_OPTIONS:
             yield (
                 f"has the setting {field!r}, whose option {option} every procedure has already; "
                 "rename the setting"
             )
-        if option in by_option:
+        for one in sorted({option, off} & by_option.keys()):
             yield (
-                f"has the settings {by_option[option]!r} and {field!r}, which would both be the "
-                f"option {option}; rename one of them"
+                f"has the settings {by_option[one]!r} and {field!r}, which would both be the "
+                f"option {one}; rename one of them"
             )
-        by_option[option] = field
+        by_option[option] = by_option[off] = field
         extra = info.json_schema_extra
         letter = str(extra.get("short", "")) if isinstance(extra, dict) else ""
         if letter and letter in letters:

@@ -18,6 +18,7 @@ from rig.files.runfile.compile import compile_run
 from rig.page.folder import ResultsFolder
 from rig.page.frames import Cursor, next_frame
 from rig.page.watch import BenchWatch, Stop
+from rig.page.word import BenchWord
 from rig.run.locks.bench_mark import BenchMark, write_marks
 from rig.run.locks.lock import address_names
 from rig.run.locks.lock_holder import LockHolder, NotStoppedError, holder_of, lock_file
@@ -305,7 +306,7 @@ def test_a_run_without_an_open_point_is_seen_to_react_as_it_makes_the_bench_safe
         assert watch.stop.reacted is reacted
 
 
-def test_a_press_while_an_ended_run_saves_its_data_finds_it_ended(
+def test_a_press_after_the_end_of_a_run_is_red_until_its_process_has_gone(
     stopping: tuple[JournalWriter, BenchWatch], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     journal, watch = stopping
@@ -315,6 +316,13 @@ def test_a_press_while_an_ended_run_saves_its_data_finds_it_ended(
     words(watch)
     monkeypatch.setattr("rig.page.watch.ask_to_stop", lambda _: LockHolder(os.getpid(), "", True))
     watch.ask_to_stop()
+    course = watch.course()
+    assert course is not None
+    # It saves its data, or drives the bench in another attempt that has recorded nothing yet.
+    assert (course.phase, course.over, course.safe) == ("asked", False, False)
+    assert "had ended before the press" in course.text
+    monkeypatch.setattr("rig.page.watch.lives", lambda _: False)
+    watch.word = BenchWord("safe", "it reported so")
     course = watch.course()
     assert course is not None
     assert (course.phase, course.over, course.safe) == ("ended", True, True)

@@ -50,11 +50,9 @@ class ListOfForces(Settings):
     """Forces."""
 
 
-class MaybeGentle(Settings):
-    """A switch that a text on the command line cannot be."""
-
-    gentle: bool | None = None
-    """Gently."""
+class ZeroTwice(Settings):
+    zero: bool = True
+    no_zero: bool = False
 
 
 class OneForce(Settings):
@@ -162,9 +160,9 @@ FAULTS: dict[str, tuple[dict[str, Any], str]] = {
         "has the setting 'forces_N' of a type that --forces cannot give; several numbers are "
         "tuple[float, ...]",
     ),
-    "a switch that may be None": (
-        {"Settings": MaybeGentle},
-        "has the setting 'gentle' of a type that --gentle cannot give; a switch is bool",
+    "a switch whose opposite is another one": (
+        {"Settings": ZeroTwice},
+        "has the settings 'zero' and 'no_zero', which would both be the option --no-zero",
     ),
     "a default of another type": (
         {"Settings": OneForce},

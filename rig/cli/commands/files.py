@@ -90,9 +90,9 @@ def resume(
         except ValidationError as error:
             found = "; ".join(map(finding, error.errors()))
             raise ConfigurationError(
-                f"{file}: procedure {header.procedure} has changed since the run began and does "
-                f"not take its settings: {found}",
-                "restore the version that began the run, or start a new run",
+                f"{file}: procedure {header.procedure} does not take the settings of this run "
+                f"here: {found}",
+                "install what is missing, or restore the version that began the run",
             ) from error
         with _world_of(header.bench_toml, str(file)) as (world, stages):
             bench_file = None if world is not None else Path(header.bench_file)

@@ -368,11 +368,12 @@ function object(text) { // a refusal may be plain text
 }
 
 async function change(path, body, patience_ms = 4000) {
+  const pressed = new Date().toLocaleTimeString("en-GB");
   try {
     const answer = await ask(path, {method: "POST", body: JSON.stringify(body), headers: {"Content-Type": "application/json"}, signal: AbortSignal.timeout(patience_ms)});
     const said = object(await answer.text());
     // It stays until the next press: the time says that it may be of an earlier run.
-    notice(said.problem ? said.problem + (last ? ` (asked at ${last.time})` : "") : "");
+    notice(said.problem ? `${said.problem} (asked at ${pressed})` : "");
     return {ok: answer.ok, ...said};
   } catch (error) {
     notice("The page's server does not answer: end the run at its terminal (Ctrl-C), or press the emergency stop.");
