@@ -344,6 +344,10 @@ def test_samples_that_cannot_be_recorded_name_the_driver(returned: Any, words: s
         ({"volts_per_count": (math.nan, 1.0)}, r"volts_per_count = \(nan, 1.0\), not 2 finite"),
         ({"volts_per_count": (0.0, 1.0)}, r"volts_per_count = \(0.0, 1.0\)"),
         ({"delay_s": (0.0,)}, r"delay_s = \(0.0,\), not 2 finite numbers"),
+        ({"delay_s": None}, "a scaling that is not of numbers, one a channel"),
+        ({"volts_per_count": 1e-5}, "a scaling that is not of numbers, one a channel"),
+        ({"rate_S_s": None}, "a scaling that is not of numbers, one a channel"),
+        ({"lowest_count": None}, "a scaling that is not of numbers, one a channel"),
     ],
 )
 def test_a_scaling_that_gives_no_volts_ends_the_acquisition(changed: Any, words: str) -> None:

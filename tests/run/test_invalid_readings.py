@@ -14,8 +14,10 @@ from rig.core.errors import ConfigurationError, ExitCode
 from rig.core.settings import Settings
 from rig.files.journal.layout import Column
 from rig.files.runfile.reader import RunFile
+from rig.run.checked_procedure import CheckedProcedure
 from rig.run.context import Run
 from rig.run.points import Point, Reading
+from rig.run.procedure import Procedure
 
 
 class Doubtful(Example):
@@ -78,6 +80,25 @@ def test_the_file_the_summary_and_the_exit_code_have_the_reason_of_the_procedure
     assert outcome.file is not None
     with RunFile.open(outcome.file) as run:
         assert list(run.column("invalid")) == ["too noisy", ""]
+
+
+class Unjudged(Judged):
+    """The same without a judgement of its own."""
+
+    why_invalid = Procedure.why_invalid
+
+
+def test_a_column_that_take_has_filled_stays_where_nothing_else_is_judged(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    outcome = run_of(Unjudged(Settings()), tmp_path, monkeypatch)
+    assert outcome.summary == {"invalid": ["", "a doubt"]}
+
+
+def test_a_reading_of_an_earlier_version_whose_column_is_empty_is_judged_again() -> None:
+    checked = CheckedProcedure(Judged(Settings()))
+    assert checked.why_invalid({"x_V": 1, "invalid": ""}) == "too noisy"
+    assert checked.why_invalid({"x_V": 2, "invalid": "a doubt"}) == "a doubt"
 
 
 class Broken(Example):
