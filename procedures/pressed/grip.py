@@ -108,7 +108,7 @@ class Grip:
         self._settings: GripSettings | None = (
             settings if isinstance(settings, GripSettings) and settings.regrip else None
         )
-        self._armed = False
+        self._armed = self._warned = False
         self._sent: list[tuple[Squeeze, SentMove]] = []
 
     def begin(self, set_N: float) -> None:
@@ -138,8 +138,9 @@ class Grip:
         if why := needless or self._prevented(one, set_N):
             self._record.unanswered.append(one.time_s)
             # What the grip would have held may be lost: the person has to know that it was not the
-            # grip that failed.
-            level = "info" if needless else "warning"
+            # grip that failed. Once a trial: on a slow computer each alarm is late.
+            level = "info" if needless or self._warned else "warning"
+            self._warned |= not needless
             self._run.event(level, "no-squeeze", f"{self._record.point}: no squeeze: {why}")
             return
         self._raise(settings.regrip_step_N, one.time_s, set_N)

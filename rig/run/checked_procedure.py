@@ -161,7 +161,11 @@ class CheckedProcedure:
             raise self._fault(f"take() returned {fault}")
         whole: Reading = dict(reading)
         if self._has_verdict:  # what the file, the summary and the exit code go by
-            whole[VERDICT] = self._judged(whole)
+            try:
+                whole[VERDICT] = self._judged(whole)
+            except (ProcedureFaultError, UnexpectedFaultError) as failure:
+                # The reading is measured: it is kept, and not taken for valid.
+                whole[VERDICT] = f"it could not be judged: {failure.message}"
         return whole
 
     def summarise(self, readings: Sequence[Reading]) -> Mapping[str, Any]:

@@ -170,7 +170,8 @@ class Procedure(ABC):
         Called after each point. An invalid reading is recorded all the same, reported at the end
         of the run, and makes its exit code 5. Before that, its point is discarded and retaken as
         often as `retries_of_invalid` says. Where the layout has a text column ``invalid``, that
-        gets the reason.
+        gets the reason, and a reading for which this fails is invalid; without that column a
+        failure here ends the run.
         """
         return ""
 

@@ -95,6 +95,24 @@ def test_a_column_that_take_has_filled_stays_where_nothing_else_is_judged(
     assert outcome.summary == {"invalid": ["", "a doubt"]}
 
 
+class Failing(Judged):
+    """A procedure whose judgement of the first reading fails."""
+
+    def why_invalid(self, reading: Reading) -> str:
+        return "" if reading["x_V"] != 1 else str(1 / 0)
+
+
+def test_a_reading_that_cannot_be_judged_is_kept_and_is_invalid(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    outcome = run_of(Failing(Settings()), tmp_path, monkeypatch)
+    assert outcome.code == ExitCode.FINISHED_WITH_FAILURES
+    (first, second) = outcome.summary["invalid"]
+    assert first.startswith("it could not be judged: ")
+    assert "ZeroDivisionError" in first
+    assert second == ""
+
+
 def test_a_reading_of_an_earlier_version_whose_column_is_empty_is_judged_again() -> None:
     checked = CheckedProcedure(Judged(Settings()))
     assert checked.why_invalid({"x_V": 1, "invalid": ""}) == "too noisy"
