@@ -36,6 +36,7 @@ def _check_record(record: Record, wanted: Acquisition, service: Any, since_s: fl
     """Check that the record shows what the terminals carried, at instants after `since_s`."""
     names = tuple(channel.name for channel in wanted.channels)
     same("the channels of a record, in the order asked for", tuple(record.scaling.channels), names)
+    same("the type of counts", str(record.counts.dtype), "int16")
     same("the shape of counts", record.counts.shape, (wanted.samples, len(wanted.channels)))
     rows = np.arange(wanted.samples) / record.scaling.rate_S_s
     for channel in wanted.channels:
