@@ -293,8 +293,9 @@ def test_a_run_whose_procedure_has_changed_or_is_gone_is_not_resumed(relaxation:
     module.write_text(MODULE.replace("hold_s", "stay_s"))
     changed = relaxation.run("resume", str(journal))
     assert changed.code == 2
-    assert "procedure relaxation does not take the settings of this run here" in changed.stderr
-    assert "does not take its settings: hold_s: unknown key; restore the" in changed.stderr
+    assert (
+        "relaxation does not take the settings of this run here: hold_s: unknown" in changed.stderr
+    )
 
     for metadata in module.parents[1].glob("*/entry_points.txt"):
         metadata.unlink()
