@@ -266,13 +266,16 @@ def _constants(settings: DetectorSettings, rate_Hz: float, low_pass: LowPass) ->
     idle_ms = kernel.ADAPTIVE_IDLE_ms if c["adapts"][0] else kernel.IDLE_ms
     c["idle_rows"] = max(1, round(idle_ms * ms))
     c["fire_probability"] = settings.fire_probability
+    again_ms = kernel.LEAST_SILENCE_ms
     if isinstance(settings, RigSettings):
         if settings.fire_probability_with_x is not None:
             c["fire_probability"][0, 1] = settings.fire_probability_with_x
         c["over_probability"] = settings.over_probability or 0.0
+        if settings.again_s is not None:
+            again_ms = 1e3 * settings.again_s
     c["roll_probability"] = settings.roll_probability
     c["silent_rows"] = round(settings.silence_s * rate_Hz)
-    c["least_silent_rows"] = round(kernel.LEAST_SILENCE_ms * ms)
+    c["least_silent_rows"] = round(again_ms * ms)
     c["saturation"] = 1e3 * settings.saturation_V
     c["dead_rows"] = round(settings.dead_s * rate_Hz)
     c["dead_span"] = settings.dead_mV

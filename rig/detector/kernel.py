@@ -122,7 +122,7 @@ LEAST_SPEED_mm_s = 0.02
 LEAST_SHARE = 0.02
 """Smallest touch-down, as a share of the standard one, with which the sums are compared."""
 LEAST_SILENCE_ms = 40.0
-"""Shortest time between two reported slips."""
+"""Shortest time between two reported slips, where the settings state none."""
 ROLLING_ms = 100.0
 """A roll is reported only after v_d has shown a motion under load for this long without a break,
 and after the first touch-down. The longest tap (40 ms) shows in it for 80 ms."""

@@ -93,8 +93,11 @@ class RigSettings(DetectorSettings):
     what a stop or a turn does to v_d (decision 0121). None: no other one."""
     over_probability: float | None = Field(None, gt=0, lt=1)
     """A slip is over once its probability has fallen below this. A further one may then be reported
-    before `silence_s` has passed, 40 ms after the last at the earliest: an alarm at a partial slip
-    must not hide the slip of the whole ridge (decision 0122). None: `silence_s` always passes."""
+    before `silence_s` has passed: an alarm at a partial slip must not hide the slip of the whole
+    ridge (decision 0122). None: `silence_s` always passes."""
+    again_s: float | None = Field(None, gt=0)
+    """Time between two reported slips that passes in any case. None: 40 ms, as it always was before
+    decision 0136."""
 
     @model_serializer(mode="wrap")
     def _as_before(self, serialize: SerializerFunctionWrapHandler) -> dict[str, Any]:
@@ -103,7 +106,7 @@ class RigSettings(DetectorSettings):
         Their fingerprint, which is in processed files and their names, thus remains the same.
         """
         plain: dict[str, Any] = serialize(self)
-        for later in ("fire_probability_with_x", "over_probability"):
+        for later in ("fire_probability_with_x", "over_probability", "again_s"):
             if plain[later] is None:
                 del plain[later]
         return plain
@@ -159,6 +162,7 @@ def named_detectors() -> dict[str, DetectorSettings]:
             fire_probability=0.95,
             fire_probability_with_x=0.9,
             over_probability=0.2,
+            again_s=0.02,
         ),
         # The lowest threshold that alarms in at most 2 % of simulated rolls (decision 0049). It
         # misses slow slides, the default one by 1.3 mV: `rig detect` says so and why.

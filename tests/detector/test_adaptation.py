@@ -218,6 +218,8 @@ def test_a_slip_that_follows_another_is_reported_once_the_first_is_over():
     assert only == pytest.approx(1500, abs=8)
     found = samples(reported(volts, silent.model_copy(update={"over_probability": 0.2})))
     assert found == pytest.approx([1500, 1560], abs=8), "40 ms pass at least"
+    sooner = silent.model_copy(update={"over_probability": 0.2, "again_s": 0.018})
+    assert samples(reported(volts, sooner)) == pytest.approx([1500, 1560, 1580], abs=8)
 
 
 def test_before_the_first_touch_the_gain_is_not_known_and_that_is_an_input():
