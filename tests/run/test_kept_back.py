@@ -19,6 +19,7 @@ CLEAR_mm = 12.0
 """Position of z above which it presses nothing."""
 PROCEDURE = """
 import sys
+import time
 
 from procedures.pressed import PressedProcedure, PressedSettings
 
@@ -45,6 +46,7 @@ class Stubborn(PressedProcedure):
                 trial.hold(1.0)
             except {caught} as error:
                 print(f"kept back: {{error}}", file=sys.stderr)
+                time.sleep(0.1)  # for five seconds, which need not keep a processor busy
 
     def reading(self, record):
         return {{}}
@@ -147,7 +149,7 @@ def test_a_procedure_that_catches_every_exception_is_stopped(rig: Any) -> None:
     assert "Bench is safe" in done.stderr
     assert (
         "warning: procedure stubborn of package lab kept back what was to end the run "
-        "(lab_stubborn.py line 26): let exceptions of waits pass, or raise them again (stopped by "
+        "(lab_stubborn.py line 27): let exceptions of waits pass, or raise them again (stopped by "
         "Ctrl-C)"
     ) in done.stderr
     assert last_z_mm(rig) < CLEAR_mm
