@@ -32,12 +32,13 @@ def detect(
     detector: Annotated[
         str,
         typer.Option(
-            help="One of rig detectors. On the simulated bench paper-hp misses 5 slips of 10; rig "
-            "misses 1 of 10 where the commands of x and of the held force are known, as in this "
-            "program's trials, and 1 of 7 without them: in holds and re-grips, by a falling force, "
-            "in strong noise and where friction hardly falls. Both alarm falsely when the object "
-            "is let go (rig in 1 of 5), impulse most often. A grip needs 95 % in time; none is "
-            "shown to reach it, so the default is the published detector, paper-hp.",
+            help="Detector to use; `rig detectors` lists them. On the simulated bench paper-hp "
+            "misses 5 slips of 10. rig misses 1 of 10 where the commands of x and of the held "
+            "force are known, as in this program's trials, and 1 of 7 without them: in holds and "
+            "re-grips, when the force falls, in strong noise and where friction hardly falls. All "
+            "alarm falsely when the object is released (rig in 1 of 5); in other trials impulse "
+            "does so most often. A grip needs 95 % in time; none is shown to reach it, so the "
+            "default is the published detector, paper-hp.",
             metavar="NAME",
         ),
     ] = DEFAULT_DETECTOR,
