@@ -234,7 +234,7 @@ class FestoAxis:
             raise
         if fresh:
             self._await(
-                "move", ticket, task_is_taken, ACKNOWLEDGE_TIMEOUT_S, "did not take the task"
+                "move", ticket, task_is_taken, ACKNOWLEDGE_TIMEOUT_S, "did not accept the task"
             )
             self._watch.acknowledged = True
         return ticket
@@ -268,7 +268,7 @@ class FestoAxis:
 
     def acknowledge_timeout(self) -> bool:
         """See `LinearStage`. The next motion opens a new connection, which sets the time-out again,
-        takes charge of the drive anew and acknowledges the fault on the way."""
+        takes charge of the drive again and acknowledges the fault on the way."""
         seen = self._watch.read()
         if Zsw1.FAULT not in seen.zsw1 or seen.fault != COMMUNICATION_FAULT:
             return False
@@ -302,7 +302,7 @@ class FestoAxis:
         It waits for answers, not for time, so that a watcher may call it while the bench's clock
         stands: the axis is at rest after speed / deceleration at most. No motion is begun
         afterwards until `stop` has been called, which waits for rest. A connection that turns out
-        to be broken is opened anew, once.
+        to be broken is opened again, once.
         """
         self._interlock.make_safe(self._command_stop)
 
@@ -311,7 +311,7 @@ class FestoAxis:
         self._send_stop(charge=False)
         while not gives_way(self._watch.read(charge=False)):
             if time.monotonic() > give_up:
-                raise self._watch.error("make safe", "did not take the stop", LOOK)
+                raise self._watch.error("make safe", "did not accept the stop", LOOK)
 
     def close(self) -> None:
         """Close the connection; the drive meets its communication time-out and holds."""
@@ -357,7 +357,7 @@ class FestoAxis:
             ticket,
             lambda seen: Zsw1.CONTROL_REQUESTED in seen.zsw1,
             ACKNOWLEDGE_TIMEOUT_S,
-            "does not let itself be controlled",
+            "does not accept control",
         )
         self._send(at_rest(self._settings), ticket, "switch on")
         self._await(

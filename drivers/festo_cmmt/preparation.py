@@ -64,7 +64,7 @@ def check_telegram(link: CmmtLink) -> None:
 
 def check_units(link: CmmtLink, settings: FestoCmmtSettings) -> None:
     """Raise InstrumentError where the drive has other units than the bench file, or does not
-    report them and nobody has checked them (``trust_units``)."""
+    report them and no one has checked them (``trust_units``)."""
     _check_unit(link, settings, POSITION_UNIT, settings.position_unit_mm, 0x00)
     _check_unit(link, settings, SPEED_UNIT, settings.speed_unit_mm_s, 0x03)
 

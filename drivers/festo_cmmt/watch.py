@@ -149,8 +149,7 @@ class CmmtWatch:
         if self._clock.now() > motion.arrive_by_s:
             raise self.error(
                 "move",
-                f"stands at {self._mm(seen.position):g} mm and has not arrived at "
-                f"{motion.target:g} mm",
+                f"is at {self._mm(seen.position):g} mm and has not arrived at {motion.target:g} mm",
                 "check what blocks the axis; the motion may still be under way",
             )
         return True

@@ -216,7 +216,7 @@ class GsvLink:
 
     @contextlib.contextmanager
     def _failing(self, command: GsvCommand | None) -> Iterator[None]:
-        """Turn failures into InstrumentErrors; a port that failed is closed and opened anew."""
+        """Turn failures into InstrumentErrors; a port that failed is closed and opened again."""
         name = command.name if command is not None else "stream"
         try:
             with self._clock.answer_within(TIMEOUTS_PER_ANSWER * self._settings.timeout_s, DEVICE):

@@ -255,7 +255,7 @@ class AzAxis:
 
     def acknowledge_timeout(self) -> bool:
         """See `LinearStage`. The line stays open, since the other axis may use it; the next motion
-        takes charge of the drive anew and resets the alarm on the way."""
+        takes charge of the drive again and resets the alarm on the way."""
         if self._readings.state().alarm != COMMUNICATION_ALARM:
             return False
         self._watch.in_charge, self._watch.reported_alarm = False, 0

@@ -36,7 +36,7 @@ _BLOCKED = (
     "raise torque_limit_percent"
 )
 _POWER = "check the drive's power supply, then switch it off and on"
-_SERVICE = "switch the drive off and on; if it comes again, have it repaired"
+_SERVICE = "switch the drive off and on; if it happens again, have it repaired"
 _COOL = "let it cool down; check for friction and for too much current at rest"
 ALARMS: Mapping[int, Alarm] = {
     0x10: Alarm("position deviation: the axis did not follow", _BLOCKED),

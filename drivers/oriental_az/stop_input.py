@@ -43,7 +43,7 @@ class StopInput:
         self.switch_on(charge=False)
         while not self._link.read(INPUT_COMMAND, 2, waits=False)[1] & AzInput.STOP:
             if time.monotonic() > give_up:
-                raise self._error("make safe", "did not take the stop")
+                raise self._error("make safe", "did not accept the stop")
 
     def stop_and_lift(self, may_be_lifted: Callable[[], bool]) -> None:
         """Stop, wait for rest, and lift STOP where `may_be_lifted` when it is that write's turn."""

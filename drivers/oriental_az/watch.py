@@ -190,7 +190,7 @@ class AzWatch:
             return True
         raise self.error(
             "move",
-            f"stands at {here_mm:g} mm and has not arrived at {motion.target:g} mm",
+            f"is at {here_mm:g} mm and has not arrived at {motion.target:g} mm",
             "check what blocks the axis; the motion may still be under way",
         )
 

@@ -2,7 +2,7 @@
 
 For instruments that answer every command. What is sent and received, nothing about any instrument.
 After a time-out, or a line that cannot be read, the connection is closed, and the next command
-opens it anew. On TCP a late answer dies with its connection. On a serial line it may still come:
+opens it again. On TCP a late answer dies with its connection. On a serial line it may still come:
 `resync` is a query with an answer of its own form, which is asked again after a failure, and
 everything before its answer is thrown away. The same is done where it is the first command of a
 link: a program that used the line before may have left an answer to come.

@@ -38,11 +38,11 @@ class RequestLog:
         pause_s, _ = self._pause
         if pause_s < timeout_s:
             return (
-                f"it was asked every {pause_s:.2g} s or more often, which did not reach it: the "
+                f"requests were sent every {pause_s:.2g} s or more often and did not reach it: the "
                 "connection was silent"
             )
         waited = self._clock.overdue
-        # A wait that is much shorter than the pause was another one, or the computer was suspended.
+        # A wait much shorter than the pause did not cause it, or the computer was suspended.
         if waited is None or waited[1] < 0.5 * pause_s:
             why = "the procedure hung, or the computer stood still or was suspended"
         else:

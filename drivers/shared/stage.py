@@ -187,8 +187,8 @@ class StageInterlock:
     def make_safe(self, command_stop: Callable[[], None]) -> None:
         """Refuse all motions from now on, then run `command_stop`, which verifies what it commands.
 
-        A connection that turns out to be broken is tried once more, which opens it anew: a stop may
-        arrive twice. Not so after a time-out, which has taken its time already. What
+        A connection that turns out to be broken is tried once more, which opens it again: a stop
+        may arrive twice. Not so after a time-out, which has taken its time already. What
         `command_stop` raises is raised; the motions stay refused.
         """
         with self._changed:

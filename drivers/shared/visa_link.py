@@ -6,7 +6,7 @@ belongs to it travel as one message, because a raw socket answers a write follow
 late (Nagle's algorithm meets delayed acknowledgement) and because one message has one outcome.
 
 After a time-out or a broken answer the late reply may still arrive and would be taken for the
-answer to the next question. The link is therefore closed at once and opened anew by the next call:
+answer to the next question. The link is therefore closed at once and opened again by the next call:
 old replies die with the old connection.
 """
 

@@ -139,7 +139,7 @@ class ZaberDialogue:
         """Check that a microstep is as the bench file states, and find the setting from which the
         angle is read.
 
-        Raises InstrumentError if the stage's microstep is another one.
+        Raises InstrumentError if the stage's microstep differs.
         """
         own = self._settings
         resolution = self.number("resolution")

@@ -11,7 +11,7 @@ What keeps a lost, doubled or late line from becoming a motion:
   procedure that is a few lines behind its watcher cannot set it going again;
 * keep-alives only ask.
 
-The stage has no communication time-out of its own [not confirmed]: when the program is gone, a
+The stage has no communication time-out of its own [not confirmed]: when the program has ended, a
 turn continues to its target, within the limits of angle, speed and acceleration that are set
 in the stage at connect.
 
@@ -216,7 +216,7 @@ class ZaberAxis:
             return False
         now = self._clock.now()
         if now > motion.arrive_by_s or now - self._idle_from_s > SETTLED_S:
-            stands = "is still turning, at" if busy else "stands at"
+            stands = "is still turning, at" if busy else "is at rest at"
             self._motion = None
             raise self._dialogue.error(
                 "turn",
@@ -263,7 +263,7 @@ class ZaberAxis:
         It waits for the answer, not for time, so that a watcher may call it while the bench's clock
         stands: the stage is at rest after speed / acceleration at most. No turn is begun afterwards
         until `stop` has been called, which waits for rest. A connection that turns out to be broken
-        is opened anew, once.
+        is opened again, once.
         """
         self._interlock.make_safe(self._command_stop)
 

@@ -4,7 +4,7 @@ What is sent and received, nothing about motion. The port is a serial one, or ``
 for a chain on the network. Every command is sent once: whether a repetition is harmless, only
 the caller knows. An answer has the command's id, its device and axis, and a check that fits; a late
 or doubled one has another id and is passed over. After a time-out, or a line that cannot be read,
-the port is closed and the next command opens it anew, with what had been left in it thrown away.
+the port is closed and the next command opens it again, with what had been left in it thrown away.
 """
 
 from __future__ import annotations

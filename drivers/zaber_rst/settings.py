@@ -54,7 +54,7 @@ NOTES = frozenset({"--", "NI", "ND", "NR", "NT", "NU", "NJ"})
 
 _POWER = "check the supply, then switch the stage off and on"
 _BLOCKED = "check what blocks the stage, then home it"
-_SERVICE = "home the stage; if it comes again, ask its maker"
+_SERVICE = "home the stage; if it happens again, ask its maker"
 _HAND = "make sure that no one is at the stage, then home it"
 FLAGS: Mapping[str, Meaning] = {
     "FF": Meaning("critical system error", _POWER),
@@ -104,7 +104,7 @@ REASONS: Mapping[str, Meaning] = {
     "NOACCESS": Meaning("it is locked at this access level", "set system.access to 1"),
     "PARKED": Meaning("it is parked", "unpark it with the maker's program, then home it"),
     "REMOTE": Meaning("another program controls it", "end the other program"),
-    "STATUSBUSY": Meaning("it is busy", "wait until it stands"),
+    "STATUSBUSY": Meaning("it is busy", "wait until it is at rest"),
     "AGAIN": Meaning("it cannot do it right now", "try again"),
     "FULL": Meaning("its memory is full", "clear what is stored in the stage"),
 }

@@ -1,6 +1,6 @@
 """Piecewise linear courses over time, and the moves of a stage that follow one.
 
-Times in s from the begin of the motion, positions in mm from where the trial begins.
+Times in s from the beginning of the motion, positions in mm from where the trial begins.
 """
 
 from __future__ import annotations

@@ -41,7 +41,7 @@ FOLLOW_WAY, FOLLOW_SHARE = 2.5, 0.3
 take from it meanwhile: where z has gone so far and the force has not followed, the sensor is
 suspect. Without this bound the servo would press on with a sensor that shows the old force: it
 takes the set point for one that is always missing. Further rises meanwhile extend the way by theirs
-and do not begin it anew: alarms in a row would press ever further. No way is longer than the force
+and do not begin it again: alarms in a row would press ever further. No way is longer than the force
 limit leaves room for."""
 
 CHANGED_SHARE = 0.25
@@ -195,7 +195,7 @@ class ForceHold:
                 "force_sensor",
                 "hold the force",
                 f"it reads {force_N:.2g} N where z held {self._reached_N:.3g} N",
-                f"look whether the object has given way; otherwise {SUSPECT}",
+                f"check whether the object has given way; otherwise {SUSPECT}",
             )
 
     def _refuse_unfollowed(self, force_N: float) -> None:

@@ -187,5 +187,5 @@ class Press:
             )
         if here_mm < contact_range_mm(run.bench)[1] - BOTTOM_mm:
             return not_there(run, within_s)
-        check = "the object stands on the force sensor and that the sensor is connected"
+        check = "the object rests on the force sensor and that the sensor is connected"
         return nothing_felt(run, force_N, CONTACT_N, check)

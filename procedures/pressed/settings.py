@@ -46,8 +46,8 @@ if TYPE_CHECKING:
     from rig.run.context import Run
 
 MIN_FORCE_RATE_S_S = 100.0
-"""Fewest frames a second of a force sensor: below, a frame is longer than the tap's way back, so
-that the clocks could not be compared, and the servo has no new force in every usual tick."""
+"""Minimum number of frames a second of a force sensor: below, a frame is longer than the tap's way
+back, so that the clocks could not be compared, and some ticks bring the servo no new force."""
 DELAY_S = 0.004
 """Time in s from a command to the first force that shows it, with a force sensor at 1000 frames/s:
 link 1 ms, half a frame, half of the window that a tick takes the mean of, the rubber's relaxation.

@@ -227,7 +227,7 @@ class PressedTrial:
             )
 
     def complete_motion(self, least_s: float) -> None:
-        """End the motion, no sooner than `least_s` after its begin; stop x and hold the force a
+        """End the motion, no sooner than `least_s` after its beginning; stop x and hold the force a
         moment longer, for what is judged after it."""
         if (missing_s := self.record.motion_from_s + least_s - self.since_s()) > 0:
             self.hold(missing_s)

@@ -55,7 +55,7 @@ LARGEST_CORRECTION = 1.4
 LARGE_STEP = 1.5
 """Ratio of the new drive to the one before beyond which no record averages over the ringing."""
 LEAP = 1.1
-"""Ratio of two successive frequencies beyond which everything rings anew."""
+"""Ratio of two successive frequencies beyond which everything rings again."""
 LEAP_S = 0.02
 """Wait after such a leap if the record is too short to average over the ringing."""
 RINGING_S = 0.015

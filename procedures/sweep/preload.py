@@ -233,10 +233,10 @@ def _press_until_confirmed(
     raise InstrumentError(
         "stage_z",
         "approach",
-        f"contact was felt {MOST_REJECTED} times, at last at {contact_mm:.3f} mm, and each time "
-        f"the force was gone within {GONE_S:g} s",
+        f"contact was felt {MOST_REJECTED} times, the last time at {contact_mm:.3f} mm, and each "
+        f"time it was lost within {GONE_S:g} s",
         "check that nothing shakes the bench, that the object is held, and that the drive of "
-        "stage_z shows where it stands",
+        "stage_z shows its true position",
     )
 
 
@@ -351,7 +351,7 @@ def _press_from(
         "stage_z",
         "preload",
         f"{felt_N(run, FORCE_WINDOW_S):.3g} N after {PATIENCE_S:g} s, {target_N:g} N wanted; the "
-        f"stage stands at {stage.position_mm():.3f} mm",
+        f"stage is at {stage.position_mm():.3f} mm",
         "check the film and its clamp; for a small preload or a stiff film the steps of the stage "
         f"may be too coarse to hold it within {100 * HELD:g} %: choose a larger preload",
     )

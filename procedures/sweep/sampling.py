@@ -283,7 +283,7 @@ class RecordSampler:
             return
         again = misread - (outlier != "")
         at = f"at {self.condition.frequency_Hz:g} Hz"
-        text = f"{counted(again, 'record')} {at} taken again: a sample did not belong to it"
+        text = f"{counted(again, 'record')} {at} repeated: a sample did not belong to it"
         if outlier:
             text = (
                 f"{misread} records {at} in a row have samples far beyond their noise ({outlier}): "

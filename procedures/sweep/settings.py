@@ -25,7 +25,7 @@ LISTEN_S = 0.5
 LISTEN_RECORDS = 2
 """Expected number of such records: a second one has the ranges that fit the first."""
 LISTEN_SAMPLES = 16
-"""Fewest samples of such a record: those of any record that a tone is fitted in."""
+"""Minimum number of samples of such a record: those of any record that a tone is fitted in."""
 CYCLE_FRACTION = (math.sqrt(5) - 1) / 2
 """Fraction of a sample, the golden ratio, by which a cycle exceeds a whole number of samples. With
 a whole number the converter would see the same few phases in every cycle: its rounding would then
@@ -91,7 +91,7 @@ class SweepSettings(Settings):
     samples_per_cycle: float = Field(
         default=20.0, ge=2.5, json_schema_extra={"not_with": "rate_S_s"}
     )
-    """Least ratio of sampling rate to frequency. A fraction of a sample is added, so that no two
+    """Minimum ratio of sampling rate to frequency. A fraction of a sample is added, so that no two
     cycles are sampled at the same phases."""
     slowest_rate_S_s: float = Field(default=64e3, gt=0, json_schema_extra={"not_with": "rate_S_s"})
     """Lowest sampling rate, which prevents aliasing of the front end's noise."""

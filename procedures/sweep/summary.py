@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 NEAR_200 = 1.26
 """Largest ratio to 200 Hz of a frequency near it: a tenth of a decade, the coarse grid's step."""
 FEWEST_FOR_A_MODEL = 12
-"""Fewest frequencies from which the film's model is fitted."""
+"""Minimum number of frequencies from which the film's model is fitted."""
 
 
 def curve_of(readings: Sequence[Reading]) -> ResponseCurve:

@@ -10,7 +10,7 @@ COVERAGE_95 = 1.959964
 
 
 MOST_DIGITS = 12
-"""Most digits that are printed after the decimal point."""
+"""Maximum number of digits that are printed after the decimal point."""
 
 
 def decimals(half_width: float) -> int:

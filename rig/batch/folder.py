@@ -130,7 +130,7 @@ def new_folder(results: Path, name: str, today: datetime) -> BatchFolder:
         except OSError as error:
             raise ConfigurationError(
                 f"{path}: the batch's folder cannot be made: {error.strerror or error}",
-                "free the disk, or choose another folder for results"
+                "free some disk space, or choose another folder for results"
                 if error.errno == errno.ENOSPC
                 else "choose another folder for results",
             ) from error

@@ -281,7 +281,7 @@ class Queue(QueueView):
         except sqlite3.OperationalError as error:
             raise QueueWriteError(
                 f"{self.path}: the queue cannot be written: {error}",
-                "free the disk, then: rig batch resume",
+                "free some disk space, then: rig batch resume",
             ) from error
 
 

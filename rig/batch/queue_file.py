@@ -30,7 +30,7 @@ class QueueNotOpenedError(ConfigurationError):
 def _remedy(name: str, folder: Path) -> str:
     """Return what to do about an error of this name, which is not due to what is in the file."""
     if name.startswith(("SQLITE_FULL", "SQLITE_IOERR_WRITE", "SQLITE_IOERR_FSYNC")):
-        return "free the disk, then give the command again"
+        return "free some disk space, then give the command again"
     if name.startswith(("SQLITE_BUSY", "SQLITE_LOCKED")):
         return "another program has it open: wait for it or close it, then give the command again"
     if name == "SQLITE_READONLY_ROLLBACK":

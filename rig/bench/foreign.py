@@ -61,9 +61,8 @@ def foreign(part: InstrumentPlan) -> EntryPoint | None:
 def connect_foreign(
     part: InstrumentPlan, entry: EntryPoint, connect: Callable[[], Any]
 ) -> Instrument:
-    """Connect by a driver of another package, and return its instrument: a stage as a
-    `CheckedStage`, a force sensor as a `CheckedForceSensor`, a DAQ as a `CheckedDaq`, a generator
-    as a `CheckedGenerator`.
+    """Connect with a driver of another package, and return its checked instrument: a
+    `CheckedStage`, `CheckedForceSensor`, `CheckedDaq` or `CheckedGenerator`.
 
     Raises BrokenPackageError, which names the package, where `connect` raises something else than a
     RigError, or returns what does not fulfil its role; that is closed.

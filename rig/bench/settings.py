@@ -86,8 +86,8 @@ class MountedSkinSettings(Settings):
 
 class HoldLimits(Settings):
     """Largest numbers of holds of a run, beyond which it ends: after each hold the object is
-    pressed anew, so a loose contact in the sensor's cable would press it again and again. Pauses by
-    the operator are not included."""
+    pressed again, so a loose contact in the sensor's cable would press it time after time. Pauses
+    by the operator are not included."""
 
     per_point: int = Field(default=5, ge=0)
     """Holds that may disturb one point, or the arming before it."""

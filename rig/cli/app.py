@@ -61,7 +61,7 @@ GROUPS: dict[str, str] = {
 HELP = """Tactile bench controller: sweeps, slip and roll trials, calibrations, and their files.
 
 Without a bench file (--bench FILE, or bench.toml here) a command runs on the simulated bench and
-says so.
+says so. "Paper 4.1" is section 4.1 of the paper by Yamada, Maeno et al.
 """
 
 

@@ -181,7 +181,7 @@ def _drawn(drawing: DrawingProcess, outcome: RunOutcome, file: Path) -> Drawn:
         with turning("drawing the figures"):
             return drawing.draw(file, slow)
     except LeaveOutError as error:  # before the drawing began, or after its end
-        return Drawn(warnings=(f"no figure is known to be drawn: {error.message}",))
+        return Drawn(warnings=(f"it is not known whether figures were drawn: {error.message}",))
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
@@ -260,7 +260,7 @@ def closing_lines(
     elif outcome.own_bench:
         lines.append("Bench is safe: there was nothing to switch off.")
     else:  # An earlier run may have left something pressed.
-        lines.append("Bench is as it was before the run: there was nothing to switch off.")
+        lines.append("Bench is unchanged: there was nothing to switch off.")
     if outcome.journal is not None and outcome.file is None:
         lines.append(f"Recover the run file with: rig recover {outcome.journal}")
     elif _resumes(outcome):
@@ -298,7 +298,7 @@ def _done(procedure: type[Procedure], outcome: RunOutcome) -> str:
 
 
 def _bench_state(outcome: RunOutcome, nothing_done: bool = False) -> str:
-    """Return how the bench was left, as the begin of a sentence that names what was done; as a
+    """Return how the bench was left, as the beginning of a sentence that names what was done; as a
     whole one where `nothing_done`, because no shutdown action has worked or none was needed."""
     if outcome.off_failures and _guard_made_safe(outcome):
         text, before_list = "Bench was made safe by the guard (see above)", "; before"

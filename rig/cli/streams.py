@@ -95,7 +95,7 @@ def code_after_output(code: str | int | None) -> str | int | None:
 
 class LinesInTurn:
     """Prints lines for a person in a thread of its own and in their order, so that a terminal that
-    is held (Ctrl-S) or a full pipe keeps nobody waiting. A context manager; at its end the lines
+    is held (Ctrl-S) or a full pipe keeps no one waiting. A context manager; at its end the lines
     that are left are waited for, at most `LAST_LINES_S`."""
 
     def __init__(self, show: Callable[[str], None]):

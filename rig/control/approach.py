@@ -46,7 +46,7 @@ LEAST_AHEAD_mm = 0.0015
 """Shortest distance that is commanded, in mm: an axis with a resolution of 1 µm has to move at
 all."""
 LEAST_POINTS = 4
-"""Fewest points from which a stiffness is computed."""
+"""Minimum number of points from which a stiffness is computed."""
 KEPT = 4000
 """Number of the latest points that are used."""
 

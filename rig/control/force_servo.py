@@ -319,7 +319,7 @@ class ForceServo:
         return ServoStep(increment, speed_mm_s)
 
     def correct(self, difference_mm: float) -> None:
-        """Add `difference_mm` to the latest increment, because another one was commanded.
+        """Add `difference_mm` to the latest increment, because a different one was commanded.
 
         Call it if the resolution of the axis is coarser than the increment, or a limit cut it off.
         """

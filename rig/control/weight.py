@@ -7,7 +7,7 @@ from collections import deque
 RESTING_S = 0.2
 """Time over which a weight is judged to rest."""
 CARRIED = 0.95
-"""Share of the weight that a contact carries at least, in the mean, for the weight to rest."""
+"""Share of the weight that a contact carries at least, on average, for the weight to rest."""
 AT_REST = 0.25
 """Share of its largest speed at which a weight is not yet taken to fall. A weight that slides
 without end takes the whole of it: the stage follows what is missing of the force."""

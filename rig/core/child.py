@@ -149,7 +149,7 @@ class Child:
             ended = os.WEXITED | os.WNOHANG | os.WNOWAIT
             if os.waitid(os.P_PID, self.pid, ended) is None:
                 return None
-            # Nobody has asked for its exit code yet, so its number still is that of its session.
+            # No one has asked for its exit code yet, so its number still is that of its session.
             os.killpg(self.pid, signal.SIGKILL)
         return self._process.poll()
 

@@ -197,7 +197,7 @@ class Clock(ABC):
 
     def set_free(self) -> None:  # noqa: B027 - real time passes by itself
         """Let the time of a simulated bench pass by itself from now on: another program acts on
-        it. Nobody may wait on this clock any more."""
+        it. No one may wait on this clock any more."""
 
     def close(self) -> None:  # noqa: B027 - nothing to release in real time
         """Release the resources of the clock."""
@@ -358,7 +358,7 @@ class ControlLink:
         """Function that is called about once a second while an answer is awaited."""
 
     def request(self, do: str, **values: object) -> dict[str, Any]:
-        """Send one request and return the bench's answer. Raises InstrumentError if it is gone."""
+        """Send one request, return the bench's answer. Raises InstrumentError if it has ended."""
         try:
             self._socket.sendall(json.dumps({"do": do, **values}).encode() + b"\n")
             line = self._line()

@@ -37,7 +37,7 @@ def read_list(
     """Return the names of the columns of a list, and its rows; empty lines, and columns without a
     name in which nothing is, are left out. In all columns but `texts` a decimal comma is replaced.
 
-    Raises ConfigurationError as `read_text` does, and for a column that is there twice, and, with
+    Raises ConfigurationError as `read_text` does, and for a column that appears twice, and, with
     its line, for a row with more or fewer cells than the header or with a cell under no name.
     """
     text = io.StringIO(read_text(path, what, most_bytes), newline=None).read()  # any line ends
@@ -55,7 +55,7 @@ def read_list(
     while names and not names[-1]:  # spreadsheets leave empty columns behind the last
         names.pop()
     if twice := [name for name in names if name and names.count(name) > 1]:
-        raise ConfigurationError(f"{path}: the column {twice[0]!r} is there twice")
+        raise ConfigurationError(f"{path}: the column {twice[0]!r} appears twice")
     rows: list[ListRow] = []
     for line, row in lines[1:]:
         cells = [cell.strip() for cell in row]

@@ -238,9 +238,9 @@ def cause(error: BaseException, entry: EntryPoint | None = None) -> str:
 
 
 def place_in(module: str, error: BaseException) -> str:
-    """Return where in a module, or in a package with its modules, an exception was raised or passed
-    through last, as ``lab/creep.py line 11: `` relative to the folder that the package is installed
-    in; "" if none of its code took part."""
+    """Return the last place in a module, or in a package with its modules, at which an exception
+    was raised or passed through, as ``lab/creep.py line 11: `` relative to the folder in which the
+    package is installed. Return "" if none of its code took part."""
     return _last_place(module, traceback.walk_tb(error.__traceback__))
 
 

@@ -131,7 +131,7 @@ class InstrumentTimeoutError(InstrumentError):
 
 class InstrumentLinkError(InstrumentError):
     """Raised when a connection breaks or an answer is spoilt on it; the next command opens it
-    anew."""
+    again."""
 
 
 class WrongPositionError(InstrumentError):

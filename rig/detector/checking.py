@@ -31,7 +31,7 @@ Reals = NDArray[np.float64]
 Given = TypeVar("Given")
 
 MOST_EVENTS_A_ROW = 16
-"""Most events that may be decided in one row: a detector that returns more is broken."""
+"""Maximum number of events decided in one row: a detector that returns more is broken."""
 
 
 class DetectorError(RigError):

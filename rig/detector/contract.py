@@ -70,11 +70,11 @@ class Detector(ABC):
         self._x_mm_s: float | None = None
         """Commanded speed of x; None before the first command."""
         self._speeds: deque[tuple[int, float]] = deque()
-        """Rows from which on the speed of x is another one, in mm/s."""
+        """Rows at which the speed of x changes, with the new speed in mm/s."""
         self._force_N: float | None = None
         """Commanded normal force; None before the first command."""
         self._forces: deque[tuple[int, float]] = deque()
-        """Rows from which on the normal force is another one, in N."""
+        """Rows at which the normal force changes, with the new force in N."""
 
     @classmethod
     def accepts(cls, rate_Hz: float) -> bool:
@@ -169,7 +169,7 @@ class Detector(ABC):
         """Take further rows (n, 2) of v_1 and v_2 in V and return the events found in them.
 
         `first_sample` is the index of the first of these rows, if it is known. Missing rows are
-        reported as time that was not judged, and the detector begins anew after them.
+        reported as time that was not judged, and the detector begins again after them.
 
         Raises ValueError for rows of another shape, rows that were given before, and values that
         are not finite.
@@ -251,7 +251,7 @@ class Detector(ABC):
         if not begun:
             return []
         missing = first_sample - expected
-        reason = f"gap of {missing} samples: offset and noise are judged anew"
+        reason = f"gap of {missing} samples: offset and noise are determined again"
         unjudged = {UNJUDGED: 1e3 * missing / self.rate_Hz}
         return [
             self.event(kind, 0, 0.0, reason, unjudged) for kind in ("cannot judge", "judges again")

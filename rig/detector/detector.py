@@ -132,7 +132,7 @@ class IncipientSlipDetector(Detector):
         return self._touch_before or bool(touch)
 
     def reset(self) -> None:
-        """Forget all rows but that a touch was seen: offset and noise are measured anew."""
+        """Forget all rows but that a touch was seen: offset and noise are measured again."""
         self._touch_before = self.touch_seen
         self._first = self.rows
         self._state = np.zeros(1, kernel.STATE)

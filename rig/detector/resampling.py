@@ -100,7 +100,7 @@ class StreamingResampler:
         """Index of the next output."""
 
     def start_at(self, row: int) -> None:
-        """Begin anew with input row `row`, behind missing rows. At least one output is missing,
+        """Begin again with input row `row`, behind missing rows. At least one output is missing,
         too, so that whoever takes the outputs sees the gap."""
         missing = int(self._latest is not None)
         self._latest = None
@@ -190,7 +190,7 @@ class ResampledDetector(Detector):
         return np.where(latest < 0, v_d, judged[latest])
 
     def reset(self) -> None:
-        """Do nothing at the begin; behind missing rows the filter begins anew, and so does the
+        """Do nothing at the beginning; behind missing rows the filter begins again, and so does the
         detector, which is given the number of the next row that it judges."""
         self._resampler.start_at(self.rows)
 

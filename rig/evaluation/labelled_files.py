@@ -81,7 +81,7 @@ class ListedTrial:
     commands: tuple[Command, ...] = ()
     """What was commanded, where the file states it."""
     ends_known: bool = True
-    """False where nobody has stated when the ridge stuck again: `slips_s` end with the record."""
+    """False where no one has stated when the ridge stuck again: `slips_s` end with the record."""
 
 
 @dataclass(frozen=True)
@@ -180,7 +180,7 @@ def _rows(listing: Path) -> list[ListRow]:
             raise ConfigurationError(
                 f"{listing}, line {row.line}: the same as line {first}, so that its trial "
                 "would be judged twice",
-                "take one of them out",
+                "remove one of them",
             )
     return rows
 

@@ -376,7 +376,7 @@ def _whole_way(drawing: _TrialDraw) -> tuple[float, float]:
 
 
 def _again(drawing: _TrialDraw) -> LabelledTrial:
-    """Simulate slides with stops between them: the ridge sticks, and slips anew."""
+    """Simulate slides with stops between them: the ridge sticks, and slips again."""
     slide, velocity, gross = _to_gross_slip(drawing)
     row = int(np.searchsorted(slide.time_s, gross))
     way_mm = 1.15 * float(slide.block.position_mm[row])

@@ -103,7 +103,7 @@ class Lesson:
     commands: tuple[Command, ...] = ()
     """What was commanded, where that is known."""
     ends_known: bool = True
-    """False where nobody has stated when the ridge stuck again: `slips_s` end with the record."""
+    """False where no one has stated when the ridge stuck again: `slips_s` end with the record."""
     first: bool = True
     """False for a trial that is heard through a further front end."""
     weight: float = 1.0

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 MOST_CORNERS = 5
-"""Most corners of a path or course that are named one by one."""
+"""Maximum number of corners of a path or course that are named one by one."""
 
 
 def circumstances(run: RunFile) -> str:

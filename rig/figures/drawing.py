@@ -218,7 +218,7 @@ class _Drawing:
     def _add(self, registered: RegisteredFigure, opened: Any) -> None:
         for suffix, figure in figures_by(registered, opened).items():
             if suffix in self._suffixes:
-                self._warn(f"{registered} was left out: another one has its file name")
+                self._warn(f"{registered} was left out: another figure has its file name")
             else:
                 self._suffixes.add(suffix)
                 self._save(figure, suffix)

@@ -140,7 +140,7 @@ def _figures_of(runs: Sequence[RunFile]) -> tuple[dict[str, Figure], list[str], 
                     figure.draw_without_rendering()
             for suffix, figure in drawn.items():
                 if suffix in figures:
-                    warnings.append(f"{one} was left out: another one has its file name")
+                    warnings.append(f"{one} was left out: another figure has its file name")
                 else:
                     figures[suffix] = figure
         # A package may raise anything, and call sys.exit() where it was meant as a program.
@@ -287,7 +287,7 @@ def _shared(frequency: Reals, first: Reals) -> tuple[Reals, NDArray[np.int64], N
 
 def draw_slips(runs: Sequence[RunFile]) -> Figure:
     """Draw v_d and the forces of the trials of several runs, aligned at the slip by an account that
-    all of them have, else at the begin of the motion."""
+    all of them have, else at the beginning of the motion."""
     trials = [_aligned(run) for run in runs]
     account, aligned_at = _account([one for of_run in trials for _, _, one in of_run])
     with mpl.rc_context(STYLE):

@@ -32,9 +32,9 @@ LEAST_FORCE = 0.1
 def a_figure_a_trial(
     run: RunFile, draw: Callable[[RunFile, int, str, Detections], Figure]
 ) -> dict[str, Figure]:
-    """Draw the first `TRIALS_SHOWN` trials of a run with `draw`, which is given the file, the
-    number of the trial, its point and what a detector found in it; return the figures by what their
-    files add to the run's name: nothing for the first."""
+    """Draw the first `TRIALS_SHOWN` trials of a run with `draw`, which gets the file, the number of
+    the trial, its point and what a detector found in it. Return the figures by the ending that
+    their files add to the run's name, which is empty for the first."""
     points = run.point_ids()[:TRIALS_SHOWN]
     found = detections_of(run)
     return {

@@ -40,7 +40,7 @@ file."""
 EVENTS = "△ motion, ▲ slip"
 """How the events of a detector are drawn."""
 UNLOADED = 0.05
-"""F_t at the begin of a stroke, relative to its largest, up to which it begins unloaded."""
+"""F_t at the beginning of a stroke, relative to its largest, up to which it begins unloaded."""
 SAME_SLIP_S = 1e-4
 """Difference up to which two accounts of the World have the same begin of a slip."""
 ROWS_LEFT = 0.66
@@ -202,9 +202,9 @@ def measured_slip(series: Mapping[str, Waveform], begin_s: float, end_s: float) 
 
 
 def detections_of(run: RunFile) -> dict[str, Detections]:
-    """Return what a detector found in each trial of a run, by the trial: from a processed file
-    beside the run file, that of the default detector before others; else what the run recorded;
-    else what the default detector finds in the file now. A trial that cannot be judged says why."""
+    """Return what a detector found in each trial of a run, by trial: from a processed file of the
+    run, with that of the default detector first; otherwise what the run recorded; otherwise what
+    the default detector finds in the file now. A trial that cannot be judged says why."""
     return _of_processed_files(run) or _of_the_run(run) or _of_default_detector(run)
 
 
@@ -372,7 +372,7 @@ def _ridge(
     later: Sequence[tuple[float, float]] = (),
 ) -> None:  # fmt: skip
     """Draw a bar from the slip of the first node to that of the whole ridge; of `later` slips each
-    has a circle at its begin and a broad bar while it lasts, and no time is written."""
+    has a circle at its beginning and a broad bar while it lasts, and no time is written."""
     if slip.first_node_s is not None:
         end = seen[1] if slip.whole_s is None else slip.whole_s
         axes.plot([slip.first_node_s, end], [row, row], color=TRUE, linewidth=1.2)

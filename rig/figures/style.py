@@ -2,7 +2,7 @@
 is saved.
 
 Every figure is `COLUMN_MM` wide, on paper and on a screen: what is legible in print at 84 mm is
-legible at the 992 dots of its PNG, and nobody needs a second version for a paper. Nothing is
+legible at the 992 dots of its PNG, and no one needs a second version for a paper. Nothing is
 written smaller than `SMALLEST_PT`, apart from the indices of symbols. Colours are those of Okabe
 and Ito (2008), `PALETTE`, which people with any of the common colour deficiencies can distinguish;
 maps are RdBu and viridis. Where it matters lines differ in their dashes as well.

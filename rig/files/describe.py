@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from rig.files.processed.reader import ProcessedFile
 
 MOST_VALUES = 16
-"""Most values of a result that are shown one by one."""
+"""Maximum number of values of a result that are shown one by one."""
 
 
 def describe(file: Path, header: RunHeader, outcome: RecordedOutcome) -> dict[str, Any]:

@@ -34,8 +34,8 @@ _NOT_THE_FILE = {
 
 
 def room_for(error: OSError) -> str:
-    """Return what to do so that a file can be written where the disk has refused it, as the begin
-    of a hint."""
+    """Return what to do so that a file can be written where the disk has refused it, as the
+    beginning of a hint."""
     if error.errno == errno.EFBIG:
         return "raise the limit on the size of a file (ulimit -f), or use another file system"
     if error.errno in TOO_MANY_OPEN:

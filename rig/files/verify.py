@@ -199,7 +199,7 @@ def verdict_in_child(file: Path | str, patience_s: float = PATIENCE_S) -> FileVe
         answer = run_module(__name__, [str(file)], timeout_s=patience_s + size / BYTES_PER_S)
     except ChildError as error:
         what = f"HDF5 hangs on it: {error}" if error.timed_out else f"HDF5 crashed on it: {error}"
-        hint = "compile it again if its journal is still there: rig recover"
+        hint = "compile it again if its journal still exists: rig recover"
         raise RunFileError(file, f"damaged: {what}", hint) from None
     found = json.loads(answer)
     return FileVerdict(tuple(found["findings"]), found["extent"])
@@ -270,7 +270,7 @@ def _points(run: RunFile) -> Iterator[str]:
     """Points: unique, and as many everywhere."""
     ids = run.point_ids()
     if len(set(ids)) != len(ids):
-        yield "a point is there twice"
+        yield "a point appears twice"
     for name in run.columns():
         if len(run.column(name)) != len(ids):
             yield f"column {name} has {len(run.column(name))} values for {len(ids)} points"

@@ -69,7 +69,7 @@ class Quantity(Settings):
         if value is not None and (
             (low is not None and low > value) or (high is not None and high < value)
         ):
-            raise ValueError(f"the interval {low} to {high} does not hold the value {value}")
+            raise ValueError(f"the interval {low} to {high} does not contain the value {value}")
         return self
 
 
@@ -410,7 +410,7 @@ def _refuse_misfit(record: ForceCalibration | LoadCellCalibration, source: str, 
                 f"{source}: the constants of {record.sensor!r} do not fit the readings in the same "
                 f"record: they give {computed_N:.3g} N where {known_N:g} N was put on, so the "
                 "record has been changed since it was made",
-                f"{hint}, or take the record out of [calibrations]",
+                f"{hint}, or remove the record from [calibrations]",
             )
 
 

@@ -448,7 +448,7 @@ class OffersReader(Protocol):
         Nothing is sent that changes the stage: no limit, mode, control word, acknowledgement or
         time-out, neither here nor later. A stage in motion continues, one with a fault keeps it.
         Never called while a run has the bench. Raises InstrumentError if the stage does not
-        answer or is another one.
+        answer or is a different one.
         """
         ...
 

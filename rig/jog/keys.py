@@ -236,7 +236,7 @@ class Jog:
             return f"the force is over {FALLEN * self._largest_N:.3g} N: this way stays closed"
         if onward > axis.step * (1 + THERE):
             return (
-                f"{axis.name} stands at {place.position:.4g} {axis.unit}, outside {axis.low:g} to "
+                f"{axis.name} is at {place.position:.4g} {axis.unit}, outside {axis.low:g} to "
                 f"{axis.high:g} {axis.unit}, farther than a step; h homes it"
             )
         if onward <= axis.step * THERE:

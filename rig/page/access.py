@@ -45,7 +45,7 @@ class Access:
     """The tokens of one server."""
 
     read_only: bool = False
-    """True if nobody may stop anything, whatever the token."""
+    """True if no one may stop anything, whatever the token."""
     watch_token: str = field(default_factory=lambda: secrets.token_urlsafe(24))
     stop_token: str = field(default_factory=lambda: secrets.token_urlsafe(24))
 

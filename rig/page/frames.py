@@ -116,7 +116,7 @@ def _late(ticks: int, late: int) -> str:
     return (
         f"The control loop is late: {late} of {ticks} ticks began late "
         f"({100 * late / ticks:.1f} %). Close the browser on the bench's computer, or watch from "
-        "another one."
+        "another computer."
     )
 
 

@@ -173,7 +173,7 @@ class RunIndex:
 
 
 def _size(path: Path) -> int | None:
-    """Return the size of a file; None for one that has gone meanwhile."""
+    """Return the size of a file; None for one that was removed meanwhile."""
     try:
         return path.stat().st_size
     except OSError:
@@ -181,7 +181,7 @@ def _size(path: Path) -> int | None:
 
 
 def _begun(fields: dict[str, Any]) -> str:
-    """Return the begin of a run as its file's name has it, for sorting."""
+    """Return the beginning of a run as its file's name has it, for sorting."""
     return str(fields["start"] or "")[:19].replace(":", "-") or str(fields["name"])
 
 

@@ -30,7 +30,7 @@ class LatestFile:
         """Run files that cannot be read, or that were imported."""
 
     def look(self, folder: ResultsFolder) -> None:
-        """Find it anew, where another one has come."""
+        """Find it again, where another one has come."""
         files = folder.find(RUN_SUFFIX)
         self._unusable &= set(files)
         for file in files[:FILES_TRIED]:

@@ -2,8 +2,8 @@
 
 Nothing moves, nothing is switched and no stage is set: force sensor and DAQ are connected as for a
 run, stages are opened by their driver's reader (`rig.instruments.roles.OffersReader`). The
-generator is left alone. A link that fails is closed, says so, and is opened anew; the others do not
-wait for it.
+generator is left alone. A link that fails is closed, says so, and is opened again; the others do
+not wait for it.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ FORCE_S_S = 100.0
 DAQ_S_S = 1000.0
 AXES = ("x", "y", "z")
 RETRY_S = 2.0
-"""Time in s after which a link that has failed is opened anew."""
+"""Time in s after which a link that has failed is opened again."""
 MARGIN_S = 0.25
 """Time in s by which a silence is longer than the longest communication time-out."""
 ENDING_S = 5.0

@@ -315,7 +315,7 @@ def _stop(state: PageState, wanted: dict[str, Any]) -> tuple[int, dict[str, Any]
             "problem": "no run is under way: stop the whole batch, or wait for the next run"
         }
     if "run" in wanted and (header is None or wanted["run"] != header.run_uuid):
-        return 409, {"problem": "that run has ended; another one is shown now"}
+        return 409, {"problem": "that run has ended; another run is shown now"}
 
     def ask_for_this_run(path: Path) -> LockHolder:
         """Have the batch end its run: it has to know that it continues."""

@@ -148,7 +148,7 @@ class SlipFollower:
             records = self._tail.poll(MOST_BYTES_A_LOOK)
             found = [slip for record in records for slip in self._search.take(record)]
         except JournalError:
-            return False  # the watch says so, or begins anew with a journal that was cut
+            return False  # the watch says so, or begins again with a journal that was cut
         except Exception as error:
             log.exception("no slips are looked for in %s", path)
             self.close()

@@ -3,7 +3,7 @@
     asked          the signal was sent; nothing has been seen of it yet
     switching off  the run has given up its point, or recorded that it stops
     ended          its END record is there: the bench is safe, or the run says that it is not
-    guard          the run's process is gone without an END: its guard acts, or has reported
+    guard          the run's process has ended without an END: its guard acts, or has reported
     hanging        nothing has been seen for longer than a run that works needs
 
 Red until `ended` or the guard's report.
@@ -86,7 +86,7 @@ def stop_course(signs: StopSigns) -> StopCourse:
         if signs.bench_safe or (signs.guard_pid is None and not signs.recording):
             text = f"Process {signs.pid} has ended. The state above says how it left the bench."
             return StopCourse("ended", text, True, signs.bench_safe)
-        text = "The run's process is gone. Its guard is making the bench safe; no report yet."
+        text = "The run's process has ended. Its guard is making the bench safe; no report yet."
         return StopCourse("guard", text, False, False)
     if signs.reacted:
         return StopCourse(

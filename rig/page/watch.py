@@ -142,7 +142,7 @@ class BenchWatch:
         self._look_at_bench(locked)
 
     def _is_news(self, journal: FoundFile) -> bool:
-        """Return whether a journal that nobody writes is to be shown: it is another one than that
+        """Return whether a journal that no one writes is to be shown: it is another one than that
         which is shown, and newer than the latest run file."""
         if self.path is not None and self._tail is not None and not self._tail.deleted:
             try:
@@ -235,7 +235,7 @@ class BenchWatch:
 
     def _files_problem(self) -> str:
         """Return why what was read says nothing of the bench any more: its files, or the folder
-        that the next run would record in, have gone. Empty where they are there."""
+        that the next run would record in, no longer exist. Empty if they exist."""
         shown = self._shown
         if shown is None:
             return ""
@@ -363,7 +363,7 @@ class BenchWatch:
                 return file, None
         if path is not None and self.view.end is None and not self.signs.report:
             raise NotStoppedError(
-                "the run's process is gone, and its guard has not reported yet",
+                "the run's process has ended, and its guard has not reported yet",
                 "the guard makes the bench safe; if no report comes, switch it off by hand",
             )
         raise NotStoppedError(

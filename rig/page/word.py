@@ -62,7 +62,7 @@ class Facts:
     problem: str = ""
     """Why the journal cannot be followed any further."""
     bench_problem: str = ""
-    """Why the locks and marks of the bench cannot be read, or the run's files have gone."""
+    """Why the locks and marks of the bench cannot be read, or the run's files no longer exist."""
 
 
 @dataclass(frozen=True)

@@ -78,7 +78,7 @@ def analyse(run: RunFile) -> Analyses:
         return Analyses(warnings=tuple(warnings))
     for registered in entries_of(ANALYSES, run.header.procedure):
         if registered.entry.name in {one.name for one in found}:
-            warnings.append(f"{registered} was left out: another one has its name")
+            warnings.append(f"{registered} was left out: another analysis has its name")
             continue
         try:
             # Text that an analysis prints must not mix with the answer.

@@ -55,7 +55,7 @@ ENDED_S = 2.0
 MOST_ROWS = 2048
 """Rows in one message: 32 kB, of which a socket takes several."""
 MOST_EVENTS = 256
-"""Most events in one answer; a detector with more is broken."""
+"""Maximum number of events in one answer; a detector with more is broken."""
 MOST_BYTES = 1 << 18
 """Longest answer."""
 CHECK_EVERY_ms = 20
@@ -444,7 +444,7 @@ class _InChild(LiveDetector):
 
     def _kill(self) -> None:
         """Kill its process with all that it started; wait for nothing."""
-        # Nobody has asked for its exit code before, so its number still is that of its session.
+        # No one has asked for its exit code before, so its number still is that of its session.
         if self._process.returncode is None:
             with contextlib.suppress(ProcessLookupError, PermissionError):
                 os.killpg(self._process.pid, signal.SIGKILL)

@@ -1,7 +1,7 @@
 """The process in which another package's detector runs beside a trial (`rig.processing.live`).
 
 It has no descriptor of the run but one socket. It consists of two processes: one that runs the
-detector, and one that does nothing but watch. When the run has gone, or the detector's process has
+detector, and one that does nothing but watch. When the run has ended, or the detector's process has
 ended, the watching one kills whatever is left in their session, also where the detector hangs in C
 code or has started processes.
 """
@@ -50,7 +50,7 @@ def _watch(connection: socket.socket, worker: int) -> None:
         by_signal = ended.si_code != os.CLD_EXITED
         status = ended.si_status + (128 if by_signal else 0)
     if ended is None:
-        os.killpg(0, signal.SIGKILL)  # the run has gone
+        os.killpg(0, signal.SIGKILL)  # the run has ended
     _kill_the_others()
     os._exit(status)
 

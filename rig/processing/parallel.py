@@ -131,7 +131,7 @@ def _on_cluster(
     function: Callable[[Item], Result], items: Sequence[Item], scheduler: str
 ) -> Iterator[tuple[int, Result | RigError]]:
     """Yield what the cluster's workers return, and a RigError for each item that is still missing
-    when there is nobody left to wait for."""
+    when there is no one left to wait for."""
     done: queue.SimpleQueue[int] = queue.SimpleQueue()
     with _connected(scheduler) as client:
         alive = _Alive(client)
@@ -191,7 +191,7 @@ class _Alive:
                 self._worker_s = self._scheduler_s
         now_s = time.monotonic()
         if now_s - self._scheduler_s > CONNECT_S:
-            what = f"the cluster's scheduler has been gone for {CONNECT_S:g} s"
+            what = f"the cluster's scheduler has been unreachable for {CONNECT_S:g} s"
         elif now_s - self._worker_s > WORKERS_S:
             what = f"the cluster has had no worker for {WORKERS_S:g} s"
         else:

@@ -206,7 +206,7 @@ class CheckedProcedure:
         place = place_in(top, kept) if kept.__traceback__ else place_of_this_call(top)
         where = f" ({place.removesuffix(': ')})" if place else ""
         return (
-            f"procedure {cls.name} of package {package_of(cls)} kept back what was to end the run"
+            f"procedure {cls.name} of package {package_of(cls)} suppressed what should end the run"
             f"{where}: let exceptions of waits pass, or raise them again ({kept.cause.message})"
         )
 

@@ -181,9 +181,9 @@ class Run:
 
     @contextlib.contextmanager
     def first_cause(self) -> Iterator[None]:
-        """Report the first cause: within the block, an interlock of a person that is open or
-        latched, the reason why a watcher made the bench safe, or a hold during which an instrument
-        did not answer in time, replaces the exception of a call that it disturbed.
+        """Report the first cause of a failure. If, within the block, an interlock of a person is
+        open or latched, a watcher has made the bench safe, or an instrument did not answer in time
+        during a hold, that reason replaces the exception of the call that it disturbed.
 
         For the outermost level only, since it waits for the watcher to finish.
         """

@@ -310,7 +310,7 @@ class _Execution:
         with contextlib.suppress(Exception):  # the disk may be what ends the run
             self.run.event("error", "kept-back", text)
             self.recorder.barrier(BARRIER_S)
-        if self.guard.died:  # then nobody else lifts what is pressed
+        if self.guard.died:  # then no one else lifts what is pressed
             with contextlib.suppress(Exception):
                 failures = self._switch_off(False)
                 self.outcome.off_failures = [failure for failure in failures if failure.drives]
@@ -527,7 +527,7 @@ class _Execution:
         except RigError as error:
             self._failed_late(error)
         except OSError as error:
-            hint = f"free the disk, then run: rig recover {self.journal.path}"
+            hint = f"free some disk space, then run: rig recover {self.journal.path}"
             text = f"the run file cannot be written: {error}"
             self._failed_late(RecordingError(self.journal.path, text, hint))
 

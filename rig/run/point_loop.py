@@ -129,7 +129,7 @@ class PointLoop:
 
     def _arm(self, point: Point | None = None) -> None:
         """Arm the bench, again for this point where one is given; after a hold, wait and arm it
-        anew. A trip meanwhile ends the run."""
+        again. A trip meanwhile ends the run."""
         while True:
             self._run.holds.acknowledge()  # Arming deals with every hold so far.
             try:
@@ -213,7 +213,7 @@ class PointLoop:
         self._observers.state(RUNNING)
 
     def _count(self, hold: HoldError, where: str) -> None:
-        """Count a hold that nobody has asked for, and end the run where there were too many."""
+        """Count a hold that no one has asked for, and end the run where there were too many."""
         found = self._run.disturbances
         found.begin_hold()
         self._observers.hold_begun(hold.message, found.holds, found.presses)

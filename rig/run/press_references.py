@@ -7,7 +7,7 @@ REASON`` makes its own press the reference.
 
 The references belong to the bench, named by the addresses of its z stage and force sensor, so they
 lie where all its users find them whatever their folder of results: in the shared folder, beside
-locks and marks. Those of a simulated bench lie in the folder of results: nobody else relies on
+locks and marks. Those of a simulated bench lie in the folder of results: no one else relies on
 them.
 """
 
@@ -173,7 +173,7 @@ class PressReferences:
         except OSError as error:
             raise RigError(
                 f"no reference for later presses was saved to {self._file}: {error.strerror}",
-                "free the disk, or have the folder's owner correct it",
+                "free some disk space, or have the folder's owner correct it",
             ) from error
 
     def _read(self) -> _References:

@@ -189,7 +189,7 @@ class Procedure(ABC):
         """Switch on what the points need and bring the bench to where the first one can begin.
 
         Called before the first point, and again after each hold and trip, when everything has been
-        switched off: what has to last from one arming to the next must not be made anew. Register
+        switched off: what has to last from one arming to the next must not be made again. Register
         how a thing is switched off (`run.arm`) before you switch it on. An exception ends the run:
         what was registered is switched off, in reverse order.
         """

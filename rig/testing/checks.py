@@ -30,7 +30,7 @@ PATIENT_S = 1.0
 """The time-out with which a place of the walk is tried again where an answer did not come that no
 fault has taken: a computer that is busy with other things lets client or server stand for longer
 than TIMEOUT_S now and then. A driver that goes wrong at a place does so with any time-out. A drive
-that stops when nobody speaks to it must wait for longer than this: its case's settings say so."""
+that stops when no one speaks to it must wait for longer than this: its case's settings say so."""
 
 
 def checks_of(case: Case) -> dict[str, Check]:
@@ -76,7 +76,7 @@ def connect(case: Case, service: Service) -> Any:
 
 
 def close(service: Service, instrument: Any) -> None:
-    """Close an instrument as the runner does: nobody attends to it any more."""
+    """Close an instrument as the runner does: no one attends to it any more."""
     if (leave := service.attending.pop(id(instrument), None)) is not None:
         leave()
     instrument.close()
@@ -262,9 +262,9 @@ def walk(case: Case, faults: list[tuple[int, str]]) -> None:
 def faulty_experiment(
     case: Case, kind: str, at: int, timeout_s: float
 ) -> tuple[list[InstrumentError], str, str]:
-    """Return the errors of an experiment with one fault, the request that the fault was applied to,
-    and the time-outs that one fault does not explain: a time-out in addition to another error, or
-    of a step that was repeated."""
+    """Return three results of an experiment with one fault: the errors, the request to which the
+    fault was applied, and the time-outs that one fault does not explain, because they come in
+    addition to another error or from a step that was repeated."""
     with case.serve({"kind": kind, "at": at}) as service:
         service.settings["timeout_s"] = timeout_s
         failures: list[InstrumentError] = []
@@ -445,7 +445,7 @@ def check_a_reader_shows_what_the_stage_does_and_changes_nothing(case: Case) -> 
 
 
 def check_a_reader_refuses_what_is_silent_or_another_instrument(case: Case) -> None:
-    """The module's reader refuses an instrument that is silent or another one."""
+    """The module's reader refuses an instrument that is silent or a different one."""
     if not _offers_reader(case):
         return
     module = case.module()

@@ -278,7 +278,7 @@ SAMPLE = {"points": 3, "ranges": {"speed_mm_s": (0.1, 1.0)}}
     ("experiment", "words"),
     [
         ({"matrix": {"speed_mm_s": []}}, "matrix.speed_mm_s: has no value"),
-        ({"matrix": {"speed_mm_s": [0.5, "0.5"]}}, "stands twice in the list"),
+        ({"matrix": {"speed_mm_s": [0.5, "0.5"]}}, "appears twice in the list"),
         ({"matrix": {"speed_mm_s": SPEEDS}, "sample": SAMPLE}, "the matrix varies it, too"),
         ({"sample": {"points": 3, "ranges": {"loading": (1, 2)}}}, "loading: is not a number"),
         ({"sample": {"points": 3, "ranges": {"pace": (1, 2)}}}, "no such setting"),

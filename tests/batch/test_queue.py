@@ -190,9 +190,9 @@ def test_a_queue_that_cannot_be_opened_here_is_not_called_damaged(
 @pytest.mark.parametrize(
     ("name", "remedy"),
     [
-        ("SQLITE_FULL", "free the disk"),
-        ("SQLITE_IOERR_WRITE", "free the disk"),
-        ("SQLITE_IOERR_FSYNC", "free the disk"),
+        ("SQLITE_FULL", "free some disk space"),
+        ("SQLITE_IOERR_WRITE", "free some disk space"),
+        ("SQLITE_IOERR_FSYNC", "free some disk space"),
         ("SQLITE_BUSY_RECOVERY", "another program has it open"),
         ("SQLITE_LOCKED", "another program has it open"),
         ("SQLITE_READONLY_ROLLBACK", "roll that back with: rig batch resume"),
@@ -234,7 +234,7 @@ def test_a_disk_that_takes_no_more_is_reported_with_the_remedy(tmp_path: Path) -
         queue._sql.execute(f"PRAGMA max_page_count = {_pages(queue)}")
         with pytest.raises(RigError, match=r"cannot be written: .*full") as raised:
             _fill(queue)
-        assert raised.value.hint == "free the disk, then: rig batch resume"
+        assert raised.value.hint == "free some disk space, then: rig batch resume"
         assert queue.counts()["queued"] == 6, "and it goes on being read"
 
 

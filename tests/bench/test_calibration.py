@@ -193,7 +193,7 @@ def spoiled(record: CalibrationRecord, **changes: Any) -> str:
         (spoiled(force_sensor()).encode(), "of kind force; one of kind pvdf is needed here"),
         (spoiled(film(), b_db=1).encode(), "b_db: unknown key"),
         (spoiled(film(), b_dB=quantity(None)).encode(), "b_dB has no value"),
-        (spoiled(film(), b_dB=quantity(1.0) | {"low": 2.0}).encode(), "does not hold the value"),
+        (spoiled(film(), b_dB=quantity(1.0) | {"low": 2.0}).encode(), "does not contain the value"),
         (spoiled(film(), date="2026-11-21T22:00:00").encode(), "date"),
         (spoiled(film(), valid_until="2026-11-20T22:00:00Z").encode(), "not after date"),
         (spoiled(film(), b_dB=quantity(1.0, unit="dB re 1 mV/N")).encode(), "has to be in 'dB'"),

@@ -52,7 +52,7 @@ def test_a_damaged_queue_is_one_line_and_is_made_anew_from_the_runs(rig: Any) ->
 
     made = rig.run("batch", "rebuild", str(batch))
     assert made.code == 0, made.stderr
-    assert "was made anew: 1 queued, 1 done" in made.stderr
+    assert "was rebuilt: 1 queued, 1 done" in made.stderr
     assert (batch / "queue.damaged-1.sqlite").exists()
     again = rig.run("batch", "resume")
     assert again.code == 0, again.stderr

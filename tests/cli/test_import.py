@@ -131,7 +131,7 @@ def test_channels_are_read_with_commas_and_signs_in_their_names() -> None:
         ("", "is not NAME=VALUE"),
         ("v_1=,v_2=3", "'v_1=' is not NAME=VALUE"),
         ("v_d=1,v_1=2,v_2=3", "'v_d=1' is not NAME=VALUE, NAME one of v_1, v_2, F_n, F_t"),
-        ("v_1=2,v_2=3,v_1=4", "v_1 is there twice"),
+        ("v_1=2,v_2=3,v_1=4", "v_1 appears twice"),
     ],
 )
 def test_a_map_that_makes_no_sense_is_refused(text: str, reason: str) -> None:

@@ -69,9 +69,9 @@ def test_several_samples_a_row_are_in_their_order_and_rate(tmp_path: Path) -> No
 @pytest.mark.parametrize(
     ("columns", "reason"),
     [
-        ({"v_1": "2..4", "v_2": "4..5"}, "samples a row: v_1 3, v_2 2; all channels need the same"),
-        ({"v_1": "2..3 - 4", "v_2": "4..5"}, "its terms have 1 and 2 samples a row"),
-        ({"v_1": "3..2", "v_2": "4..5"}, "column 2 (left) stands before column 3 (right)"),
+        ({"v_1": "2..4", "v_2": "4..5"}, "samples per row: v_1 3, v_2 2; all channels need"),
+        ({"v_1": "2..3 - 4", "v_2": "4..5"}, "its terms have 1 and 2 samples per row"),
+        ({"v_1": "3..2", "v_2": "4..5"}, "column 2 (left) comes before column 3 (right)"),
         ({"v_1": "left - nothing", "v_2": "4"}, "nothing"),
         (
             {"v_1": "left - common", "v_2": "left - common"},
@@ -196,7 +196,7 @@ def test_labels_that_cannot_be_are_refused(
     [
         ("file\na.csv\n", "its first line has to name the column 'file' and one of label"),
         ("file,slip\na.csv,1\n", "unknown column 'slip'"),
-        ("file,label\na.csv,hold\na.csv,hold\n", "line 3: a.csv is there twice"),
+        ("file,label\na.csv,hold\na.csv,hold\n", "line 3: a.csv appears twice"),
     ],
 )
 def test_a_list_of_labels_that_cannot_be_used_is_refused(

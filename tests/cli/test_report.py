@@ -112,7 +112,7 @@ def test_a_run_that_is_stopped_before_anything_was_armed_says_so_and_shows_no_re
     ]
     outcome.own_bench = False
     assert closing_lines(SlipTrial, outcome, [])[2] == (
-        "Bench is as it was before the run: there was nothing to switch off."
+        "Bench is unchanged: there was nothing to switch off."
     ), "an earlier run may have left something pressed"
 
 

@@ -64,7 +64,7 @@ def test_a_decimal_comma_is_replaced_in_numbers_and_in_no_name(tmp_path: Path) -
         ("file,label\na.h5,slip,2\n", "line 2: the number of cells differs from the header"),
         ("file,,label\na.h5,what,slip\n", "line 2: 'what' is in a column without a name"),
         ("sep=;\nfile;label\n\na.h5\n", "line 4: the number of cells differs"),
-        ("file,file\na.h5,b.h5\n", "the column 'file' is there twice"),
+        ("file,file\na.h5,b.h5\n", "the column 'file' appears twice"),
     ],
 )
 def test_a_list_with_a_fault_is_refused_with_its_line(

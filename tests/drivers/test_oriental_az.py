@@ -375,7 +375,7 @@ def test_beyond_a_software_limit_of_the_drive_it_stops_there_and_that_is_reporte
     with service() as bench:
         axis = bench.homed()
         bench.z._values[HIGH_LIMIT] = 40 * STEPS
-        with pytest.raises(InstrumentError, match="stands at 40 mm and has not arrived at 60 mm"):
+        with pytest.raises(InstrumentError, match="is at 40 mm and has not arrived at 60 mm"):
             axis.move_to(60.0, 40.0)
 
 

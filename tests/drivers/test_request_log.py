@@ -31,7 +31,7 @@ def log_of(clock: StoppedClock, *times_s: float) -> RequestLog:
 
 def test_requests_that_were_sent_did_not_arrive() -> None:
     said = log_of(StoppedClock(), 0.0, 0.1, 0.3, 0.4).whose_silence(2.0)
-    assert said.startswith("it was asked every 0.2 s or more often")
+    assert said.startswith("requests were sent every 0.2 s or more often")
     assert said.endswith("the connection was silent")
 
 

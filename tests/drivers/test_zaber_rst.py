@@ -371,7 +371,7 @@ def test_a_stage_that_was_stopped_by_others_is_reported() -> None:
         axis.start_turn(10.0, 5.0, 100.0)
         it.clock.sleep(0.5)
         it.stage.answer(b"1 1 stop", "somebody")
-        with pytest.raises(InstrumentError, match=r"stands at .* has not arrived at 10"):
+        with pytest.raises(InstrumentError, match=r"is at rest at .* has not arrived at 10"):
             wait_for(it, axis)
 
 

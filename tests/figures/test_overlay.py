@@ -266,7 +266,7 @@ def test_a_packages_overlay_stands_beside_that_of_this_project(
     stray, own_first, fails, number = drawn.warnings
     assert "the overlay swep.x" in stray
     assert "did you mean sweep?" in stray
-    assert "left out: another one has its file name" in own_first
+    assert "left out: another figure has its file name" in own_first
     assert "of lab-overlays could not be drawn: lab_overlays.py line " in fails
     assert fails.endswith(": RuntimeError: no such column")
     assert "returned int where a Figure is expected" in number

@@ -168,8 +168,8 @@ def test_the_picture_of_the_procedure_is_not_overwritten(lab: Laboratory) -> Non
     lab.declare(**{"import": PLAIN})
     (warning,) = draw(lab.run("import")).warnings
     assert warning == (
-        "the figure import (lab_figures:plain) of lab-figures was left out: another one has its "
-        "file name"
+        "the figure import (lab_figures:plain) of lab-figures was left out: another figure has "
+        "its file name"
     )
 
 

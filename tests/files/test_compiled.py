@@ -527,7 +527,7 @@ def rename(path: str):
         (change("outcome/status", "fine"), "outcome/status is 'fine'"),
         (change("outcome/simulated", False), "outcome/simulated is False"),
         (change("title", "Sweep"), "the title does not agree"),
-        (change("points/id", "a"), "a point is there twice"),
+        (change("points/id", "a"), "a point appears twice"),
         (change("instrument/daq/fabrication/vendor", "Keysight"), "instrument/daq"),
         (change("configuration/data", ""), "configuration is not"),
         (rename("waveforms"), "segments of samples are missing"),

@@ -97,7 +97,7 @@ ROWS = "0.000,1.5,2.5\n0.001,1.5,2.6\n0.002,1.6,2.7\n"
         (ROWS + '0.003,"1.6"2,2.7\n' + ROWS, "line 4: column 2: .* is not a number"),
         (ROWS + "0.003,1e999,2.7\n" + ROWS, "line 4: column 2 has a number beyond any double"),
         (ROWS + "# paused\n" + ROWS, "line 4: 1 cells"),
-        (ROWS + "\n" + ROWS, "line 4: empty, with rows behind it"),
+        (ROWS + "\n" + ROWS, "line 4: empty, but rows follow it"),
         ("NaN,NaN,NaN\n" + ROWS, "line 1: looks like a row, .*--header-lines 1"),
         ("0.0,1.5\n" + ROWS, "line 1: looks like a row"),
         ("0.0,1.5,2.50.001,1.6,2.6\n" + ROWS, "line 1: looks like a row"),
@@ -281,7 +281,7 @@ def test_lvm_comes_through_with_its_rate(
         ({"X0": "0|0.5"}, "X0 is 0 s for one channel and 0.5 s for another"),
         ({"X_Dimension": "Frequency|Frequency"}, "X_Dimension Frequency: not over time"),
         ({"Y_Unit_Label": "mV|Volts"}, "labelled mV, v_1 is read in V"),
-        ({"separator": "Comma", "decimal": ";"}, "Decimal_Separator ';' is none of"),
+        ({"separator": "Comma", "decimal": ";"}, "Decimal_Separator ';' is not one of"),
     ],
 )
 def test_an_lvm_header_that_says_otherwise_is_refused(

@@ -105,7 +105,7 @@ def test_a_limit_clips_the_target_and_is_reported_once() -> None:
 
 def test_an_axis_outside_its_limits_is_not_sent_farther_than_a_step() -> None:
     (refused,) = jog().press(Key.MORE, 0.0, at(-1.0))
-    assert "stands at -1 mm, outside 0 to 14 mm" in said([refused])[0]
+    assert "is at -1 mm, outside 0 to 14 mm" in said([refused])[0]
     (back,) = moves(jog().press(Key.MORE, 0.0, at(-0.05)))
     assert back.target == pytest.approx(0.05)
     assert moves(jog().press(Key.LESS, 0.0, at(-0.05))) == []

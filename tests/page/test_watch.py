@@ -140,7 +140,7 @@ def test_run_files_alone_make_no_bench_green_without_a_look_at_its_marks_and_loc
     assert words(watch)[0] == "UNSAFE"
     mark("stopped")
     assert words(watch) == ("pressed", "still pressed")
-    mark("stopped", report="it died; stage_z stands at 5.00 mm", released=True)
+    mark("stopped", report="it died; stage_z is at 5.00 mm", released=True)
     assert words(watch)[0] == "safe"
     assert watch.path is None
 

@@ -97,7 +97,7 @@ def test_the_cause_of_making_safe_is_reported_and_not_the_move_that_it_refused(
     def stop() -> None:
         acting.set()
         stopped.wait(PATIENCE_S)
-        raise InstrumentError("stage_z", "make safe", "did not take the stop")
+        raise InstrumentError("stage_z", "make safe", "did not accept the stop")
 
     run.stream_force(1000.0).watch(LIMIT_N)
     run.arm("stage", lambda: None, emergency=stop)

@@ -148,7 +148,7 @@ def test_a_procedure_that_catches_every_exception_is_stopped(rig: Any) -> None:
     assert "Stopped by Ctrl-C" in done.stderr
     assert "Bench is safe" in done.stderr
     assert (
-        "warning: procedure stubborn of package lab kept back what was to end the run "
+        "warning: procedure stubborn of package lab suppressed what should end the run "
         "(lab_stubborn.py line 27): let exceptions of waits pass, or raise them again (stopped by "
         "Ctrl-C)"
     ) in done.stderr

@@ -125,7 +125,7 @@ def test_a_connection_that_breaks_on_the_way_back_is_made_anew_and_the_film_is_l
     assert ended.code == 0, ended.stderr
     assert ended.object["points_done"] == 5
     assert "warning: on the way up: stage_z: " in ended.stderr
-    assert "it was asked again and the film lifted: z stands at 5.0" in ended.stderr
+    assert "it was asked again and the film lifted: z is at 5.0" in ended.stderr
     stage = [(x["what"], x["value"]) for x in rig.log() if x["device"] == "stage_z"]
     moves = [(what, value) for what, value in stage if what in ("move", "at-rest")]
     assert moves[-1] == ("at-rest", pytest.approx(5.0, abs=0.02))

@@ -112,8 +112,8 @@ def test_what_a_killed_run_leaves_pressed_is_lifted_although_its_force_sensor_is
     assert report is not None, "the guard never reported"
     assert (report["safe"], report["released"]) == (True, True), report
     assert re.search(
-        r"stage_z stood at 12\.\d\d mm; what is pressed is not known since .*; "
-        r"stage_z was lifted: stage_z stands at 11\.70 mm",
+        r"stage_z was at 12\.\d\d mm; what is pressed is not known since .*; "
+        r"stage_z was lifted: stage_z is at 11\.70 mm",
         report["pressed"],
     ), report
     assert str(port) in report["pressed"]

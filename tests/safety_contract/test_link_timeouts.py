@@ -75,7 +75,7 @@ def test_a_drive_that_times_out_and_cannot_be_lifted_is_reported_with_place_and_
     ended = rig.sweep("--frequencies", "300,400,500,600", "--fault", plan)
     assert ended.code == 7, ended.stderr
     reported = next(line for line in ended.stderr.splitlines() if "the film may still be" in line)
-    assert "stands at 12." in reported
+    assert "is at 12." in reported
     assert "force_sensor reads 2" in reported
 
 

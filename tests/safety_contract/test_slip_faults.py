@@ -90,7 +90,7 @@ def test_a_stage_that_is_held_before_contact_is_reported_with_where_it_stands(ri
         rig, "", '[[fault]]\ndevice = "stage_z"\nkind = "stuck"\nmove = 4\nafter_s = 0.1\n'
     )
     assert_reported(ended, 3, "stage_z: approach: stage_z is held at 11.")
-    assert "look what holds the stage" in ended.errors[0]
+    assert "check what holds the stage" in ended.errors[0]
     last_of(rig, "stage_z")
 
 
@@ -98,7 +98,7 @@ def test_a_stage_that_is_held_before_contact_is_reported_with_where_it_stands(ri
 def test_a_lift_that_fails_leaves_both_stages_at_rest_and_says_so(rig):
     ended = take(rig, "", f'[[fault]]\ndevice = "stage_z"\nkind = "drive-fault"\n{SLIDING}')
     assert_reported(ended, 3, f"stage_z: {rig.bench.z.fault}")
-    assert "the stage stands and the skin may still be pressed: stage_z: " in ended.stderr
+    assert "the stage has stopped and the skin may still be pressed: stage_z: " in ended.stderr
     last_of(rig, "stage_x")
     assert last_of(rig, "stage_z") == pytest.approx(12.09, abs=0.01)
     assert_kept_until_sliding(rig)

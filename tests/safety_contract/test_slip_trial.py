@@ -220,7 +220,7 @@ def test_contact_in_the_wrong_place_ends_in_one_line(rig, contact_mm, said):
     assert_off_the_plate(rig)
 
 
-STANDS = "the stage stands and the skin may still be pressed: stage_z: "
+STANDS = "the stage has stopped and the skin may still be pressed: stage_z: "
 
 
 @pytest.mark.thorough

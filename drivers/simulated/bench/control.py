@@ -10,7 +10,8 @@ Where the World has failed, the next advance says so, and every point or truth a
 advances go on, for the bench has still to be brought to rest.
 
 The first connection owns a slaved World's time. When it closes without a stop, its owner has died:
-the World goes on in real time, for the drives' time-outs and for the guard, and ends a while later.
+the World continues in real time, for the drives' time-outs and for the guard, and ends some time
+later.
 """
 
 from __future__ import annotations

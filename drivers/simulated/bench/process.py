@@ -205,7 +205,7 @@ class _ServedBench:
 
 
 class _OwnersPipe(asyncio.Protocol):
-    """The owner's end of our stdin: closed when the owner is gone, however early it dies."""
+    """The owner's end of our stdin: closed when the owner has ended, however early it dies."""
 
     def __init__(self, gone: Callable[[], None]):
         self._gone = gone

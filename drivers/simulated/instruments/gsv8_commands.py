@@ -85,7 +85,7 @@ class GsvAmplifier:
 
 
 class GsvAnswer(NamedTuple):
-    """Data and error code of a response; `DONE_CHANGED` if the value taken is another one."""
+    """Data and error code of a response; `DONE_CHANGED` if the value taken differs."""
 
     data: bytes = b""
     code: int = DONE
@@ -287,7 +287,7 @@ def _set_mode(amplifier: GsvAmplifier, request: GsvRequest) -> GsvAnswer:
 
 
 def _reset(amplifier: GsvAmplifier, request: GsvRequest) -> None:
-    """Start anew, as after power-up, without an answer."""
+    """Start again, as after power-up, without an answer."""
     amplifier.log_change("reset", None, request.by)
     amplifier.transmission.switch_on()
 

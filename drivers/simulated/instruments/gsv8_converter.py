@@ -20,7 +20,7 @@ from drivers.simulated.ports import ForcePort
 CHANNELS = 8
 CONVERSIONS_PER_S = 48_000
 CONVERSIONS_COMPUTED = 48
-"""Most conversions of one frame that are computed."""
+"""Maximum number of conversions of one frame that are computed."""
 INPUT_RANGE_MV_V = 3.5
 OVERRANGE = 1.05
 """The converter's end, in input ranges."""

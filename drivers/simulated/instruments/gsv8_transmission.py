@@ -73,7 +73,7 @@ class GsvTransmission:
         return CONVERSIONS_PER_S / self._divisor
 
     def set_rate(self, asked_S_s: float) -> None:
-        """Take the frame rate nearest to this, in frames/s, keep it in memory, and begin anew."""
+        """Take the frame rate nearest to this, in frames/s, keep it in memory, and begin again."""
         self._divisor = min(DIVISORS, key=lambda d: abs(CONVERSIONS_PER_S / d - asked_S_s))
         self._memory.rate_S_s = self.rate
         self._begin()

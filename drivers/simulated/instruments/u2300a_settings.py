@@ -58,7 +58,7 @@ class AnalogueInputs:
 
     def set_range(self, channels: tuple[int, ...], asked: ScpiQuantity) -> None:
         """Take the smallest range that is not below what is asked for, or the largest, and report
-        it if it is another one."""
+        it if it differs."""
         ranges = self._model.ranges_V
         keywords = {"MIN": ranges[-1], "MAX": ranges[0], "DEF": ranges[0]}
         asked_V = keywords.get(asked.keyword, asked.value)

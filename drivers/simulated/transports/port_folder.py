@@ -1,7 +1,7 @@
 """The folder of a simulated serial port, which no killed simulator leaves behind for long.
 
 A simulator holds a lock (``flock``) on its folder for as long as it lives. One that is killed can
-remove nothing, so each start removes the folders of this user on which nobody holds the lock. It
+remove nothing, so each start removes the folders of this user on which no one holds the lock. It
 may not touch anything else in the temporary folder.
 """
 

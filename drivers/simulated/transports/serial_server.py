@@ -32,7 +32,7 @@ TICK_S = 0.001
 and whether the kernel accepts more of the queue."""
 READ_BYTES = 65536
 GONE_US = 300_000
-"""Bench time in us for which a port is gone that is reset."""
+"""Bench time in us for which a port that is reset does not exist."""
 
 
 class PtyServer:
@@ -43,7 +43,7 @@ class PtyServer:
     own accord, one `pump` that has something counting as one request named ``STREAM``. A fault of
     kind ``close`` unplugs the port: clients see it vanish, and the path leads to a new one. After
     one of kind ``reset`` the port is gone for `GONE_US` of bench time, as while an adapter starts
-    anew; behind one of kind ``half-open`` the line is cut: nothing passes in either direction.
+    again; behind one of kind ``half-open`` the line is cut: nothing passes in either direction.
 
     In slaved time the owner of the time calls `pump` after every advance. In real time, from
     `start` or from `set_free` on, the server does that by itself.

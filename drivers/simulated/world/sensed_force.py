@@ -22,7 +22,7 @@ class SensedForce:
 
     def __init__(self) -> None:
         self._faults: list[tuple[float, SensedFault]] = []
-        """Each with its begin in World seconds."""
+        """Each with its beginning in World seconds."""
 
     def begin(self, fault: SensedFault, t_us: int) -> None:
         """Begin a fault."""

@@ -1,7 +1,7 @@
 """World time, advanced by the run that owns it, or by the host's clock.
 
 A slaved timeline stands until its owner advances it. A free one follows the host's monotonic clock.
-A slaved one can be set free, which happens when its owner has gone: drives then meet their
+A slaved one can be set free, which happens when its owner has ended: drives then meet their
 communication time-outs as they would on hardware.
 """
 

@@ -135,10 +135,10 @@ class ApproachWatch:
             raise NotObeyedError(
                 "stage_z",
                 "approach",
-                f"stage_z stands {what}, and the torque of its motor is {idle_percent:.3g} %, as in"
-                " free air: nothing holds it, and it does not obey; force_sensor reads "
-                f"{force_N:.2g} N of {self._target_N:g} N",
-                "look whether its drive is enabled and obeys: move the stage up with rig jog",
+                f"stage_z has not moved: it is {what}, and the torque of its motor is "
+                f"{idle_percent:.3g} %, as in free air: nothing holds it, and it does not obey; "
+                f"force_sensor reads {force_N:.2g} N of {self._target_N:g} N",
+                "check whether its drive is enabled and obeys: move the stage up with rig jog",
             )
         what = f"stage_z is held {what}"
         if position_mm < self._first_mm or force_N > self._contact_N:
@@ -146,8 +146,8 @@ class ApproachWatch:
                 "stage_z",
                 "approach",
                 f"{what}; force_sensor reads {force_N:.2g} N of {self._target_N:g} N",
-                "look what holds the stage, and whether the force sensor reads what is pressed; if "
-                "the force needs it, raise torque_limit_percent",
+                "check what holds the stage, and whether the force sensor reads what is pressed; "
+                "if the force needs it, raise torque_limit_percent",
             )
         raise InstrumentError(
             "force_sensor",

@@ -116,8 +116,8 @@ def force_zero_of(readings: Sequence[Reading]) -> dict[str, Any]:
 def contact_range_mm(bench: Bench) -> tuple[float, float]:
     """Return the positions of the z stage between which contact has to be felt, in mm.
 
-    Raises ConfigurationError where the bench file does not say, or where the parking place is not
-    clear of the earliest contact: the run would press on its way there.
+    Raises ConfigurationError if the bench file does not say, or if the parking position is not clear
+    of the earliest contact: the run would press on its way there.
     """
     fixture = bench.settings.fixture
     if fixture.contact_from_mm is None or fixture.contact_to_mm is None:
@@ -136,9 +136,9 @@ def contact_range_mm(bench: Bench) -> tuple[float, float]:
 
 
 def expected_contact_mm(fixture: FixtureSettings) -> tuple[float, float, float]:
-    """Return positions of z where the slow search begins, where contact is expected, in the middle
-    of where it may be felt, and of the last parking place, in mm; all the same where the fixture
-    does not say: it will be refused."""
+    """Return three positions of z in mm: where the slow search begins, where contact is expected
+    (the middle of where it may be felt), and the parking position. All are the same if the fixture
+    does not state them; it is refused later."""
     first_mm, last_mm, parked_mm = (
         fixture.contact_from_mm,
         fixture.contact_to_mm,
@@ -155,9 +155,9 @@ def travel_s(way_mm: float) -> float:
 
 
 def first_ways_s(fixture: FixtureSettings, limit_N: float, homed: bool) -> float:
-    """Return the bench time in s that the ways down of a run are expected to take longer, since z
-    has not been there before: to the parking place, unless z is `homed` and waits there, and on to
-    where the slow search begins."""
+    """Return by how much bench time in s the first ways down of a run are expected to take longer,
+    because z has not been there before. They lead to the parking position, unless z is `homed` and
+    waits there, and from there to where the slow search begins."""
     slow_from_mm, _, parked_mm = expected_contact_mm(fixture)
     slow_mm_s = expected_speed_mm_s(fixture, limit_N)
     way_mm = slow_from_mm - (parked_mm if homed else 0.0)
@@ -220,7 +220,7 @@ def arm_from_where_it_stands(run: Run, name: str, way_back: Callable[[float], No
             stands_mm = stage.position_mm()
         except InstrumentError as error:
             # It has stopped, and was not moved.
-            run.fail(error, "it is not known where stage_z stands")
+            run.fail(error, "it is not known where stage_z is")
             return
         if stands_mm > first_mm - CLEAR_mm + BOTTOM_mm:
             way_back(stands_mm)
@@ -359,8 +359,8 @@ def refuse_deeper(position_mm: float, deepest_mm: float) -> None:
         raise TripError(
             f"stage_z: the force would be held at {position_mm:.3f} mm, deeper than contact_to_mm "
             f"= {deepest_mm:g} mm",
-            "look whether the object gives way and whether the force sensor reads what is pressed; "
-            "correct contact_to_mm if it may go further",
+            "check whether the object gives way and whether the force sensor reads what is "
+            "pressed; correct contact_to_mm if z may go deeper",
         )
 
 
@@ -382,7 +382,7 @@ def not_there(run: Run, within_s: float) -> InstrumentError:
     return InstrumentError(
         "stage_z",
         "approach",
-        f"it stands at {run.bench.stage_z.position_mm():.3f} mm after {within_s:.3g} s of approach "
+        f"it is at {run.bench.stage_z.position_mm():.3f} mm after {within_s:.3g} s of approach "
         f"and did not reach {contact_range_mm(run.bench)[1]:g} mm (contact_to_mm)",
         "check what blocks the stage; then start again",
     )
@@ -391,7 +391,7 @@ def not_there(run: Run, within_s: float) -> InstrumentError:
 def unload(run: Run, pressed: str, came_from_mm: float) -> None:
     """Stop z, whatever happens; then move it away from what is pressed, if the drive still can.
 
-    It never goes deeper than it stands. Where the parking place lies deeper, it goes back to
+    It never goes deeper than it stands. Where the parking position lies deeper, it goes back to
     `came_from_mm`, from where it set out to park, or stays where it is if that lies deeper, too.
 
     Where a watcher stops z on the way, the reason is recorded and the way continues, once. So does
@@ -429,14 +429,13 @@ def unload(run: Run, pressed: str, came_from_mm: float) -> None:
                 "warning",
                 "drive-timed-out",
                 f"stage_z had stopped by its own communication time-out; the fault was "
-                f"acknowledged and the {pressed} lifted: z stands {where}",
+                f"acknowledged and the {pressed} lifted: z is {where}",
             )
         elif lost:
             run.event(
                 "warning",
                 "answer-lost",
-                f"on the way up: {lost}; it was asked again and the {pressed} lifted: z stands "
-                f"{where}",
+                f"on the way up: {lost}; it was asked again and the {pressed} lifted: z is {where}",
             )
     except InstrumentError as error:
         if timed_out:
@@ -444,7 +443,7 @@ def unload(run: Run, pressed: str, came_from_mm: float) -> None:
         _stop_z(run)  # one answer lost on the way does not stop it
         force_N = run.force_from_now_N(SETTLED_S)
         what = (
-            f"the stage stands and the {pressed} may still be pressed: {error.one_line()}; "
+            f"the stage has stopped and the {pressed} may still be pressed: {error.one_line()}; "
             f"{_read_by_the_sensor(force_N)}"
         )
         hint = "check the stage; then start again, or move it away by hand"
@@ -461,7 +460,7 @@ def _where(run: Run) -> str:
     try:
         return f"at {run.bench.stage_z.position_mm():.3f} mm"
     except WrongPositionError as error:
-        run.fail(error, "it is not known where stage_z stands")
+        run.fail(error, "it is not known where stage_z is")
         return f"where its driver does not say ({error.cause})"
 
 
@@ -505,7 +504,7 @@ def _say_not_reached(run: Run, error: InstrumentError) -> None:
 def _last_known(run: Run) -> str:
     """Return in words where z was last seen and what the force sensor reads; asks z nothing."""
     seen = _last_seen(run.bench.stage_z)
-    where = "where it stands is not known"
+    where = "its position is not known"
     if seen is not None:
         now_s = run.clock.now()
         where = (
@@ -531,7 +530,7 @@ def _still_pressed(run: Run, pressed: str, error: InstrumentError) -> UnsafeErro
         where = f" at {run.bench.stage_z.position_mm():.3f} mm"
     how_hard = _read_by_the_sensor(run.force_from_now_N(SETTLED_S))
     return UnsafeError(
-        f"stage_z: unload: it stopped by its own communication time-out and stands{where}, the "
+        f"stage_z: unload: it stopped by its own communication time-out{where}; the "
         f"{pressed} may still be pressed, {how_hard}: {error.one_line()}",
         "move the stage away by hand; then run: rig make-safe",
     )
@@ -545,7 +544,7 @@ def _read_by_the_sensor(force_N: float | None) -> str:
 
 
 def _go_clear(run: Run, came_from_mm: float) -> None:
-    """Move z to its parking place, or back to where it came from; never deeper than it stands.
+    """Move z to its parking position, or back to where it came from; never deeper than it stands.
 
     Where a driver does not return a number, z goes to the higher of these two places: it has been
     above neither since it set out to park. A number that cannot be right is what the drive goes by
@@ -584,8 +583,8 @@ def _judge_what_remains(run: Run, pressed: str, where: str) -> None:
         run.event(
             "warning",
             "pressed",
-            f"force_sensor sends nothing, or late, after the way up: z stands {where}, and it is "
-            f"not known whether the {pressed} is still pressed; look before you go near",
+            f"force_sensor sends nothing, or late, after the way up: z is {where}, and it is "
+            f"not known whether the {pressed} is still pressed; look before you go near it",
         )
         return
     limit_N = run.force.limit_N

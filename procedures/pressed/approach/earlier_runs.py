@@ -84,7 +84,7 @@ class EarlierPress:
             "approach",
             f"it reads {force_N:.2g} N, {past_mm:.3f} mm below where this run has felt the object "
             "before",
-            f"look whether the object is still there; otherwise {SUSPECT}",
+            f"check whether the object is still there; otherwise {SUSPECT}",
         )
 
     def judge(self, way_mm: float, stiffness_N_mm: float, zero: ForceZero) -> None:

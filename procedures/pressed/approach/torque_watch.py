@@ -36,14 +36,14 @@ FRICTION = 2.5
 """A drive that holds may show its friction in either direction: so many times the friction is the
 least rise that is judged while the force is held."""
 ENOUGH, KEPT = 3, 30
-"""Fewest readings that a mean is taken of, and number of the latest ones that are used."""
+"""Minimum number of readings in a mean, and number of the latest readings that are used."""
 FLAT, FLAT_N = 10, 2.0
 """Number of readings, all alike to the last bit, and least force in N that they would have shown:
 an AZ reports its torque in steps of 0.1 %, about 0.1 N."""
 HIDDEN_SHARE = 0.75
 """Share of the torque limit beyond which a margin leaves nothing to watch."""
 SUSPECT = (
-    "suspect the force sensor: check its cable, its supply and that the object stands on it; press "
+    "suspect the force sensor: check its cable, its supply and that the object rests on it; press "
     "on it by hand and look at its value (rig jog shows it) before anything is pressed again"
 )
 
@@ -131,9 +131,10 @@ class TorqueWatch:
         return abs(self.latest_percent - free)
 
     def idle_percent(self, stood_s: float) -> float | None:
-        """Return the latest reading where it shows that z, which has stood for `stood_s` although
-        it was commanded to move, does not push; None where it pushes, and where the torque does not
-        show it: with few, old or unchanging readings, or where friction takes most of the limit."""
+        """Return the latest torque reading if it shows that z does not push, although z was
+        commanded to move and has not moved for `stood_s`. Return None if z pushes, or if the torque
+        does not show it: with few, old or unchanging readings, or if friction takes most of the
+        limit."""
         latest, now_s = self.latest_percent, self._run.clock.now()
         # What was read since it stands may be the torque of a stage that is held, and it may have
         # been slow before.
@@ -232,7 +233,7 @@ class WayTorque:
     """The torque on a way through free air: its first stretch is what the rest is compared with."""
 
     LEARNT_S = 0.3
-    """Stretch of the way that is learnt, from its begin; longer where the link is slow."""
+    """Stretch of the way that is learnt, from its beginning; longer where the link is slow."""
     STARTS_S = 0.1
     """Time for which a motion speeds up; its torque is not used."""
 

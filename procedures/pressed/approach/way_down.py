@@ -52,8 +52,8 @@ def speed_bound(bench: Bench, limit_N: float) -> SpeedBound:
 
 
 def held_speed_bound(bench: Bench, limit_N: float, held_N: float) -> SpeedBound:
-    """Return the bound on every speed of z under a force that is brought up to `held_N` or held:
-    the thread that reads the force stops z at `limit_N`, so the rest is what it may rise to."""
+    """Return the bound on every speed of z while the force is brought up to `held_N` or held. The
+    thread that reads the force stops z at `limit_N`, so the force may rise by the difference."""
     return braking_bound(bench, limit_N - held_N)
 
 
@@ -100,6 +100,6 @@ def go_down_watched(run: Run, target_mm: float, where: str) -> None:
             "way down",
             f"force_sensor reads a change of {rise_N:.2g} N at {stage.position_mm():.2f} mm on the "
             f"way to {where}: something is in the way",
-            "look what stands there; correct [fixture] if it belongs there",
+            "check what is there; correct [fixture] if it belongs there",
         )
     stage.stop()

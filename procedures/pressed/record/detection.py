@@ -47,9 +47,9 @@ JOIN_S = 0.1
 
 @cache
 def try_detector(name: str) -> None:
-    """Have a detector of this project judge a row, so that nothing of it is compiled later, or make
-    one of another package once in a process of its own: code of other packages is not imported
-    here. Raises RigError if it cannot be used."""
+    """Try a detector before it is needed. One of this project judges a row, so that nothing of it
+    has to be compiled later. One of another package is started once in a separate process, because
+    code of other packages is not imported here. Raises RigError if it cannot be used."""
     if name == NO_DETECTOR:
         return
     if is_own(name):

@@ -11,7 +11,8 @@ if TYPE_CHECKING:
     import numpy.typing as npt
 
 LOST_FRAMES = 2
-"""Fewest frames that a record is said to have lost: one is within the rounding of two clocks."""
+"""Minimum number of frames that a record is said to have lost: one is within the rounding of two
+clocks."""
 COMPARED_S, COMPARED_LOOKS = 0.5, 25
 """Time before and after a moment over which the fewest overdue frames are compared, and the fewest
 looks after it. Frames that are merely late come within it; those that are lost never do."""
@@ -22,8 +23,8 @@ BY_CHANCE = 1e-7
 
 
 def lost_frames(looks: npt.ArrayLike, rate_S_s: float) -> int:
-    """Return the largest number of frames that a stream at `rate_S_s` lost at one moment; 0 where
-    there are none, fewer than `LOST_FRAMES`, or so few that irregular delays hide them.
+    """Return the largest number of frames that a stream at `rate_S_s` lost at one moment. Return 0
+    if none were lost, fewer than `LOST_FRAMES`, or so few that irregular delays hide them.
 
     `looks` are times in s and the number of frames that had come by then, (n, 2). A frame has
     neither number nor time: that some are lost shows only in that all later ones are overdue. A

@@ -39,7 +39,7 @@ class MotionRecord:
     """Position of x."""
     z_age_s: Values
     """Time from the latest look at z to the time of each position: near 0 where z was looked at
-    anew. A trial in which an axis in motion was not seen for long is invalid."""
+    again. A trial in which an axis in motion was not seen for long is invalid."""
     x_age_s: Values
     """The same of x, which is not looked at while it is at rest."""
     force_t_s: Values

@@ -28,11 +28,11 @@ from rig.analysis.response.complex_response import Reals
 from rig.analysis.response.curve import CurveError, ResponseCurve
 
 SMALLEST_DEPTH_DB = 1.0
-"""Least depth of a notch, in dB."""
+"""Minimum depth of a notch, in dB."""
 SMALLEST_Q = 2.0
-"""Least Q of a notch. Anything broader belongs to the trend."""
+"""Minimum Q of a notch. Anything broader belongs to the trend."""
 MOST_DROPS = 12
-"""Most notches that are searched for."""
+"""Maximum number of notches that are searched for."""
 SEARCH_ERROR = 0.03
 """Relative error added to every point in the search: 0.26 dB."""
 CLEAR_DROP = 36.0
@@ -42,13 +42,13 @@ CLEAR_WITHOUT_NEAREST = 18.0
 BEYOND_RANGE = 1.2
 """End of the search, as a multiple of the highest measured frequency."""
 CLEAR_DEPTH = 5.0
-"""Least depth of a notch in its standard errors."""
+"""Minimum depth of a notch in its standard errors."""
 KNOWN_FREQUENCY = 0.02
 """Largest relative standard error of the frequency of a notch."""
 LEAST_POINTS = 8
-"""Fewest different frequencies of a response that can be fitted."""
+"""Minimum number of different frequencies of a response that can be fitted."""
 LEAST_SPAN = 10.0
-"""Least ratio of highest to lowest frequency of a response that can be fitted."""
+"""Minimum ratio of highest to lowest frequency of a response that can be fitted."""
 
 _TRIED_Q = (2.0, 3.2, 5.0, 8.0, 12.5, 20.0, 32.0)
 _TRIED_CORNERS = 120

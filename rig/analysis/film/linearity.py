@@ -31,7 +31,7 @@ from rig.analysis.scatter import explaining_error
 from rig.analysis.verdict import Bounds, Verdict, all_of, equivalence
 
 LEAST_LOAD_RATIO = 1.5
-"""Least ratio of largest to smallest load at a frequency at which the slope is computed."""
+"""Minimum ratio of largest to smallest load at a frequency at which the slope is computed."""
 SAME_LOAD_DECADES = 0.05
 """Loads that differ by less than this, in decades (12 %), are one level: a load is held to 1 %."""
 FALSE_ALARM = 0.05

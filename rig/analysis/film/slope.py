@@ -32,7 +32,7 @@ MISFIT = "but the model does not fit, so its intervals mean nothing"
 OUTSIDE_DROPS_DB = 0.5
 """A point is outside the notches if they together attenuate it by less than this, in dB."""
 NARROWEST_BAND = 2.0
-"""Least ratio of highest to lowest frequency of a band whose slope is computed."""
+"""Minimum ratio of highest to lowest frequency of a band whose slope is computed."""
 
 _LINE_POINTS = 2000
 

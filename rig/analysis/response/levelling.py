@@ -23,7 +23,7 @@ NEAR = 1.35
 """Ratio to a measured frequency within which a prediction is trusted."""
 
 CLOSEST_KNOTS = 0.01
-"""Least distance in ln f of the frequencies used for a prediction: closer ones would amplify
+"""Minimum distance in ln f of the frequencies used for a prediction: closer ones would amplify
 noise."""
 
 MAX_EXTRAPOLATION_RATIO = 2.0

@@ -55,9 +55,9 @@ MAINS_WANDER_HZ = 0.02
 """Usual deviation of the public mains from its nominal frequency."""
 
 SMALLEST_RECORD = 16
-"""Fewest samples of a record."""
+"""Minimum number of samples of a record."""
 N_BLOCKS = 8
-"""Most parts of a record in which the tone is estimated separately."""
+"""Maximum number of parts of a record in which the tone is estimated separately."""
 
 LONE, LONE_SHARE = 2, 0.25
 """Samples on either side of one that stands alone, and the share of its residual that they stay
@@ -196,7 +196,7 @@ def fit_sine(
     if y.size < 2 * len(frequencies) + 2:
         raise RecordError(
             f"{y.size} samples cannot carry {2 * len(frequencies) + 1} unknowns",
-            "take a longer record",
+            "use a longer record",
         )
     solved = _solve(y, rate, frequencies)
     degrees = y.size - solved.solution.size
@@ -470,14 +470,14 @@ def _check(y: Reals, rate: float, frequency: float) -> None:
     if y.size < SMALLEST_RECORD:
         raise RecordError(
             f"{y.size} samples are too short a record: {SMALLEST_RECORD} at least",
-            "take a longer record",
+            "use a longer record",
         )
     cycles = frequency * _duration(y.size, rate)
     if cycles < FULL_BEAT:
         raise RecordError(
             f"{y.size} samples at {rate:g} 1/s are too short a record of {frequency:g} Hz: "
             f"{cycles:.2f} cycles, one needed",
-            "take a longer record",
+            "use a longer record",
         )
     if (rate - 2 * frequency) * _duration(y.size, rate) < FULL_BEAT:
         raise RecordError(

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 SHORTEST_WINDOW = 16
-"""Fewest samples from which an rms above a frequency is computed."""
+"""Minimum number of samples from which an rms above a frequency is computed."""
 
 
 def share_above(signal: NDArray[np.float64], rate_Hz: float, corner_Hz: float) -> float:

@@ -57,9 +57,9 @@ THINNED = round(STEP_s * GRID_Hz)
 FINE_s = 1e-7
 """Accuracy of the fine search, in s."""
 LONGEST = 30
-"""Most steps of the fine search; three or four are usual."""
+"""Maximum number of steps of the fine search; three or four are usual."""
 LEAST_s = 6e-5
-"""Least standard error, in s. Frame shape, transducer and P are not known better: this was the
+"""Minimum standard error, in s. Frame shape, transducer and P are not known better: this was the
 remaining error on simulated touch-downs."""
 REVERSAL = 0.05
 """Share of the largest force by which the force has to go back."""

@@ -44,10 +44,10 @@ WEAKENED = (0.07, 0.24, 0.50)
 SETTLED_TRAVEL = 0.25
 """Travel from the peak to steady sliding, as a share of the travel up to the peak."""
 SETTLED_mm = 0.05
-"""Least travel from the peak to steady sliding, in mm: more than twice the weakening distance of
+"""Minimum travel from the peak to steady sliding, in mm: more than twice the weakening distance of
 any friction that is modelled."""
 STEADY_SAMPLES = 50
-"""Fewest samples of steady sliding from which a mean is computed."""
+"""Minimum number of samples of steady sliding from which a mean is computed."""
 STILL_RISING = 0.05
 """Slope at the end of the motion, as a share of the first slope, above which there was no gross
 slip."""
@@ -60,14 +60,14 @@ SHAPE = 0.002
 """Relative error of the peak without noise: samples miss it, parabolas are not its shape. Rms over
 the simulated slides with which this module was tuned."""
 SHORTEST_STRETCH = 4
-"""Fewest samples of a fitted parabola."""
+"""Minimum number of samples of a fitted parabola."""
 LONGEST_STRETCH_s = 0.04
 """Longest stretch that a parabola is fitted to, where that is more samples than the fewest."""
 REPEATS = 400
 BLOCK_s = 0.02
 """Length of a block of noise: longer than the sensor's noise remembers."""
 SHORTEST_BLOCK = 4
-"""Fewest samples of a block of noise."""
+"""Minimum number of samples of a block of noise."""
 WINDOW = 5.0
 """Window of the autocorrelation (Sokal): it is summed up to this multiple of the correlation
 time."""

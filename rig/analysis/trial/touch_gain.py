@@ -26,7 +26,7 @@ from rig.analysis.trial.touch_down import (
 KNOTS = (0.0, 0.08, 0.16, 0.28, 0.45, 0.7, 1.0)
 """Shares of the largest force between which P is linear."""
 ENOUGH = 10
-"""Fewest samples per knot."""
+"""Minimum number of samples per knot."""
 
 
 def touch_gain(force_N: TouchRecord, volts: TouchRecord, offset_s: float) -> Estimate:
@@ -57,7 +57,7 @@ def touch_gain(force_N: TouchRecord, volts: TouchRecord, offset_s: float) -> Est
 
 
 def _mean_weights() -> Reals:
-    """Return the weights of the values at the knots in the mean over the force."""
+    """Return the weights of the values at the knots on average over the force."""
     widths = np.diff(KNOTS)
     weights: Reals = 0.5 * (np.append(widths, 0.0) + np.append(0.0, widths))
     return weights

@@ -35,7 +35,7 @@ CHECK_EVERY_S = 0.05
 """Interval in s at which a worker that waits for a person checks for commands."""
 SUPERVISOR_S = 10.0
 """Time in s without a word of the supervisor, which sends one every second, after which no further
-run begins: nobody would notice what becomes of it."""
+run begins: no one would notice what becomes of it."""
 
 UNSUPERVISED = (
     f"the supervisor of the batch was not heard for {SUPERVISOR_S:g} s, it was stopped or hung: no "
@@ -162,7 +162,7 @@ class BetweenRuns:
             self._commands.paused.set()
 
     def _queue_has_room(self) -> bool:
-        # Where the folder is away, one of its name may have been made anew.
+        # Where the folder is away, one of its name may have been made again.
         return self._queue.path.exists() and has_room(self._folder.path, LEAST_B)
 
     def require_time(self, takes_s: float, spread_s: float) -> None:

@@ -1,7 +1,7 @@
 """Determines the outcome of a run whose worker died, from the run's own files alone.
 
 The guard has made the bench safe and compiled what there was before this is asked (the worker's
-lock is the guard's as well). A journal that ends whole, or a run file whose journal is gone, is a
+lock is the guard's as well). A journal that ends whole, or a run file without a journal, is a
 run that is done; it is not taken again. Any other is continued where it was interrupted.
 """
 
@@ -51,7 +51,7 @@ def outcome_from_journal(journal: Path) -> AttemptResult:
 
 
 def journal_to_resume(journal: Path) -> JournalContents | None:
-    """Return the contents of the journal that a run continues; None where the run begins anew.
+    """Return the contents of the journal that a run continues; None if it starts afresh.
 
     A journal that cannot be continued is archived first.
     """
@@ -65,7 +65,7 @@ def journal_to_resume(journal: Path) -> JournalContents | None:
 
 
 def archive_files(journal: Path) -> Path:
-    """Rename a run's files, so that it can begin anew; nothing is deleted. Returns the new name of
+    """Rename a run's files, so that it can begin again; nothing is deleted. Returns the new name of
     the journal."""
     for number in range(1, 1000):
         archived = journal.with_name(f"{journal.stem}.{number}{journal.suffix}")

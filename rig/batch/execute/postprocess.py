@@ -268,7 +268,7 @@ def _reporting(warnings: list[str], what: str) -> Iterator[None]:
 
 
 def _run_file(journal: Path) -> Path:
-    """Return the run's file, compiled if its journal is still there."""
+    """Return the run's file, compiled if its journal still exists."""
     from rig.files.naming import RUN_SUFFIX
     from rig.files.runfile.compile import compile_run
 

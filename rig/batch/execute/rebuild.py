@@ -42,7 +42,7 @@ def rebuild(
     now: datetime,
     say: Callable[[str], None],
 ) -> dict[RunState, int]:
-    """Make the queue of a batch anew, and return the number of runs in each state.
+    """Make the queue of a batch again, and return the number of runs in each state.
 
     `batch_file` and `bench` are needed where they are not where they were when the batch began, or
     where the folder does not say where that was. A run that is complete is done; one whose files
@@ -85,9 +85,9 @@ def rebuild(
 
 
 def is_sound(folder: BatchFolder) -> bool:
-    """Return whether the queue of a batch that is not running is one that a rebuild would not
-    improve: its file is whole, it has the conditions and runs of the batch file, and those are done
-    that are complete in their own files.
+    """Return whether a rebuild would not improve the queue of a batch that is not running. A sound
+    queue has an intact file and the conditions and runs of the batch file, and the runs whose own
+    files are complete are done in it.
 
     A complete run is settled by `rig batch resume` alone where an attempt at it has begun. Raises
     QueueNotOpenedError where the file cannot be opened, which says nothing about it.

@@ -110,7 +110,7 @@ def refuse_changes(queue: Queue, batch: BatchFile) -> None:
         raise ConfigurationError(
             f"{queue.path.parent}: changed since the batch began: {', '.join(changed)}",
             "restore it, or continue all the same with --despite-changes: the queue stays as it "
-            "was expanded, and an interrupted run begins anew",
+            "was expanded, and an interrupted run starts from its beginning",
         )
 
 

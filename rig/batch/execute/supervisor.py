@@ -46,7 +46,7 @@ HEARTBEAT: dict[str, HeartbeatState] = {
     "paused": "holding",
     "held": "holding",
 }
-"""The heartbeat's word for a state, where it is another one."""
+"""The heartbeat's word for a state, where it differs."""
 REQUESTS = {
     "go": "resume",
     "stop-now": "stop now",
@@ -54,7 +54,7 @@ REQUESTS = {
     "stop-after-point": "stop after this point",
     "stop-after-run": "stop after this run",
 }
-"""A command's name for people, where it is another one."""
+"""A command's name for people, where it differs."""
 BENCH_WAITS = ("waiting", "resting", "paused", "held")
 """States in which no run needs the computer: the files of finished runs may be begun."""
 CLOSING_S = 10.0
@@ -149,7 +149,7 @@ class Supervisor:
             self._files.add_all(self._queue.unprocessed())
             self._record(self._queue.set_meta, "state", "running")
             self._record(self._queue.add_event, "info", f"started (process {os.getpid()})")
-            self._notify("start", f"{counted(self._queue.remaining().runs, 'run')} to take")
+            self._notify("start", f"{counted(self._queue.remaining().runs, 'run')} to do")
             code = self._workers()
             with contextlib.suppress(QueueDamagedError):
                 self._finish_files()

@@ -173,7 +173,7 @@ class Worker:
 
     def _disk_has_room(self) -> bool:
         """Return whether the next run's files, and the rest of the batch, fit on the disk."""
-        if self._watch.folder():  # one of its name may have been made anew
+        if self._watch.folder():  # one of its name may have been made again
             return False
         upcoming = self._queue.upcoming()
         size_B = 0 if upcoming is None else upcoming.size_B

@@ -54,7 +54,7 @@ class CommandListener:
             self.ending = True
             os.kill(os.getpid(), signal.SIGTERM)
         elif command.split()[:1] == ["stop-run"]:
-            meant = command.split()[1:] in ([], [str(self.run)])  # another one may run by now
+            meant = command.split()[1:] in ([], [str(self.run)])  # a different one may run by now
             if self.in_run and not self.ending and meant:
                 self._run_given_up = True
                 os.kill(os.getpid(), signal.SIGTERM)

@@ -185,7 +185,7 @@ def _planned(condition: BatchCondition) -> CheckedProcedure:
 
 
 def _ends_of_contact(fixture: FixtureSettings) -> tuple[FixtureSettings, FixtureSettings]:
-    """Return the fixture as if the middle of where contact may be felt were its begin, and its
+    """Return the fixture as if the middle of where contact may be felt were its beginning, and its
     end."""
     first_mm, last_mm = fixture.contact_from_mm, fixture.contact_to_mm
     if first_mm is None or last_mm is None:

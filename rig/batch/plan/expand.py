@@ -199,7 +199,7 @@ class Expansion:
                 self.findings.append(
                     PlanFinding(
                         (*where, number),
-                        f"{setting} = {shortened(repr(value))}: stands twice in the list",
+                        f"{setting} = {shortened(repr(value))}: appears twice in the list",
                         "repeat = 2 runs each condition twice",
                     )
                 )

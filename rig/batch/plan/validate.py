@@ -88,8 +88,8 @@ def _unmounted(
             ("experiment", experiment, "procedure"),
             f"{procedure} ({_runs(numbers)}) needs the {' or the '.join(needed)}, the bench has "
             f"the {mounted} mounted: it would have to be changed during the batch",
-            f"make a batch of its own of it; or, where both are mounted at once, declare the other "
-            f'with [[also_mounted]] mounted = "{needed[0]}" in {real.source}',
+            f"put these runs into a batch of their own; or, if both are mounted at once, declare "
+            f'the other with [[also_mounted]] mounted = "{needed[0]}" in {real.source}',
         )
 
 

@@ -6,9 +6,9 @@ One JSON object, replaced as a whole, so that a reader never sees half of it:
      "point": "trial-003", "simulated": false, "holds": 0, "presses": 14,
      "message": "slip-trial-002, repeat 3"}
 
-A monitor that cannot read JSON goes by the file's own time. On a full disk the file is written over
-in its place, so that it says so. A disk that is gone stops nothing: the file grows old, which the
-monitor sees.
+A monitor that cannot read JSON goes by the file's own time. On a full disk the file is
+overwritten in place, so that it says so. A disk that was removed stops nothing: the file grows old,
+which the monitor sees.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ class HeartbeatRecord:
     """Id of the point being taken."""
     simulated: bool = False
     holds: int = 0
-    """Holds of all runs so far that nobody has asked for."""
+    """Holds of all runs so far that no one has asked for."""
     presses: int = 0
     """Number of presses of the object in all runs so far."""
     message: str = ""

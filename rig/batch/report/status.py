@@ -107,7 +107,7 @@ class BatchStatus:
             spread = f" ± {time_span(self.remaining.spread_s)}" if self.remaining.spread_s else ""
             ends = f", until {self.finish:%Y-%m-%d %H:%M}" if self._real_time else ""
             shown.append(f"remaining: {time_span(self.remaining.bench_s)}{spread}{ends}")
-        shown.append(f"taken by runs: {time_span(self.bench_s)} of bench time, rests not included")
+        shown.append(f"used by runs: {time_span(self.bench_s)} of bench time, rests not included")
         if self.presses or self.holds:
             shown.append(f"so far: {self._holds_and_presses()}")
         if self.running:

@@ -31,21 +31,23 @@ BatchPath = Annotated[Path, typer.Argument(help="Batch file (TOML).", metavar="F
 Folder = Annotated[
     Path | None,
     typer.Argument(
-        help="Folder of the batch.  [default: the one in the results that runs, else the latest]",
+        help="Folder of the batch.  [default: the one running in the results, otherwise the "
+        "latest]",
         metavar="FOLDER",
     ),
 ]
 FolderToResume = Annotated[
     Path | None,
     typer.Argument(
-        help="Folder of the batch.  [default: the latest in the results, unless another one runs]",
+        help="Folder of the batch.  [default: the latest in the results, unless a different one is "
+        "running]",
         metavar="FOLDER",
     ),
 ]
 FolderToRebuild = Annotated[
     Path | None,
     typer.Argument(
-        help="Folder of the batch.  [default: the latest in the results that does not run]",
+        help="Folder of the batch.  [default: the latest in the results that is not running]",
         metavar="FOLDER",
     ),
 ]
@@ -162,7 +164,7 @@ def rebuild(
         found = folder_to_rebuild(folder, results)
         counts = make_anew(found, file, bench, datetime.now().astimezone(), say)
         states = ", ".join(f"{n} {state}" for state, n in counts.items() if n)
-        say(f"the queue of {found.path} was made anew: {states}")
+        say(f"the queue of {found.path} was rebuilt: {states}")
         for line in status_of(found).to_continue():
             say(line)
 
@@ -219,7 +221,7 @@ def status(
     as_json: AsJson = False,
     debug: Debug = False,
 ) -> None:
-    """Show how far a batch is, from any terminal."""
+    """Show the progress of a batch, from any terminal."""
     with reported(debug):
         from rig.batch.folder import find_folder
         from rig.batch.report.status import status_of
@@ -239,7 +241,7 @@ def _show(status: BatchStatus, as_json: bool, again: bool) -> None:
     import sys
 
     if again and sys.stdout.isatty():
-        print("\033[H\033[2J", end="")  # noqa: T201 - a terminal begins anew
+        print("\033[H\033[2J", end="")  # noqa: T201 - a terminal begins again
     print("\n".join(status.lines()), flush=True)  # noqa: T201 - stdout carries data
 
 
@@ -267,7 +269,7 @@ def _request(command: str, shown: str, folder: Path | None, results: Path, debug
                 _stop_by_signal(found, error)
             else:
                 full = isinstance(error, QueueWriteError)
-                hint = "free the disk and ask again" if full else error.hint or "ask again"
+                hint = "free some disk space and ask again" if full else error.hint or "ask again"
                 without = "rig batch stop --now works without the queue"
                 raise RigError(error.message, f"{hint}; {without}", error.code) from error
         say(f"batch {found.path}: {shown}")

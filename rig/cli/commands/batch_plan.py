@@ -53,7 +53,7 @@ def plan(
 def schema() -> None:
     """Print the JSON schema of batch files.
 
-    It has the settings of the installed procedures.
+    It includes the settings of the installed procedures.
     """
     from rig.batch.plan.schema import batch_schema
 

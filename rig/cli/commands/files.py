@@ -133,11 +133,11 @@ def show(
         bool, typer.Option("--overlay", help="Draw several runs of one kind in one figure.")
     ] = False,
     as_json: Annotated[
-        bool, typer.Option("--json", help="One JSON object a file on stdout, with all settings.")
+        bool, typer.Option("--json", help="One JSON object per file on stdout, with all settings.")
     ] = False,
     debug: Debug = False,
 ) -> None:
-    """Show what a run file, processed file, journal or file of rig skin holds, on a screen."""
+    """Summarise a run file, processed file, journal or file of rig skin on one screen."""
     with reported(debug):
         if overlay:
             from rig.figures.overlay import draw_overlay
@@ -353,7 +353,7 @@ def _draw_beside(
 def verify(files: Files, debug: Debug = False) -> None:
     """Check run files, processed files and journals; exit 8 if something is wrong.
 
-    Checksums, structure, and how complete they are.
+    Checks checksums, structure and completeness.
     """
     with reported(debug):
         from rig.cli.show.digest import noun_of

@@ -19,9 +19,9 @@ if TYPE_CHECKING:
     from rig.instruments.calibration import FilmCalibration, Quantity
 
 FEWEST_FREQUENCIES = 12
-"""Fewest different frequencies of a sweep from which a film is calibrated."""
+"""Minimum number of different frequencies of a sweep from which a film is calibrated."""
 LEAST_SPAN = 10.0
-"""Least ratio of highest to lowest frequency of such a sweep."""
+"""Minimum ratio of highest to lowest frequency of such a sweep."""
 POOR_LEVEL_DB = 0.5
 """Half-width of the interval of b above which a warning is given, in dB."""
 

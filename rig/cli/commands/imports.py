@@ -41,7 +41,8 @@ def import_(
         typer.Option(
             help="Column of each channel, a number from 1 or a name; of MATLAB and npz a variable. "
             "'2 - 3' is a difference, 2..11 are ten consecutive samples of a row. F_n and F_t may "
-            "be left out, and so may motion, slip and lift_off: columns that are 0 until then.",
+            "be left out, and so may motion, slip and lift_off: columns that are 0 until "
+            "the event.",
             metavar="v_1=2,v_2=3,…",
         ),
     ],
@@ -156,7 +157,7 @@ def import_(
         if strange := sorted(set(lines) - {path.name for path in wanted}):
             raise ConfigurationError(
                 f"--labels {labels}: {strange[0]} is not among the files to import",
-                "correct its name, or take it out of the list",
+                "correct its name, or remove it from the list",
             )
         start_log(results)
         importing = _Importing(
@@ -313,7 +314,7 @@ def _pairs(option: str, text: str, known: tuple[str, ...]) -> dict[str, str]:
                 f"for example {option} v_1=2,v_2=3",
             )
         if name in found:
-            raise ConfigurationError(f"{option} {text}: {name} is there twice")
+            raise ConfigurationError(f"{option} {text}: {name} appears twice")
         found[name] = value
     return found
 

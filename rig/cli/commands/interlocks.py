@@ -33,7 +33,7 @@ Contact = Annotated[
     typer.Argument(help="Name of the contact.  [default: all that are latched]", metavar="NAME"),
 ]
 REMOTE = ("SSH_CONNECTION", "SSH_TTY")
-"""Variables of a shell that somebody has opened from another computer."""
+"""Variables of a shell that someone has opened from another computer."""
 
 app = typer.Typer(
     name="interlocks",

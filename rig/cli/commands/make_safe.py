@@ -110,7 +110,7 @@ def _only_warning() -> Iterator[None]:
 
 def _say_first(text: str) -> None:
     """Print a line before the bench is safe: a terminal that is held (Ctrl-S) does not get it, and
-    keeps nobody waiting."""
+    keeps no one waiting."""
     say_at_once(printable(text))
 
 

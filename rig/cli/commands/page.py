@@ -34,7 +34,7 @@ def page(
     rate: Annotated[
         float,
         typer.Option(
-            help="Most drawings a second, 1 to 20.", metavar="Hz", parser=real_number(1, 20)
+            help="Maximum redraws per second, 1 to 20.", metavar="Hz", parser=real_number(1, 20)
         ),
     ] = 5.0,
     read_only: Annotated[
@@ -44,7 +44,7 @@ def page(
 ) -> None:
     """Show the running bench in a browser, with STOP.
 
-    It follows the journals of the results folder from a process of its own, started before, during
+    It follows the journals of the results folder from a separate process, started before, during
     or after a run. Ctrl-C ends the page, never a run.
     """
     with reported(debug):

@@ -26,7 +26,8 @@ def regrip_study(
     shares: Annotated[
         str,
         typer.Option(
-            help="Weights as shares of the holding force, above 1 drops, below holds.",
+            help="Weights as shares of the holding force: a weight above 1 drops, one below 1 "
+            "holds.",
             metavar="LIST",
         ),
     ] = "0.8,1.05,1.1,1.3",
@@ -49,7 +50,7 @@ def regrip_study(
 ) -> None:
     """Drop weights with and without a grip that answers alarms, in pairs at the same seeds.
 
-    Every trial is a command of its own on a simulated bench of its own. Trials are stored: an
+    Every trial is a separate command on its own simulated bench. Trials are stored: an
     interrupted study continues where it was.
     """
     with reported(debug, as_json):

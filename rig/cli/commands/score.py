@@ -67,8 +67,8 @@ Wire = Annotated[
     bool,
     typer.Option(
         "--wire",
-        help="Make the trials on the whole simulated bench, each as a command of its own (5 s of a "
-        "processor or more); what was made is stored, an interrupted score continues.",
+        help="Make the trials on the whole simulated bench, each as a separate command (5 s of "
+        "processor time or more); trials are stored, so an interrupted score continues.",
     ),
 ]
 Files = Annotated[
@@ -105,7 +105,7 @@ Tune = Annotated[
     ),
 ]
 Sweep = Annotated[
-    bool, typer.Option(help="Also score at thresholds from 1/8 to 8 times the own one.")
+    bool, typer.Option(help="Also score at thresholds from 1/8 to 8 times the detector's own.")
 ]
 PopulationFile = Annotated[
     Path | None, typer.Option(help="JSON file with the ranges of the trials.", metavar="FILE")

@@ -279,9 +279,9 @@ def history(
 def map_(
     output: OutputOptions,
 ) -> None:
-    """Map v_d of a slide by place of the strips.
+    """Map v_d of a slide against the places of the strips.
 
-    Over ridge, place of the strips and stress component.
+    Draws v_d for each ridge, place of the strips and stress component.
     """
     from rig.physics.design_map import MapSettings, design_map
 

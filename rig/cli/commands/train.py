@@ -51,8 +51,8 @@ def train(
     wire: Annotated[
         str | None,
         typer.Option(
-            help="Seeds of trials on the whole simulated bench. What is not stored yet is made (5 "
-            "s of a processor or more each).",
+            help="Seeds of trials on the whole simulated bench. Those not stored yet are made (5 "
+            "s of processor time or more each).",
             metavar="FIRST:END",
         ),
     ] = None,

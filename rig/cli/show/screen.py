@@ -35,9 +35,9 @@ class Section:
         return len(self.within(min(_LEAST, 1 + len(self.texts))))
 
     def within(self, room: int) -> list[str]:
-        """Return the lines of the section, at most `room`, which has to be 3 or more, or 2 for one
-        text: each text whole, as long as a line is left for each that follows; else as many as fit.
-        """
+        """Return at most `room` lines of the section. `room` has to be 3 or more, or 2 for a single
+        text. Each text is whole, as long as a line is left for each that follows; otherwise as many
+        texts as fit are shown."""
         if not self.texts:
             return []
         if len(self.texts) == 1 and len(line := f"{self.name}: {self.texts[0]}") <= COLUMNS:
@@ -87,7 +87,7 @@ def on_a_screen(
 
 
 def end_of(path: str, longest: int) -> str:
-    """Return a path with its begin left out where it is too long: its end says more.
+    """Return a path with its beginning left out where it is too long: its end says more.
 
     >>> end_of("/data/lab/results/run.h5", 16)
     '...esults/run.h5'

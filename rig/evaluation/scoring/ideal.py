@@ -29,7 +29,7 @@ Floats = NDArray[np.float64]
 ORDER = 8
 """Samples of both channels from which the next one is predicted."""
 LEAST_ROWS = 100
-"""Fewest rows from which a process is learnt."""
+"""Minimum number of rows from which a process is learnt."""
 LEAST_NOISE_V = 1e-6
 """Lowest noise that is assumed, rms: a constant channel has none."""
 

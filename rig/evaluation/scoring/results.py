@@ -36,7 +36,7 @@ class ScoredTrial:
     alarmed: NDArray[np.bool_]
     """True where there was any alarm at each of the swept thresholds, (detectors, k)."""
     possible: DetectorReport | None = None
-    """What an ideal observer finds in it (`rig.evaluation.scoring.ideal`); None where nobody has
+    """What an ideal observer finds in it (`rig.evaluation.scoring.ideal`); None where no one has
     computed it."""
 
 

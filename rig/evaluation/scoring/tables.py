@@ -24,9 +24,9 @@ SLIP_CLASSES = {
 TOUCHING = ("roll", "hold", "partial slip", "tap")
 """Labels of trials without a slip of the whole ridge in which it touches to the end."""
 FEWEST_PHASES = 10
-"""Fewest alarms whose phases within the tick are tested."""
+"""Minimum number of alarms whose phases within the tick are tested."""
 FEWEST_OF_A_SPREAD = 5
-"""Fewest values for which the interval of a percentile is computed."""
+"""Minimum number of values for which the interval of a percentile is computed."""
 
 
 @dataclass(frozen=True)

@@ -43,7 +43,7 @@ STEPS, ALWAYS_STEPS = 5, 2
 """Largest number of squeezes on alarms; and of those that `always` makes at once: the fewest that
 hold 1.3 times the holding force."""
 SPEED_mm_s = 2.0
-"""Speed at which a weight falls that has slipped, unless the study is asked for another one."""
+"""Speed at which a weight falls that has slipped, unless the study is given a different one."""
 WAY_mm, LOST_mm = 3.0, 0.5
 HOLD_S = 2.0
 

@@ -140,7 +140,7 @@ def write_import(
 
 @contextmanager
 def _all_or_nothing(writer: JournalWriter, target: Path) -> Iterator[None]:
-    """Take away what was begun unless the run file is complete: then its journal is gone."""
+    """Take away what was begun unless the run file is complete: then its journal is deleted."""
     others = target.exists()
     try:
         yield

@@ -50,7 +50,7 @@ def read_labels(path: Path) -> dict[str, dict[str, str]]:
     for number, line in rows:
         if line["file"] in found:
             raise ConfigurationError(
-                f"--labels {path}, line {number}: {line['file']} is there twice"
+                f"--labels {path}, line {number}: {line['file']} appears twice"
             )
         found[line["file"]] = line
     return found

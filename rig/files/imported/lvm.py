@@ -138,7 +138,10 @@ def _ends_of_headers(lines: Sequence[str], name: str) -> list[int]:
     for found, what in ((special[:1], "a special block"), (ends[2:3], "a second segment's header")):
         for number in found:
             raise ForeignFileError(
-                name, what, "write one segment a file, without special blocks", f"line {number + 1}"
+                name,
+                what,
+                "write one segment per file, without special blocks",
+                f"line {number + 1}",
             )
     return ends
 
@@ -156,6 +159,6 @@ def _stated(head: Fields, field: str, known: Mapping[str, T], usual: T, name: st
     cell = next(filter(None, head[field]), ",")  # a decimal comma behind a comma
     if cell not in known:
         raise ForeignFileError(
-            name, f"{field} {shortened(cell)!r} is none of {', '.join(known)}", "write it again"
+            name, f"{field} {shortened(cell)!r} is not one of {', '.join(known)}", "write it again"
         )
     return known[cell]

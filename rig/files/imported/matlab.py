@@ -93,7 +93,7 @@ class MatlabTable:
             raise ForeignFileError(
                 self._file,
                 f"variable {variable} is {size}, not a vector or matrix",
-                "save it as one row a sample",
+                "save it with one row per sample",
             )
         columns = 1 if 1 in shape else shape[1]
         number = int(found[2] or 1)

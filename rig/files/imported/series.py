@@ -118,7 +118,7 @@ def combination_of(text: str, source: ImportSource, name: str) -> Combination:
     if len(counts) > 1:
         raise ForeignFileError(
             name,
-            f"{text}: its terms have {' and '.join(map(str, sorted(counts)))} samples a row",
+            f"{text}: its terms have {' and '.join(map(str, sorted(counts)))} samples per row",
             "give the same number of columns for each",
         )
     return Combination(tuple(terms))
@@ -131,7 +131,7 @@ def _columns_of(text: str, source: ImportSource, name: str) -> tuple[int, ...]:
     begin, end = source.column(first.strip()), source.column(last.strip())
     if end < begin:
         raise ForeignFileError(
-            name, f"{text}: {source.name(end)} stands before {source.name(begin)}", "exchange them"
+            name, f"{text}: {source.name(end)} comes before {source.name(begin)}", "exchange them"
         )
     if source.format in ("text", "LVM"):
         return tuple(range(begin, end + 1))
@@ -249,7 +249,7 @@ def _samples_a_row(made: Mapping[str, Combination], name: str) -> int:
         listed = ", ".join(f"{channel} {count}" for channel, count in counts.items())
         raise ForeignFileError(
             name,
-            f"samples a row: {listed}; all channels need the same number",
+            f"samples per row: {listed}; all channels need the same number",
             "leave out a channel that was sampled slower, or resample it",
         )
     return next(iter(counts.values()))

@@ -192,7 +192,8 @@ class TextTable:
 
         if not line.strip():
             raise refuse(
-                "empty, with rows behind it", "one recording a file: cut it there, or close the gap"
+                "empty, but rows follow it",
+                "one recording per file: cut it there, or close the gap",
             )
         cells = self._dialect.cells(line)
         if len(cells) != self._width:

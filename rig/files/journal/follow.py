@@ -38,7 +38,7 @@ def follow(path: Path | str, go_on: Callable[[], bool]) -> Iterator[JournalRecor
     """Yield the records of a journal, its header first, those that are still to come included.
 
     `go_on` is called whenever there is nothing new: it waits as long as the caller likes (a sleep)
-    and returns False to end the iteration, for instance because the run's process is gone. The
+    and returns False to end the iteration, for instance because the run's process has ended. The
     journal need not exist yet. Raises JournalError for a file that is no journal, that was cut, or
     whose name belongs to another file now.
     """

@@ -117,9 +117,9 @@ def to_json(value: Any) -> str:
 
 
 def unlike_json(value: Any, name: str = "") -> tuple[str, Any, str] | None:
-    """Return the first thing in a nested value that `to_json` does not take, or that no number of a
-    file holds: its dotted name, itself, and why, as the end of "which ..."; None if there is none.
-    """
+    """Return the first thing in a nested value that `to_json` does not accept, or that is too large
+    for a number of a file: its dotted name, the value, and why, as the end of "which ...". Return
+    None if there is none."""
     if isinstance(value, Mapping):
         for key, item in value.items():
             if not isinstance(key, _JSON_KEYS):

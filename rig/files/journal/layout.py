@@ -248,7 +248,7 @@ class Layout:
             if twice := [name for name in given if given.count(name) > 1]:
                 raise ValueError(f"two {what} have the name {twice[0]!r}")
         if self.default not in groups:
-            raise ValueError(f"default {self.default!r} is none of the plots and traces {groups}")
+            raise ValueError(f"default {self.default!r} is not a plot or trace: {groups}")
         numbers = {column.name for column in self.columns if column.kind == "number"}
         for plot in self.plots:
             used = {plot.signal, *plot.axes, *plot.auxiliary} | {plot.errors or plot.signal}

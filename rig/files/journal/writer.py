@@ -340,7 +340,7 @@ class JournalWriter:
         self.close()
 
     def _lost_name(self) -> str | None:
-        """Return why nobody would find the file under its path any more; None if all is well."""
+        """Return why no one would find the file under its path any more; None if all is well."""
         mine = os.fstat(self._descriptor)
         try:
             found = self.path.stat()

@@ -81,7 +81,7 @@ class RunFile(OpenFile):
     """A run file that is open for reading; use it as a context."""
 
     KIND = "run file"
-    REMEDY = "`rig recover` compiles it again if its journal is still there"
+    REMEDY = "`rig recover` compiles it again if its journal still exists"
 
     def _check(self) -> None:
         if "entry/journal_header" not in self._file:

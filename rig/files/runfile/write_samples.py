@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
 GROUPS_OF_AN_AXIS = 60
 """Groups that share an axis. The list of datasets that use a dimension scale is an attribute, which
-ends at 64 KiB, or 4000 datasets, and is written anew with each of them; a group has 64 channels at
+ends at 64 KiB, or 4000 datasets, and is written again with each of them; a group has 64 channels at
 most."""
 
 

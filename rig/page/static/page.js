@@ -360,7 +360,7 @@ function showStop() {
   }
   document.body.classList.toggle("stopping", !!course && !(course.over && course.safe));
   $("stop").disabled = !last.may_stop;
-  $("stop").title = last.may_stop ? "Asks the run to end in order (key S)" : "This link is view-only.";
+  $("stop").title = last.may_stop ? "Asks the run to stop safely (key S)" : "This link is view-only.";
 }
 
 function object(text) { // a refusal may be plain text
@@ -445,7 +445,7 @@ function total(runs) {
   return Object.values(runs).reduce((a, b) => a + b, 0);
 }
 
-function ended(runs) { // those that are not taken again
+function ended(runs) { // those that are not repeated
   return runs.done + runs.failed + runs["set-aside"];
 }
 

@@ -17,7 +17,7 @@ from rig.physics.contact.stepper import OPEN, STICK, Statuses
 Floats = NDArray[np.float64]
 
 STUCK_us = 5000
-"""A ridge that has not slipped as a whole for this long slips anew; a shorter stop is part of the
+"""A ridge that has not slipped as a whole for this long slips again; a shorter stop is part of the
 same slip."""
 
 

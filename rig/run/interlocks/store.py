@@ -116,7 +116,7 @@ class InterlockStore:
                     raise RigError(
                         f"the record {folder.path / file} of interlock {name!r} cannot be "
                         f"written: {error.strerror}",
-                        "free the disk, or have the folder's owner correct it",
+                        "free some disk space, or have the folder's owner correct it",
                     ) from error
 
 

@@ -178,7 +178,7 @@ def write_marks(names: Sequence[str], mark: BenchMark) -> None:
                     f"the mark that the bench {mark.bench} is in use cannot be written to "
                     f"{folder.path / (name + SUFFIX)}: {error.strerror}; without it a later "
                     "run would not know that this one and its guard were killed",
-                    "free the disk, or have the folder's owner correct it; then start again",
+                    "free some disk space, or have the folder's owner correct it; then start again",
                     ExitCode.INSTRUMENT,
                 ) from error
 

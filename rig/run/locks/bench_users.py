@@ -131,7 +131,7 @@ def _has_writer(mark: BenchMark) -> bool:
 
 
 def take_turn(names: Sequence[str]) -> None:
-    """Wait until no other `rig make-safe` is at work on these instruments, at most `ALONE_S`, and
+    """Wait at most `ALONE_S` until no other `rig make-safe` is active on these instruments, and
     keep others waiting until this program ends: on a serial line each would spoil the other's
     answers.
 
@@ -163,7 +163,8 @@ def still_at_work(names: Sequence[str], requests: StopRequests) -> tuple[str, st
             continue
         holder = holder_of(file, locked)
         if holder is None:
-            return "a program that cannot be seen (a guard, or another user's)", "look who uses it"
+            what = "a program that cannot be seen (a guard, or another user's)"
+            return what, "find out who uses it"
         if holder.pid not in requests.pids:
             return _in_words(f"a program of {holder.user}", holder.pid, holder.user)
     return None

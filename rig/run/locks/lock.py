@@ -103,7 +103,7 @@ class BenchLock:
                         f"the lock {folder.path / (name + SUFFIX)} of the bench "
                         f"{self._entry['bench']} was removed, and another program may use the "
                         "bench",
-                        "end what runs on the bench, then start again",
+                        "end whatever is running on the bench, then start again",
                     )
 
     def note_run(self, journal: Path) -> None:
@@ -199,7 +199,7 @@ def _take(folder: SharedFolder, name: str, wait: GuardWait | None) -> int:
         except OSError as error:
             raise ConfigurationError(
                 f"the lock {path} of an instrument cannot be opened: {error.strerror}",
-                "free the disk, or have its owner remove it",
+                "free some disk space, or have its owner remove it",
             ) from error
         try:
             locked = try_lock(file)
@@ -207,7 +207,7 @@ def _take(folder: SharedFolder, name: str, wait: GuardWait | None) -> int:
                 file, taken = -1, file
                 return taken
             if locked:
-                continue  # it was removed in between: the file of that name is another one
+                continue  # it was removed in between: the file of that name is a new one
             entry = _entry_of(file)
             over = wait is None and time.monotonic() > begun_s + GUARD_S
             if over or _runs(entry.get("pid")):

@@ -6,7 +6,7 @@ It is the same for every user, folder of results and temporary folder:
     /var/lib/tactile-rig    if an administrator has made it, for a group of users; else
     /var/tmp/tactile-rig    for one user, who makes it with the first run on a bench of a bench file
 
-Both outlive a restart of the computer. Nobody outside the group, or other than the one user, can
+Both outlive a restart of the computer. No one outside the group, or other than the one user, can
 write there: a folder that everybody may write to, or that belongs to another user, is refused, and
 no link is followed. The files are readable and writable for the group where the folder is writable
 for it (0660), else for their owner alone (0600). The environment variable `VARIABLE` names another

@@ -62,7 +62,7 @@ ENDING_S = 5.0
 """Longest time in s that a guard with nothing left to do may take to end before it is killed."""
 AGAIN_S, AGAIN_EVERY_S = 5.0, 0.5
 """Time in s for which the guard tries again what did not answer, and the pause before each try: a
-switch that starts anew or an adapter that was unplugged is there again within a few seconds."""
+switch that restarts, or an adapter that was unplugged, answers again within a few seconds."""
 SHOWN_S = 0.3
 """Longest time in s that a last word at the terminal of a killed run may take."""
 REST_S = 10.0
@@ -452,7 +452,7 @@ def _add_what_is_pressed(order: dict[str, Any], report: dict[str, Any]) -> None:
         found.append(pressed_state(order["bench_toml"], order["bench_source"], orders))
 
     # An instrument that hangs must not prevent the compilation of the data. A lift ends itself
-    # before this gives up: nothing moves when the guard and its locks are gone.
+    # before this gives up: nothing moves when the guard has ended and its locks are free.
     thread = threading.Thread(target=measure, name="still pressed", daemon=True)
     thread.start()
     thread.join(PRESSED_S + REST_S)

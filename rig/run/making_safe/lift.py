@@ -3,7 +3,7 @@
 Whoever does this knows less than the run did, so it moves z only
 
 - away from contact: up, never deeper than it stands, to just clear of the earliest contact or to
-  the parking place, whichever is nearer;
+  the parking position, whichever is nearer;
 - slowly (`LIFT_mm_s`), and not after a fault of the drive other than its own communication
   time-out;
 - while z knows its position, and every interlock contact is closed and none is latched;

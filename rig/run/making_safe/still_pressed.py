@@ -35,7 +35,7 @@ PRESSED_N = 0.4
 """Force above which something is pressed: far above the sensor's noise and its drift in a run."""
 
 LATEST = 5
-"""Fewest frames that the first force of a lift is the mean of."""
+"""Minimum number of frames that the first force of a lift is the mean of."""
 
 Zero = tuple[float, float, float]
 
@@ -191,7 +191,7 @@ class _Look:
     def in_words(self, past: bool = False) -> str:
         """Return the end of a sentence on the bench, as it is or as it was."""
         at = f"at {self.position_mm:.2f} mm"
-        stands = "stage_z stood" if past else "stage_z stands"
+        stands = "stage_z was" if past else "stage_z is"
         if self.force_N is None:
             return f"{stands} {at}; what is pressed is not known {self.no_force}"
         reads = "read" if past else "reads"

@@ -88,7 +88,7 @@ class FrameFaults:
         axis = AXES[int(sizes.max(axis=0).argmax())]
         yield FrameFault(
             f"force along {axis} of {largest:.3g} N is over the limit of {limit_N:g} N",
-            "find out what pressed first",
+            "find out first what pressed on it",
             is_over_limit=True,
         )
 

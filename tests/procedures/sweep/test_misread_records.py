@@ -70,7 +70,7 @@ def test_one_misread_record_is_taken_again(monkeypatch: pytest.MonkeyPatch) -> N
     count, largest, reported = taken(iter([0.25, 0.0]), monkeypatch)
     assert count == 2
     assert largest < 5e-3
-    assert reported == ["1 record at 100 Hz taken again: a sample did not belong to it"]
+    assert reported == ["1 record at 100 Hz repeated: a sample did not belong to it"]
 
 
 def test_a_signal_that_is_disturbed_in_every_record_is_used_and_said(

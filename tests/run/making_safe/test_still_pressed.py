@@ -146,7 +146,7 @@ def test_z_is_lifted_although_the_force_sensor_is_not_there(rig: Any) -> None:
     state = pressed_state("", "", Orders(ZERO))
     assert rig.moves == [CLEAR_mm]
     assert state.released
-    assert state.text.startswith("stage_z stood at 12.44 mm; what is pressed is not known since ")
+    assert state.text.startswith("stage_z was at 12.44 mm; what is pressed is not known since ")
     assert "no such port: /dev/ttyUSB0" in state.text
     assert state.over_limit is None
 

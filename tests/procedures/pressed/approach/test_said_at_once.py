@@ -99,4 +99,4 @@ def test_a_driver_that_cannot_say_where_it_was_is_stopped_all_the_same(
     stage = Stage(seen)
     said, _ = unloaded(stage, 3.9, (SILENT,))
     assert stage.stops == 2
-    assert "where it stands is not known, and force_sensor reads 3.9 N" in said[0]
+    assert "its position is not known, and force_sensor reads 3.9 N" in said[0]
