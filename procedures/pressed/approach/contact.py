@@ -116,8 +116,8 @@ def force_zero_of(readings: Sequence[Reading]) -> dict[str, Any]:
 def contact_range_mm(bench: Bench) -> tuple[float, float]:
     """Return the positions of the z stage between which contact has to be felt, in mm.
 
-    Raises ConfigurationError if the bench file does not say, or if the parking position is not clear
-    of the earliest contact: the run would press on its way there.
+    Raises ConfigurationError if the bench file does not say, or if the parking position is not
+    clear of the earliest contact: the run would press on its way there.
     """
     fixture = bench.settings.fixture
     if fixture.contact_from_mm is None or fixture.contact_to_mm is None:
