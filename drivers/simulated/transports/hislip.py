@@ -321,7 +321,7 @@ class Connection:
         return events
 
     def lost(self) -> list[Event]:
-        """Return the TCP connection is closed: so is its session."""
+        """Close the session of a TCP connection that is closed, and return the events of that."""
         self.role = ChannelRole.CLOSED
         return self._server.close_session(self.session) if self.session is not None else []
 
