@@ -91,7 +91,7 @@ def test_a_batch_whose_folder_is_moved_away_waits_and_does_not_record_elsewhere(
     night.move_away()
     (reason,) = watch.before(upcoming, now)
     assert reason.text == f"the folder {night.folder} of the batch was moved or deleted"
-    assert "put its content back into that folder, queue.sqlite last" in reason.hint
+    assert "put its contents back into that folder, queue.sqlite last" in reason.hint
     night.move_back()
     assert watch.before(upcoming, now) == []
 
@@ -114,7 +114,7 @@ def test_a_run_whose_folder_was_moved_away_waits_for_the_folder_and_not_for_room
     monkeypatch.setattr(night.queue, "finish", lambda *_: None)
     night.worker._conclude(claim, AttemptResult("failed", "storage", 1, "r1.rigj: was moved"))
     why, over = night.holds[-1]
-    assert "was moved or deleted: put its content back" in why
+    assert "was moved or deleted: put its contents back" in why
     assert over is not None
     assert over.words == "the folder is in its place"
     assert not over.is_over()

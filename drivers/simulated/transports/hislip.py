@@ -321,7 +321,7 @@ class Connection:
         return events
 
     def lost(self) -> list[Event]:
-        """Close the session of a TCP connection that is closed, and return the events of that."""
+        """Return the events that follow when the TCP connection is lost: its session is closed."""
         self.role = ChannelRole.CLOSED
         return self._server.close_session(self.session) if self.session is not None else []
 

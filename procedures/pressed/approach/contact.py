@@ -523,11 +523,11 @@ def _last_seen(stage: LinearStage) -> LastSeen | None:
 
 
 def _still_pressed(run: Run, pressed: str, error: InstrumentError) -> UnsafeError:
-    """Return the error for a drive that timed out and cannot be moved after that: where z stands
+    """Return the error for a drive that timed out and cannot be moved after that: where z is
     and what the force sensor reads, as far as both answer."""
     where = ""
     with contextlib.suppress(InstrumentError):
-        where = f" at {run.bench.stage_z.position_mm():.3f} mm"
+        where = f" and is at {run.bench.stage_z.position_mm():.3f} mm"
     how_hard = _read_by_the_sensor(run.force_from_now_N(SETTLED_S))
     return UnsafeError(
         f"stage_z: unload: it stopped by its own communication time-out{where}; the "

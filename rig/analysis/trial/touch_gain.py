@@ -57,7 +57,7 @@ def touch_gain(force_N: TouchRecord, volts: TouchRecord, offset_s: float) -> Est
 
 
 def _mean_weights() -> Reals:
-    """Return the weights of the values at the knots on average over the force."""
+    """Return the weights of the values at the knots in their average over the force."""
     widths = np.diff(KNOTS)
     weights: Reals = 0.5 * (np.append(widths, 0.0) + np.append(0.0, widths))
     return weights

@@ -34,8 +34,9 @@ ACCEPTED = "accepted "
 looked at the bench and resumed the batch."""
 
 PUT_BACK = (
-    f"put its content back into that folder, {QUEUE} last (a folder of this name may have been "
-    "made again: keep the rescued journal in it); if it was deleted, end the batch with Ctrl-C"
+    f"put its contents back into that folder, {QUEUE} last (a folder of this name may have been "
+    "created meanwhile: keep the rescued journal in it); if it was deleted, end the batch with "
+    "Ctrl-C"
 )
 """Remedy where the folder of the batch is away. A run whose journal has lost its name has made a
 folder of that name again, so that the other one cannot be moved to its place as a whole."""
