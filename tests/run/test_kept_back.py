@@ -164,8 +164,8 @@ def test_one_that_catches_whatever_is_raised_is_killed_and_its_guard_lifts_z(rig
     assert done.code == -signal.SIGKILL, done.stderr
     assert report is not None
     assert (report["safe"], report["released"]) == (True, True), report
-    assert report["cause"].startswith("procedure stubborn of package lab kept back"), report
-    assert "error: procedure stubborn of package lab kept back" in done.stderr
+    assert report["cause"].startswith("procedure stubborn of package lab suppressed"), report
+    assert "error: procedure stubborn of package lab suppressed" in done.stderr
     assert "; the run was killed; its guard makes the bench safe ...\n" in done.stderr
     assert "Bench was made safe by the guard; " in done.stderr
     assert last_z_mm(rig) < CLEAR_mm
