@@ -214,6 +214,63 @@ def test_a_worker_that_dies_after_a_request_to_stop_gets_no_successor(
     assert len(workers) == 1
 
 
+@pytest.mark.parametrize(
+    ("requests", "holds", "paused"),
+    [
+        (["pause"], [], "a person has paused it"),
+        (["pause", "go"], [], ""),
+        ([], [{"text": "the film is torn", "by_itself": ""}], "the film is torn"),
+        (["go"], [{"text": "the film is torn", "by_itself": ""}], ""),
+        ([], [{"text": "disk full", "by_itself": "there is room on the disk"}], ""),
+        (
+            ["pause"],
+            [{"text": "disk full", "by_itself": "there is room"}],
+            "a person has paused it",
+        ),
+    ],
+)
+def test_a_batch_that_waits_for_a_person_waits_also_when_its_worker_has_died(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    requests: list[str],
+    holds: list[dict[str, str]],
+    paused: str,
+) -> None:
+    waiting = supervisor(tmp_path, "go")
+    requested = iter([requests, []])
+    monkeypatch.setattr(waiting, "_requests", lambda: next(requested, []))
+    begun: list[str] = []
+    lines = [json.dumps({"event": "hold", **hold}).encode() for hold in holds]
+
+    class Worker:
+        pid, exit_code = 0, -signal.SIGKILL
+
+        def __init__(self, _: object, __: object, waits_because: str) -> None:
+            begun.append(waits_because)
+            self._rounds = iter([lines, [], None] if len(begun) == 1 else [None])
+
+        def __enter__(self) -> Worker:
+            return self
+
+        def __exit__(self, *_: object) -> None: ...
+
+        def lines(self, _: float) -> list[bytes] | None:
+            return next(self._rounds)
+
+        def beat(self) -> None: ...
+
+    nothing = SimpleNamespace(close_attempt=lambda: None)
+    waiting._holds = waiting._presses = nothing  # type: ignore[assignment]
+    waiting._log = None  # type: ignore[assignment]
+    monkeypatch.setattr("rig.batch.execute.supervisor.WorkerProcess", Worker)
+    for name in ("_record", "_poll", "_send", "_notify"):
+        monkeypatch.setattr(waiting, name, lambda *_: None)
+    with Queue.open(BatchFolder(tmp_path).queue) as waiting._queue:
+        assert waiting._workers() == ExitCode.INTERNAL, "none of these workers has begun a run"
+    assert begun[0] == ""
+    assert set(begun[1:]) == {paused}
+
+
 def test_a_stop_by_a_key_is_recorded_under_the_name_of_the_key(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

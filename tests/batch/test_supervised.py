@@ -14,6 +14,7 @@ from typing import Any
 import pytest
 from nights import QUICK_NIGHT, await_answer, await_point, folder_of, worker_of, write_night
 
+from rig.batch.execute import worker_link
 from rig.batch.execute.between_runs import SUPERVISOR_S, BetweenRuns, SelfEnding
 from rig.batch.execute.worker_process import BEAT, send_beat
 from rig.run.stopping import StopRequestedError
@@ -27,7 +28,9 @@ class Between:
         self.waited_s = 0.0
         self.heard_after_s = 30.0
         """Waiting time after which the supervisor is heard again."""
-        self.commands = SimpleNamespace(heard_s=0.0, stop_after_run=False, paused=_Unset())
+        self.commands = SimpleNamespace(
+            heard_s=0.0, stop_after_run=False, paused=_Unset(), paused_because=""
+        )
         waits: Any = BetweenRuns.__new__(BetweenRuns)
         waits._stop = SimpleNamespace(check=self.check)
         waits._commands = self.commands
@@ -109,6 +112,34 @@ def test_a_worker_that_reads_nothing_gets_one_sign_of_life_and_no_more() -> None
         send_beat(writes)  # it may have died
     finally:
         os.close(writes)
+
+
+def test_a_worker_that_follows_one_of_a_paused_batch_begins_no_run(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    nothing = SimpleNamespace(start=lambda: None)
+    monkeypatch.setattr(worker_link.threading, "Thread", lambda **_: nothing)  # type: ignore[attr-defined]
+    reported: list[str] = []
+    listener = worker_link.CommandListener(
+        SimpleNamespace(),  # type: ignore[arg-type]
+        lambda event, **fields: reported.append(f"{fields['state']}: {fields.get('text', '')}"),
+        paused_because="the film is torn",
+    )
+    between = Between(0.0, monkeypatch)
+    between.waits._commands, between.waits._until = listener, None
+    plain = between.sleep
+
+    def sleep(seconds: float) -> None:
+        plain(seconds)
+        if between.waited_s > 5.0:
+            listener._handle("go")
+
+    monkeypatch.setattr(time, "sleep", sleep)
+    listener.heard_s = 0.0
+    between.waits.check()
+    assert between.waited_s > 5.0, "until a person has resumed the batch"
+    assert reported == ["running: "]
+    assert between.reported == ["the film is torn"]
 
 
 @pytest.mark.thorough

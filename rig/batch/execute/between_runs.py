@@ -109,7 +109,8 @@ class BetweenRuns:
         if self._commands.stop_after_run:
             raise stopped_by_request("between runs")
         if self._commands.paused.is_set():
-            self._send("state", state="paused", text="between runs")
+            text = self._commands.paused_because or "between runs"
+            self._send("state", state="paused", text=text)
             self._wait("paused")
 
     def rest(self, seconds: float) -> None:

@@ -114,6 +114,9 @@ class Supervisor:
         """True if another terminal has asked for the end of the batch."""
         self._held_for = ""
         """Reason why the batch was held last, until a run has ended."""
+        self._waits_because = ""
+        """Reason why the batch waits until a person resumes it; empty where it does not. It is kept
+        here because the worker that waits may die."""
         self.bench = ""
         """How the latest run left its bench, as a sentence; empty where that is not known."""
         self._files_were_left = False
@@ -190,6 +193,11 @@ class Supervisor:
             if self._stop.requested is not None or self._asked_to_end:
                 self._set_end("stopped: the worker died while it was stopping")
                 return ExitCode.INTERNAL
+            if self._waits_because:
+                self._say(
+                    f"the batch still waits: {self._waits_because}; it continues with: "
+                    f"rig batch resume {self._folder.path}"
+                )
             if crashes >= CRASHES:
                 self._set_end(f"stopped: {text}")
                 self._say(f"error: {crashes} workers in a row died before they began a run")
@@ -207,7 +215,7 @@ class Supervisor:
     def _one_worker(self) -> int:
         """Start a worker and listen to it until it has ended; returns its exit code."""
         stop_sent = False
-        with WorkerProcess(self._folder.path, self._log) as worker:
+        with WorkerProcess(self._folder.path, self._log, self._waits_because) as worker:
             self._record(self._queue.set_meta, "worker", str(worker.pid))
             while (lines := worker.lines(POLL_EVERY_S)) is not None:
                 for line in lines:
@@ -218,6 +226,10 @@ class Supervisor:
                     self._send(worker, f"signal {number.value}", f"stop by {WORDS[number]}")
                 for command in self._requests():
                     self._asked_to_end |= _ends_the_batch(command)
+                    if command == "pause":
+                        self._waits_because = self._waits_because or "a person has paused it"
+                    elif command == "go":
+                        self._waits_because = ""
                     self._send(worker, command, REQUESTS.get(command.split()[0], command))
                 self._poll()
                 worker.beat()
@@ -370,6 +382,8 @@ class Supervisor:
         has ended."""
         self._set_state("held", event["text"])
         self._files_were_left |= bool(event["by_itself"])
+        if not event["by_itself"]:  # otherwise another worker finds out itself whether it is over
+            self._waits_because = event["text"]
         if event["text"] != self._held_for:
             self._held_for = event["text"]
             self._notify("hold", event["text"])

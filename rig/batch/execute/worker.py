@@ -1,6 +1,6 @@
 """The worker: the one process that holds the bench and takes the runs of a queue, one by one.
 
-    python -m rig.batch.execute.worker FOLDER
+    python -m rig.batch.execute.worker [--paused=REASON] -- FOLDER
 
 It is started by the supervisor (`rig.batch.execute.supervisor`), which sends commands on its
 standard input ("stop-now", "stop-after-point", "stop-after-run", "stop-run", "stop-run 12",
@@ -13,6 +13,7 @@ What it decides is in `rig.batch.plan.policy`; that nothing is lost or doubled, 
 
 from __future__ import annotations
 
+import argparse
 import contextlib
 import json
 import os
@@ -68,13 +69,19 @@ class Worker:
     """Takes the runs of a queue until none is left, or something ends the night."""
 
     def __init__(
-        self, folder: BatchFolder, queue: Queue, lock: int, stop: StopFlag, send: SendEvent
+        self,
+        folder: BatchFolder,
+        queue: Queue,
+        lock: int,
+        stop: StopFlag,
+        send: SendEvent,
+        paused_because: str = "",
     ):
         self._folder, self._queue, self._lock, self._stop = folder, queue, lock, stop
         self._send = send
         self._terms = BatchTerms.of(queue, folder)
         self._batch = self._terms.file.batch
-        self._commands = CommandListener(stop, send)
+        self._commands = CommandListener(stop, send, paused_because)
         self._benches = RunBenches(self._terms, folder, stop, send)
         self._clock = clock_of(queue)
         self._watch = DriftWatch(queue, self._terms.file, self._terms.bench, self._terms.results)
@@ -393,7 +400,11 @@ def _bench_of(outcome: RunOutcome) -> str:
 
 def main(arguments: Sequence[str]) -> int:
     """Run the worker program."""
-    folder = BatchFolder(Path(arguments[0]))
+    parser = argparse.ArgumentParser("python -m rig.batch.execute.worker")
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--paused", default="")
+    given = parser.parse_args(arguments)
+    folder = BatchFolder(given.folder)
     lines = threading.Lock()
     # What a package or a library prints goes to the log: in a line of a report it would spoil it.
     reports = os.fdopen(os.dup(sys.stdout.fileno()), "w")
@@ -414,7 +425,7 @@ def main(arguments: Sequence[str]) -> int:
         try:
             with folder.held_by("worker", GUARD_PATIENCE_S) as lock, Queue.open(folder.queue) as q:
                 os.set_inheritable(lock, True)
-                return int(Worker(folder, q, lock, stop, send).work())
+                return int(Worker(folder, q, lock, stop, send, given.paused).work())
         except StopRequestedError as stopped:
             send("end", state="stopped", text=stopped.one_line(), code=int(stopped.code))
             return int(stopped.code)

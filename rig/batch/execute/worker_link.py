@@ -20,11 +20,16 @@ SendEvent = Callable[..., None]
 
 
 class CommandListener:
-    """Reads the supervisor's commands in a thread of its own; the main thread acts on them."""
+    """Reads the supervisor's commands in a thread of its own; the main thread acts on them. With
+    `paused_because`, the reason of a pause that an earlier worker left, the batch is paused from
+    the beginning."""
 
-    def __init__(self, stop: StopFlag, send: SendEvent):
+    def __init__(self, stop: StopFlag, send: SendEvent, paused_because: str = ""):
         self._stop, self._send = stop, send
+        self.paused_because = paused_because
         self.paused = threading.Event()
+        if paused_because:
+            self.paused.set()
         self.stop_after_run = False
         self.in_run = False
         self.run: int | None = None
@@ -70,6 +75,7 @@ class CommandListener:
         elif command == "go":
             if self.paused.is_set():
                 self._send("state", state="running")
+            self.paused_because = ""
             self.paused.clear()
             if self.in_run:
                 os.kill(os.getpid(), signal.SIGCONT)

@@ -19,14 +19,16 @@ BEAT, BEAT_EVERY_S = "beat", 1.0
 
 
 class WorkerProcess:
-    """A worker of the batch in `folder`; what it prints on its standard error goes to `log`.
+    """A worker of the batch in `folder`; what it prints on its standard error goes to `log`. With
+    `waits_because`, a reason, it begins no run before a person has resumed the batch.
 
     As a context manager it ends when the worker has ended.
     """
 
-    def __init__(self, folder: Path, log: IO[bytes]):
+    def __init__(self, folder: Path, log: IO[bytes], waits_because: str = ""):
+        paused = [f"--paused={waits_because}"] if waits_because else []
         self._process = subprocess.Popen(
-            [sys.executable, "-P", "-m", "rig.batch.execute.worker", str(folder)],
+            [sys.executable, "-P", "-m", "rig.batch.execute.worker", *paused, "--", str(folder)],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=log,
