@@ -25,6 +25,7 @@ from rig.core.errors import (
 )
 from rig.files.errors import RecordingError
 from rig.run.interlocks.watch import InterlockError
+from rig.run.locks.lock import BenchInUseError
 
 
 def batch(**given: Any) -> BatchSettings:
@@ -39,6 +40,7 @@ def batch(**given: Any) -> BatchSettings:
         (4, LimitError("too much"), "limit"),
         (4, InterlockError("interlock door (person) opened"), "interlock"),
         (2, ConfigurationError("unknown"), "usage"),
+        (2, BenchInUseError("the bench b is in use by pid 12"), "in-use"),
         (1, RigError("a defect"), "internal"),
         (1, RecordingError("run.rigj", "disk full"), "storage"),
         (7, InstrumentTimeoutError("stage_z", "stop", "silent"), "unsafe"),
@@ -120,6 +122,13 @@ def test_a_full_disk_holds_and_an_unsafe_bench_ends_the_batch_and_neither_costs_
     for kind, becomes in (("storage", "hold"), ("recording", "hold"), ("unsafe", "end")):
         verdict = after_failure(batch(), kind, {kind: 1}, 5, 5, "x")  # type: ignore[arg-type]
         assert (verdict.run, verdict.batch) == ("again", becomes)
+
+
+def test_a_bench_that_another_program_has_costs_no_run_and_the_batch_waits_for_a_person() -> None:
+    why = "the bench b is in use by pid 12 (ann)"
+    assert after_failure(batch(), "in-use", {"in-use": 9}, 5, 5, why) == FailureDecision(
+        "again", "hold", why
+    )
 
 
 @pytest.mark.parametrize(

@@ -240,7 +240,7 @@ def test_a_batch_that_waits_for_a_person_waits_also_when_its_worker_has_died(
     requested = iter([requests, []])
     monkeypatch.setattr(waiting, "_requests", lambda: next(requested, []))
     begun: list[str] = []
-    lines = [json.dumps({"event": "hold", **hold}).encode() for hold in holds]
+    lines = [json.dumps({"event": "hold", "bench": "", **hold}).encode() for hold in holds]
 
     class Worker:
         pid, exit_code = 0, -signal.SIGKILL

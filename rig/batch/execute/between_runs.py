@@ -37,6 +37,11 @@ SUPERVISOR_S = 10.0
 """Time in s without a word of the supervisor, which sends one every second, after which no further
 run begins: no one would notice what becomes of it."""
 
+BENCH_SAFE = "the bench is safe"
+"""How the bench is while a batch is held, for people."""
+BENCH_IN_USE = "the bench is left to the other program"
+"""The same, of a bench that another program has."""
+
 UNSUPERVISED = (
     f"the supervisor of the batch was not heard for {SUPERVISOR_S:g} s, it was stopped or hung: no "
     "run was begun until it was heard again"
@@ -130,14 +135,14 @@ class BetweenRuns:
         self._clock.wait_until(self._from, self.check)
         self._send("state", state="running")
 
-    def hold(self, why: str, over: SelfEnding | None = None) -> None:
+    def hold(self, why: str, over: SelfEnding | None = None, bench: str = BENCH_SAFE) -> None:
         """Wait for a person, or end the batch, as `on_hold` says. With `over` the batch also
-        continues by itself as soon as that is so."""
+        continues by itself as soon as that is so. `bench` says how the bench is meanwhile."""
         self._queue.add_event("hold", why)
         if self._on_hold == "stop":
             raise EndOfBatchError(why, "rig batch resume", ExitCode.STOPPED_BY_CONDITION)
         self._commands.paused.set()
-        self._send("hold", text=why, by_itself="" if over is None else over.words)
+        self._send("hold", text=why, by_itself="" if over is None else over.words, bench=bench)
         self._wait("held", over)
 
     def wait_for_the_queue(self, error: QueueWriteError) -> None:
@@ -153,7 +158,7 @@ class BetweenRuns:
         if not self._queue.path.exists():  # SQLite writes to no file that was moved
             over = SelfEnding(self._queue_has_room, "the folder is in its place")
             why = f"the folder {self._folder.path} of the batch was moved or deleted: {PUT_BACK}"
-        self._send("hold", text=why, by_itself=over.words)
+        self._send("hold", text=why, by_itself=over.words, bench=BENCH_SAFE)
         try:
             self._wait("held", over)
         except RigError:

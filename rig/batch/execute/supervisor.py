@@ -389,7 +389,7 @@ class Supervisor:
             self._notify("hold", event["text"])
         by_itself = f"when {event['by_itself']}, or " if event["by_itself"] else ""
         self._say(
-            f"the bench is safe and the batch waits; it continues {by_itself}with: "
+            f"{event['bench']} and the batch waits; it continues {by_itself}with: "
             f"rig batch resume {self._folder.path}"
         )
 

@@ -29,6 +29,8 @@ from typing import TYPE_CHECKING, Any
 import rig
 from rig.batch.execute.batch_clock import clock_of
 from rig.batch.execute.between_runs import (
+    BENCH_IN_USE,
+    BENCH_SAFE,
     BetweenRuns,
     EndOfBatchError,
     SelfEnding,
@@ -275,7 +277,8 @@ class Worker:
                 self._hold_for(away)  # room on the disk would not help
                 return
             over = room_on_disk(self._disk_has_room) if ended.kind == "storage" else None
-            self._between.hold(verdict.why, over)
+            bench = BENCH_IN_USE if ended.kind == "in-use" else BENCH_SAFE
+            self._between.hold(verdict.why, over, bench)
 
     def _set_aside(self, claim: Claim) -> None:
         name = claim.condition.id

@@ -18,6 +18,7 @@ from rig.core.errors import ExitCode, InstrumentTimeoutError, RigError
 from rig.files.errors import NO_LOCKS, TOO_MANY_OPEN, RecordingError
 from rig.run.holds import HoldLimitError
 from rig.run.interlocks.watch import InterlockError
+from rig.run.locks.lock import BenchInUseError
 
 FailureKind = Literal[
     "timeout",
@@ -27,13 +28,15 @@ FailureKind = Literal[
     "interlock",
     "limit",
     "usage",
+    "in-use",
     "storage",
     "recording",
     "unsafe",
     "internal",
 ]
 """Reason of a failure, as retries distinguish it. "storage" and "recording" are failures to save
-data: the first may pass once the disk has room, the other needs a person."""
+data: the first may pass once the disk has room, the other needs a person. "in-use" is a bench that
+another program has."""
 
 
 @dataclass(frozen=True)
@@ -55,6 +58,8 @@ def kind_of(code: int, failures: Sequence[RigError], made_safe: bool = False) ->
     first = failures[0] if failures else None
     if isinstance(first, RecordingError):
         return "recording" if _errno_of(first) in (*NO_LOCKS, *TOO_MANY_OPEN) else "storage"
+    if isinstance(first, BenchInUseError):
+        return "in-use"
     if isinstance(first, HoldLimitError):
         return "holds"
     if isinstance(first, InterlockError):
@@ -94,6 +99,8 @@ def after_failure(
         return FailureDecision("again", "end", f"the bench could not be made safe: {reason}")
     if kind == "interlock":  # a person has to reset it, and to start the batch again
         return FailureDecision("again", "end", reason)
+    if kind == "in-use":  # a person may be at the bench: nothing begins by itself once it is free
+        return FailureDecision("again", "hold", reason)
     if kind in ("storage", "recording"):
         return FailureDecision("again", "hold", f"the data cannot be saved: {reason}")
     if before.get(kind, 0) <= getattr(batch.retries, kind, 0):

@@ -57,11 +57,16 @@ class GuardWait:
     """Function that raises what ends the wait."""
 
 
+class BenchInUseError(ConfigurationError):
+    """Raised where another program uses an instrument of the bench."""
+
+
 class BenchLock:
     """The locks on all instruments of a bench; a context manager that releases them at its end.
 
     `only_reads` says that the program sets nothing on the bench: `rig make-safe` ends it. Raises
-    ConfigurationError if another program holds one of the locks, or if a lock file cannot be made.
+    BenchInUseError if another program holds one of the locks, ConfigurationError if a lock file
+    cannot be made.
     Where a run has died its guard holds them while it makes the bench safe: with `wait` that is
     waited for, whatever it takes, else for `GUARD_S`.
     """
@@ -82,7 +87,7 @@ class BenchLock:
                 for name in self.names:
                     self._files[name] = _take(folder, name + SUFFIX, wait)
             if (user := _living(read_marks(self.names))) is not None:
-                raise ConfigurationError(*user)
+                raise BenchInUseError(*user)
         except BaseException:
             self.release()
             raise
@@ -211,7 +216,7 @@ def _take(folder: SharedFolder, name: str, wait: GuardWait | None) -> int:
             entry = _entry_of(file)
             over = wait is None and time.monotonic() > begun_s + GUARD_S
             if over or _runs(entry.get("pid")):
-                raise ConfigurationError(*_in_use(entry, path, time.monotonic() - begun_s))
+                raise BenchInUseError(*_in_use(entry, path, time.monotonic() - begun_s))
         finally:
             if file >= 0:
                 os.close(file)
