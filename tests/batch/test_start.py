@@ -10,12 +10,16 @@ import pytest
 
 from rig.batch.execute import start
 from rig.batch.execute.prepare import PreparedBatch, prepare
-from rig.batch.execute.start import begin, refuse_changes
+from rig.batch.execute.run_benches import RunBenches
+from rig.batch.execute.start import begin, refuse_changes, refuse_missing
+from rig.batch.execute.worker import Worker
 from rig.batch.folder import BatchFolder, new_folder
+from rig.batch.plan.conditions import BatchCondition, BatchPlan, PlannedRun
 from rig.batch.plan.read import read_batch
 from rig.batch.queue import Queue
-from rig.batch.queue_records import RunEstimate
+from rig.batch.queue_records import AttemptResult, Claim, RunEstimate
 from rig.core.errors import ConfigurationError
+from rig.run.bench_selector import BenchRequest
 
 NOW = datetime(2026, 11, 21, 22, 0, tzinfo=UTC)
 
@@ -77,3 +81,49 @@ def test_the_copy_of_a_batch_file_is_of_the_text_that_was_compared(
             refuse_changes(queue, batch)
         file.write_bytes(text.encode())
         refuse_changes(queue, batch)
+
+
+@pytest.mark.parametrize(
+    ("procedure", "settings", "named"),
+    [
+        ("lab-sweep", {}, "procedure = 'lab-sweep' is unknown"),
+        ("sweep", {"extra_s": 2.0}, "sweep, condition two: extra_s"),
+        ("slip-trial", {"detector": "lab-jump"}, "lab-jump"),
+    ],
+)
+def test_a_batch_whose_package_was_uninstalled_is_not_resumed_and_loses_no_run(
+    tmp_path: Path, procedure: str, settings: dict[str, Any], named: str
+) -> None:
+    conditions = {
+        "one": BatchCondition("one", 0, "sweep", {}, {}),
+        "two": BatchCondition("two", 1, procedure, settings, {}),
+    }
+    runs = (PlannedRun(1, "one", 1), PlannedRun(2, "two", 1))
+    estimates = dict.fromkeys(conditions, RunEstimate(10.0, 2.0))
+    path = tmp_path / "queue.sqlite"
+    with Queue.create(path, BatchPlan(conditions, runs), estimates, {}) as queue:
+        with pytest.raises(ConfigurationError, match="the runs that are left cannot be") as refused:
+            refuse_missing(queue, ("queued", "running"))
+        assert named in refused.value.message
+        assert queue.counts()["queued"] == 2
+        queue.finish(queue.claim(2), AttemptResult("failed"), "failed")
+        refuse_missing(queue, ("queued", "running"))
+        with pytest.raises(ConfigurationError):
+            refuse_missing(queue, ("queued", "failed"))
+
+
+def test_a_run_whose_package_is_gone_fails_alone(tmp_path: Path) -> None:
+    """Neither the run before it, during which its bench is started, nor the batch."""
+    lost = Claim(2, 1, 1, BatchCondition("two", 1, "lab-sweep", {}, {}), 10.0, 2.0)
+    benches = RunBenches.__new__(RunBenches)
+    benches._ahead = None
+    benches._simulated = lambda _: BenchRequest()  # type: ignore[method-assign]
+    benches.boot(lost)
+    assert benches._ahead is None
+
+    sent: list[str] = []
+    worker = Worker.__new__(Worker)
+    worker._folder = BatchFolder(tmp_path)
+    worker._send = lambda _, **fields: sent.append(fields["points"])
+    worker._finished(lost, AttemptResult("failed", "usage", 2, "'lab-sweep' is unknown"))
+    assert sent == ["0 of 0 points"]

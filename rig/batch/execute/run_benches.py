@@ -11,6 +11,7 @@ from rig.batch.execute.worker_link import SendEvent
 from rig.batch.folder import BatchFolder
 from rig.batch.plan.procedures import installed
 from rig.batch.queue_records import Claim
+from rig.core.errors import ConfigurationError
 from rig.run.bench_selector import (
     BenchRequest,
     BenchSelector,
@@ -77,7 +78,10 @@ class RunBenches:
         """Start the simulated bench of a run that is to come, during the one before it. One with a
         fault plan is started later: its plan may affect this process's disk."""
         request = self._simulated(upcoming)
-        fixture = installed(upcoming.condition.procedure).fixtures[0]
+        try:
+            fixture = installed(upcoming.condition.procedure).fixtures[0]
+        except ConfigurationError:  # uninstalled since: that run fails, not the one before it
+            return
         if request.fault is None:
             self._ahead = _Ahead(request, fixture, start_simulated(request, fixture))
 

@@ -5,18 +5,21 @@ from __future__ import annotations
 
 import json
 import uuid
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from datetime import datetime
 from pathlib import Path
 
 import rig
 from rig.batch.execute.prepare import PreparedBatch
 from rig.batch.folder import BatchFolder, new_folder
+from rig.batch.plan.procedures import procedure_of
 from rig.batch.plan.read import batch_text
 from rig.batch.plan.settings import BatchFile, Simulation
 from rig.batch.queue import Queue
+from rig.batch.queue_records import RunState
+from rig.batch.queue_view import QueueView
 from rig.core.atomic import write_text
-from rig.core.errors import ConfigurationError
+from rig.core.errors import ConfigurationError, RigError
 from rig.core.settings import fingerprint
 from rig.run.bench_selector import POPULATION
 from rig.run.source_state import source_state
@@ -112,6 +115,21 @@ def refuse_changes(queue: Queue, batch: BatchFile) -> None:
             "restore it, or continue all the same with --despite-changes: the queue stays as it "
             "was expanded, and an interrupted run starts from its beginning",
         )
+
+
+def refuse_missing(queue: QueueView, states: Sequence[RunState]) -> None:
+    """ConfigurationError where a procedure of the runs in these states, or something that its
+    settings name, is not installed any more: every such run would fail."""
+    conditions = queue.conditions()
+    for name in dict.fromkeys(row.condition for row in queue.rows(states)):
+        try:
+            procedure_of(conditions[name])
+        except RigError as error:
+            raise ConfigurationError(
+                f"{queue.path.parent}: the runs that are left cannot be taken: {error.one_line()}",
+                "install the packages that were there when the batch began, or continue all the "
+                "same with --despite-changes: such runs then fail",
+            ) from error
 
 
 def _files_of(simulation: Simulation | None) -> Iterator[str]:

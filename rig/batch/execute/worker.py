@@ -45,7 +45,7 @@ from rig.batch.execute.terms import BatchTerms
 from rig.batch.execute.worker_link import CommandListener, Reporter, SendEvent
 from rig.batch.folder import BatchFolder
 from rig.batch.plan.policy import after_failure, kind_of, reason_to_end
-from rig.batch.plan.procedures import installed
+from rig.batch.plan.procedures import installed, procedure_of
 from rig.batch.queue import Queue, give_up
 from rig.batch.queue_file import QueueWriteError
 from rig.batch.queue_records import AttemptResult, Claim
@@ -291,7 +291,9 @@ class Worker:
 
     def _finished(self, claim: Claim, ended: AttemptResult, again: bool = False) -> None:
         journal = self._folder.journal(claim.number, claim.condition.procedure)
-        noun = installed(claim.condition.procedure).point_name
+        noun = ("point", "points")
+        with contextlib.suppress(RigError):  # it may be gone since, which has failed the run
+            noun = installed(claim.condition.procedure).point_name
         self._send(
             "finished",
             number=claim.number,
@@ -316,9 +318,7 @@ class Worker:
         from rig.run.job import RunJob
 
         condition = claim.condition
-        own = installed(condition.procedure)
-        given = json.dumps(dict(condition.settings))
-        procedure = own(own.Settings.model_validate_json(given))
+        procedure = procedure_of(condition)
         path = self._folder.journal(claim.number, condition.procedure)
         resume = journal_to_resume(path)
         bench = self._benches.bench_for(claim, procedure, at_the_end)

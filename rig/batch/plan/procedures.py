@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import json
 from functools import cache
 
+from pydantic import ValidationError
+
+from rig.batch.plan.conditions import BatchCondition
 from rig.core.entry_points import PROCEDURES, names
 from rig.core.errors import ConfigurationError, shortened
 from rig.run.load_procedure import load_procedure
@@ -25,3 +29,15 @@ def installed(name: str) -> type[Procedure]:
             f"procedure = {shortened(name)!r} is unknown", f"known are {', '.join(known())}"
         )
     return load_procedure(name)
+
+
+def procedure_of(condition: BatchCondition) -> Procedure:
+    """Return the procedure of a condition, with its settings. Raises ConfigurationError if it is
+    not installed, cannot be loaded, or refuses the settings, as another version of it may."""
+    own = installed(condition.procedure)
+    given = json.dumps(dict(condition.settings))
+    try:
+        return own(own.Settings.model_validate_json(given))
+    except ValidationError as error:
+        where = f"{condition.procedure}, condition {condition.id}"
+        raise ConfigurationError.from_validation(error, where) from error

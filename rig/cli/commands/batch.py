@@ -15,6 +15,7 @@ from rig.core.errors import ConfigurationError, RigError
 
 if TYPE_CHECKING:
     from rig.batch.folder import BatchFolder
+    from rig.batch.queue_records import RunState
     from rig.batch.report.status import BatchStatus
 
 
@@ -115,7 +116,7 @@ def resume(
     """
     with reported(debug, as_json):
         from rig.batch.execute.batch_clock import renew_window
-        from rig.batch.execute.start import refuse_changes
+        from rig.batch.execute.start import refuse_changes, refuse_missing
         from rig.batch.folder import folder_to_resume
         from rig.batch.plan.settings import BatchFile
         from rig.batch.queue import Queue
@@ -133,6 +134,8 @@ def resume(
                 queue.set_meta("despite changes", "yes")
             else:
                 refuse_changes(queue, BatchFile.model_validate_json(queue.meta("file")))
+                lost: tuple[RunState, ...] = ("failed", "set-aside") if retry_failed else ()
+                refuse_missing(queue, ("queued", "running", *lost))
             if retry_failed:
                 say(f"{counted(queue.put_back(), 'run')} queued again")
             renew_window(queue)
