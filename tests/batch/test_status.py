@@ -53,6 +53,9 @@ def test_a_bench_that_was_left_pressed_or_unsafe_is_said_first(
     unsafe = status_of(BatchFolder(tmp_path))
     assert "the bench bench-3 was left unsafe" in unsafe.lines()[0]
     assert unsafe.as_object()["bench_warnings"]
+    remedy = f"heck the bench, then run: rig make-safe --bench {bench}"
+    assert unsafe.lines()[-1] == f"c{remedy}", "a resume would be refused"
+    assert unsafe.closing_lines("")[-1] == f"C{remedy}"
     marks.clear()
     assert status_of(BatchFolder(tmp_path)).lines()[0].startswith("batch night")
     bench.unlink()
@@ -158,6 +161,17 @@ def test_a_share_that_locks_nothing_is_named_with_the_remedy(
     assert "a file system that locks files" in str(raised.value.hint)
 
 
+@pytest.mark.parametrize(
+    "state", ["begun", "starting", "running", "resting: 30 s", "pausing", "paused: x", "held: x"]
+)
+def test_a_batch_that_a_power_cut_ended_is_called_interrupted(tmp_path: Path, state: str) -> None:
+    meta = {"name": "night", "state": state}
+    Queue.create(tmp_path / "queue.sqlite", BatchPlan({}, ()), {}, meta).close()
+    status = status_of(BatchFolder(tmp_path))
+    assert f"interrupted ({state}); its supervisor has died" in status.lines()[0]
+    assert status.as_object()["state"].startswith("interrupted"), "on the page, too"
+
+
 def three_runs() -> tuple[BatchPlan, dict[str, RunEstimate]]:
     """The plan of three runs of one condition, and what is expected of them."""
     condition = BatchCondition("sweep-001", 0, "sweep", {}, {})
@@ -217,6 +231,8 @@ def test_a_batch_that_left_its_bench_unsafe_is_continued_once_that_is_safe(tmp_p
         f"Saved: {tmp_path}",
         "Bench is NOT safe (see above).",
         f"Once the bench is safe, continue with: rig batch resume {tmp_path}",
+        "Once the bench is safe, take failed and left-out runs again with: "
+        f"rig batch resume {tmp_path} --retry-failed",
     ]
 
 
@@ -313,3 +329,6 @@ def test_runs_that_were_not_taken_after_failures_are_called_left_out(tmp_path: P
     status = status_of(folder)
     assert "0 of 3 runs done, 1 failed, 2 left out" in status.lines()
     assert any("0 of 3 runs, 1 failed, 2 left out" in line for line in status.closing_lines(""))
+    again = f"ake failed and left-out runs again with: rig batch resume {tmp_path} --retry-failed"
+    assert status.lines()[-1] == f"t{again}"
+    assert status.closing_lines("")[-1] == f"T{again}"

@@ -15,6 +15,7 @@ import typer
 
 from rig.batch.execute import worker_link
 from rig.batch.execute.supervisor import Supervisor
+from rig.batch.execute.worker import Worker
 from rig.batch.folder import BatchFolder
 from rig.batch.plan.conditions import BatchPlan
 from rig.batch.queue import Queue
@@ -303,6 +304,42 @@ def test_a_stop_by_a_key_is_recorded_under_the_name_of_the_key(
     with Queue.open(BatchFolder(tmp_path).queue) as stopping._queue:
         stopping._one_worker()
     assert requested == ["stop by Ctrl-C"]
+
+
+@pytest.mark.parametrize(
+    ("commands", "ended_by"),
+    [
+        ([b"stop-now\n"], worker_link.STOP_NOW),
+        ([b"signal 2\n"], ""),
+        ([], worker_link.SUPERVISOR_DIED),
+    ],
+)
+def test_a_batch_says_by_whom_it_was_ended_and_not_by_which_signal(
+    commands: list[bytes], ended_by: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    stop, sent = StopFlag(), list[dict[str, Any]]()
+    heard = iter([*commands, b""])  # which is the end of its standard input
+    own = SimpleNamespace(
+        read=lambda *_: next(heard),
+        getpid=os.getpid,
+        kill=lambda _, number: setattr(stop, "requested", stop.requested or number),
+    )
+    monkeypatch.setattr(worker_link, "os", own)
+    nothing = SimpleNamespace(start=lambda: None)
+    monkeypatch.setattr(worker_link.threading, "Thread", lambda **_: nothing)  # type: ignore[attr-defined]
+    listener = worker_link.CommandListener(stop, lambda *_, **__: None)
+    listener._listen()
+
+    worker = Worker.__new__(Worker)
+    worker._commands = listener
+    worker._send = lambda _, **fields: sent.append(fields)
+    worker._benches = SimpleNamespace(abandon=lambda: None)  # type: ignore[assignment]
+    worker._recover = lambda: stop.check()  # type: ignore[method-assign]
+    with Queue.open(batch_in(tmp_path).queue) as worker._queue:
+        worker.work()
+        state = worker._queue.meta("state")
+    assert sent[-1]["text"] == (ended_by or "stopped by Ctrl-C")
+    assert state == sent[-1]["text"]
 
 
 @pytest.mark.parametrize(

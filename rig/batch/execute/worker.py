@@ -52,7 +52,7 @@ from rig.batch.queue_records import AttemptResult, Claim
 from rig.core.errors import ExitCode, RigError
 from rig.core.threads import thread_remains
 from rig.core.units import counted
-from rig.run.stopping import MAKING_SAFE_S, StopFlag, StopRequestedError
+from rig.run.stopping import MAKING_SAFE_S, StopFlag, StopRequestedError, TimeOverError
 
 if TYPE_CHECKING:
     from rig.batch.execute.drift import HoldReason
@@ -113,7 +113,9 @@ class Worker:
                 while (claim := self._next()) is not None:
                     self._take(claim, at_the_end)
         except StopRequestedError as stopped:
-            self._end("stopped", stopped.one_line(), stopped.code)
+            time_over = isinstance(stopped, TimeOverError)
+            by = "" if time_over else self._commands.ended_by
+            self._end("stopped", by or stopped.one_line(), stopped.code)
             return stopped.code
         except EndOfBatchError as ended:
             self._end("stopped", ended.one_line(), ended.code)

@@ -15,6 +15,10 @@ from rig.run.stopping import StopFlag
 if TYPE_CHECKING:
     from rig.run.points import Point, Reading
 
+STOP_NOW = "stopped by rig batch stop --now, or by STOP on the page"
+SUPERVISOR_DIED = "stopped: its supervisor died, and the worker then ended in order"
+"""What has ended a batch, which the worker hears as a signal of no meaning to people."""
+
 SendEvent = Callable[..., None]
 """Sends one event to the supervisor, with its fields by name."""
 
@@ -36,6 +40,8 @@ class CommandListener:
         """Number of the run under way, or of the latest."""
         self.ending = False
         """True if the batch was asked to end."""
+        self.ended_by = ""
+        """What has ended the batch, for people, where it was not the signal of a terminal."""
         self._run_given_up = False
         self.heard_s = time.monotonic()
         """Time of the supervisor's latest word, by the monotonic clock."""
@@ -48,14 +54,18 @@ class CommandListener:
             *lines, rest = (rest + chunk).split(b"\n")
             for line in lines:
                 self._handle(line.decode())
+        if not self.ending:
+            self.ended_by = SUPERVISOR_DIED
         self.ending = True
-        os.kill(os.getpid(), signal.SIGHUP)  # the supervisor has died
+        os.kill(os.getpid(), signal.SIGHUP)
 
     def _handle(self, command: str) -> None:
         if command.startswith("signal "):
             self.ending = True
             os.kill(os.getpid(), int(command.removeprefix("signal ")))
         elif command == "stop-now":
+            if not self.ending:
+                self.ended_by = STOP_NOW
             self.ending = True
             os.kill(os.getpid(), signal.SIGTERM)
         elif command.split()[:1] == ["stop-run"]:

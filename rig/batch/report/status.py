@@ -20,6 +20,8 @@ from rig.core.units import counted, time_span
 from rig.run.locks.bench_mark import read_marks
 from rig.run.locks.lock import address_names
 
+ENDS = ("complete", "stopped", "failed", "rebuilt")
+"""First words of the states in which nothing of a batch is at work."""
 LATEST = 5
 """Number of the latest failures and events that are shown."""
 
@@ -53,6 +55,8 @@ class BatchStatus:
     bench_warnings: tuple[str, ...] = ()
     """Warnings about the bench of the bench file from an earlier run: not safe, or still
     pressed."""
+    to_make_safe: str = ""
+    """What to do about that bench before anything can be continued; empty for nothing."""
     for_want_of_time: str = ""
     """What to do about the remaining runs where `stop_by` has a date and leaves no time for them;
     else empty."""
@@ -69,7 +73,7 @@ class BatchStatus:
             "name": self.name,
             "bench_warnings": list(self.bench_warnings),
             "simulated": self.simulated,
-            "state": self.state,
+            "state": self._state(),
             "running": self.running,
             "runs": dict(self.counts),
             "left_s": self.remaining.bench_s,
@@ -145,10 +149,11 @@ class BatchStatus:
         shown.append(f"Saved: {self.folder.path}")
         if bench:
             shown.append(bench)
+        unsafe = self.to_make_safe or "NOT safe" in bench
         for line in self.to_continue():
-            unsafe = "NOT safe" in bench
+            first = unsafe and line != self.to_make_safe
             shown.append(
-                f"Once the bench is safe, {line}" if unsafe else f"{line[0].upper()}{line[1:]}"
+                f"Once the bench is safe, {line}" if first else f"{line[0].upper()}{line[1:]}"
             )
         return shown
 
@@ -156,10 +161,15 @@ class BatchStatus:
         """Return what to do about a batch that is not running, one instruction a line, without a
         capital; empty where nothing is left to do."""
         resume = f"rig batch resume {self.folder.path}"
+        steps = [self.to_make_safe] if self.to_make_safe else []
         if self.remaining.runs and self.for_want_of_time:
             files = [f"make the missing files with: {resume}"] if self.unprocessed else []
-            return [self.for_want_of_time, *files]
-        return [f"continue with: {resume}"] if self.remaining.runs or self.unprocessed else []
+            return [*steps, self.for_want_of_time, *files]
+        if self.remaining.runs or self.unprocessed:
+            steps.append(f"continue with: {resume}")
+        if (self.counts["failed"] or self.counts["set-aside"]) and not self.for_want_of_time:
+            steps.append(f"take failed and left-out runs again with: {resume} --retry-failed")
+        return steps
 
     def _holds_and_presses(self) -> str:
         return f"{counted(self.holds, 'hold')}, {counted(self.presses, 'press', 'presses')}"
@@ -178,7 +188,7 @@ class BatchStatus:
         return self.running and not self.simulated
 
     def _state(self) -> str:
-        if self.running or not self.state.startswith(("running", "waiting", "paused", "held")):
+        if self.running or not self.state or self.state.startswith(ENDS):
             return self.state
         return f"interrupted ({self.state}); its supervisor has died"
 
@@ -211,7 +221,7 @@ def status_of(folder: BatchFolder, running: bool | None = None) -> BatchStatus:
             queue.latest(("failed",), LATEST),
             queue.events(LATEST),
             datetime.now().astimezone(),
-            _bench_warnings(queue.meta("bench", "")),
+            *_bench_of(queue.meta("bench", "")),
             _for_want_of_time(queue),
         )
 
@@ -231,16 +241,20 @@ def _for_want_of_time(queue: QueueView) -> str:
     return ""
 
 
-def _bench_warnings(bench_file: str) -> tuple[str, ...]:
-    """Return what the marks of a bench say, unless their run is at work; of a bench file that
-    cannot be read, the reason."""
+def _bench_of(bench_file: str) -> tuple[tuple[str, ...], str]:
+    """Return what the marks of a bench say, unless their run is at work, and what makes it safe if
+    they refuse it; of a bench file that cannot be read, the reason."""
     if not bench_file:
-        return ()
+        return (), ""
     try:
         marks = read_marks(address_names(read_bench(Path(bench_file))))
     except RigError as error:
-        return (f"the state of the bench is not known: {error.one_line()}",)
-    return tuple(mark.in_words() for mark in marks if not mark.lives)
+        return (f"the state of the bench is not known: {error.one_line()}",), ""
+    refused = any(mark.refuses for mark in marks)
+    return (
+        tuple(mark.in_words() for mark in marks if not mark.lives),
+        f"check the bench, then run: rig make-safe --bench {bench_file}" if refused else "",
+    )
 
 
 def _in_words(state: str) -> str:
