@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Self
 
+from rig.batch.folder import BatchFolder
 from rig.core.errors import ConfigurationError, RigError
 
 BUSY_S = 30.0
@@ -58,6 +59,11 @@ def connected(path: Path, *, writing: bool) -> QueueConnection:
     here, QueueDamagedError if it is not a queue.
     """
     if not path.is_file():
+        if BatchFolder(path.parent).terms.is_file():  # what `rig batch run` writes before the queue
+            raise ConfigurationError(
+                f"{path.parent} is the folder of a batch, but there is no {path.name} in it",
+                f"put it back, or make it anew: rig batch rebuild {path.parent}",
+            )
         raise ConfigurationError(
             f"{path.parent} holds no batch: there is no {path.name} in it",
             "name the folder of a batch, as `rig batch run` printed it",

@@ -136,3 +136,13 @@ def test_a_queue_that_cannot_be_read_or_is_missing_is_not_sound(batch: BatchFold
     assert not is_sound(batch)
     batch.queue.unlink()
     assert not is_sound(batch)
+
+
+def test_a_batch_without_its_queue_is_sent_to_the_rebuild(batch: BatchFolder) -> None:
+    batch.queue.unlink()
+    with pytest.raises(ConfigurationError, match="holds no batch"):
+        Queue.open(batch.queue)
+    batch.terms.write_text("{}")
+    with pytest.raises(ConfigurationError, match="is the folder of a batch") as refused:
+        Queue.open(batch.queue)
+    assert f"rig batch rebuild {batch.path}" in (refused.value.hint or "")

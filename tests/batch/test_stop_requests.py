@@ -170,6 +170,37 @@ def test_the_batch_of_another_user_is_not_asked_and_its_owner_is_named(
         assert queue.take_requests() == []
 
 
+@pytest.mark.parametrize(
+    ("state", "said"),
+    [
+        ("paused: between runs", "resumed"),
+        ("pausing", "resumed"),
+        ("held: the film is torn", "resumed"),
+        ("running", "is neither paused nor held (running); it continues, and a stop that was"),
+    ],
+)
+def test_a_resume_of_a_batch_that_runs_says_what_it_has_changed(
+    state: str,
+    said: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    folder = batch_in(tmp_path)
+    with Queue.open(folder.queue) as queue:
+        queue.set_meta("state", state)
+    monkeypatch.setattr(BatchFolder, "is_held", lambda *_: True)
+    batch.resume(tmp_path)
+    assert said in capsys.readouterr().err
+    with pytest.raises(typer.Exit):
+        batch.resume(tmp_path, retry_failed=True)
+    assert "--retry-failed and --despite-changes are for a batch that has" in (
+        capsys.readouterr().err
+    )
+    with Queue.open(folder.queue) as queue:
+        assert queue.take_requests() == ["go"]
+
+
 def test_a_stop_is_heard_while_the_last_files_are_made(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -120,6 +120,7 @@ def resume(
         from rig.batch.folder import folder_to_resume
         from rig.batch.plan.settings import BatchFile
         from rig.batch.queue import Queue
+        from rig.batch.report.status import status_of
         from rig.batch.running import require_own
         from rig.core.units import counted
 
@@ -127,8 +128,21 @@ def resume(
         with Queue.open(found.queue) as queue:
             if found.is_held("supervisor"):
                 require_own(found)
+                if retry_failed or despite_changes:
+                    raise ConfigurationError(
+                        f"batch {found.path} is running: --retry-failed and --despite-changes are "
+                        "for a batch that has ended",
+                        f"stop it first: rig batch stop {found.path}",
+                    )
+                state = status_of(found, running=True).state
                 queue.add_request("go")
-                say(f"batch {found.path}: resumed")
+                if state.startswith(("paus", "held")):
+                    say(f"batch {found.path}: resumed")
+                else:
+                    say(
+                        f"batch {found.path} is neither paused nor held ({state}); it continues, "
+                        "and a stop that was requested is not withdrawn"
+                    )
                 return
             if despite_changes:
                 queue.set_meta("despite changes", "yes")
