@@ -124,6 +124,18 @@ def test_a_full_disk_holds_and_an_unsafe_bench_ends_the_batch_and_neither_costs_
         assert (verdict.run, verdict.batch) == ("again", becomes)
 
 
+@pytest.mark.parametrize(
+    ("kind", "given"), [("unsafe", {}), ("limit", {"on_failure": "stop"}), ("limit", {})]
+)
+def test_a_long_reason_of_a_run_is_cut_in_the_headline_of_its_batch(
+    kind: FailureKind, given: dict[str, Any]
+) -> None:
+    reason = "stage_z: no answer; check its cable; " + "generator: the connection failed; " * 50
+    why = after_failure(batch(**given), kind, {kind: 1}, 0, 2, reason).why
+    assert "stage_z: no answer; check its cable" in why
+    assert len(why) < 300
+
+
 def test_a_bench_that_another_program_has_costs_no_run_and_the_batch_waits_for_a_person() -> None:
     why = "the bench b is in use by pid 12 (ann)"
     assert after_failure(batch(), "in-use", {"in-use": 9}, 5, 5, why) == FailureDecision(

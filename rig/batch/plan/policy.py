@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from rig.batch.plan.settings import BatchSettings
-from rig.core.errors import ExitCode, InstrumentTimeoutError, RigError
+from rig.core.errors import ExitCode, InstrumentTimeoutError, RigError, shortened
 from rig.files.errors import NO_LOCKS, TOO_MANY_OPEN, RecordingError
 from rig.run.holds import HoldLimitError
 from rig.run.interlocks.watch import InterlockError
@@ -37,6 +37,10 @@ FailureKind = Literal[
 """Reason of a failure, as retries distinguish it. "storage" and "recording" are failures to save
 data: the first may pass once the disk has room, the other needs a person. "in-use" is a bench that
 another program has."""
+
+LONGEST_REASON = 200
+"""Characters of a run's reason in that of its batch: enough for the first cause. The event of the
+run has all of it, which is a page where the bench could not be made safe."""
 
 
 @dataclass(frozen=True)
@@ -95,8 +99,9 @@ def after_failure(
     `failed_of_condition` and `failed_in_a_row` are numbers of runs that failed for good, without
     this one.
     """
+    first = shortened(reason, LONGEST_REASON)
     if kind == "unsafe":
-        return FailureDecision("again", "end", f"the bench could not be made safe: {reason}")
+        return FailureDecision("again", "end", f"the bench could not be made safe: {first}")
     if kind == "interlock":  # a person has to reset it, and to start the batch again
         return FailureDecision("again", "end", reason)
     if kind == "in-use":  # a person may be at the bench: nothing begins by itself once it is free
@@ -107,13 +112,13 @@ def after_failure(
         return FailureDecision("again")
     aside = failed_of_condition + 1 >= batch.set_aside_after
     if batch.on_failure == "stop":
-        return FailureDecision("failed", "end", f"a run failed: {reason}", aside)
+        return FailureDecision("failed", "end", f"a run failed: {first}", aside)
     if batch.on_failure == "hold":
-        return FailureDecision("failed", "hold", f"a run failed: {reason}", aside)
+        return FailureDecision("failed", "hold", f"a run failed: {first}", aside)
     row = failed_in_a_row + 1
     if row >= batch.hold_when.consecutive_failures:
         return FailureDecision(
-            "failed", "hold", f"{row} runs in a row have failed, last: {reason}", aside
+            "failed", "hold", f"{row} runs in a row have failed, last: {first}", aside
         )
     return FailureDecision("failed", set_aside=aside)
 
