@@ -56,6 +56,11 @@ class BatchFolder:
         """The file that the supervisor locks; see `held_by`."""
         return self.path / "supervisor.lock"
 
+    @property
+    def worker_lock(self) -> Path:
+        """The file that the worker locks; see `held_by`."""
+        return self.path / "worker.lock"
+
     def journal(self, number: int, procedure: str) -> Path:
         """Return the path of a run's journal, the same for all attempts."""
         return self.path / "runs" / f"r{number:05d}_{procedure}{JOURNAL_SUFFIX}"

@@ -258,7 +258,7 @@ class Queue(QueueView):
     @_patient
     def take_requests(self) -> list[str]:
         """Return the requests since the last call, oldest first; they are deleted."""
-        if self._sql.execute("SELECT 1 FROM request LIMIT 1").fetchone() is None:
+        if not self.has_requests():
             return []
         with self._transaction():
             rows = self._sql.execute("SELECT kind FROM request ORDER BY id").fetchall()

@@ -204,6 +204,10 @@ class QueueView:
         ).fetchall()
         return [(row[0], row[1], row[2]) for row in reversed(rows)]
 
+    def has_requests(self) -> bool:
+        """Return whether the supervisor has requests to take."""
+        return self._sql.execute("SELECT 1 FROM request LIMIT 1").fetchone() is not None
+
     def _claim(self, row: sqlite3.Row, further: int = 1) -> Claim:
         condition = self._sql.execute(
             "SELECT * FROM condition WHERE id = ?", (row["condition"],)

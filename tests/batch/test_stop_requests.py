@@ -77,6 +77,26 @@ def test_a_stop_at_once_reaches_a_batch_whose_disk_takes_no_request(
     assert len(asked) == 1
 
 
+def test_a_stop_at_once_reaches_a_batch_whose_supervisor_is_stopped(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """By Ctrl-Z, for instance: its worker still takes the run under way."""
+    folder = batch_in(tmp_path)
+    asked: list[Path] = []
+    monkeypatch.setattr(batch, "UNHEARD_S", 0.0)
+    monkeypatch.setattr(lock_holder, "ask_to_stop", asked.append)
+    with folder.held_by("supervisor", 0.0):
+        batch.stop(tmp_path, now=True)
+        assert asked == [tmp_path / "worker.lock"]
+        with pytest.raises(typer.Exit):
+            batch.pause(tmp_path)
+    said = capsys.readouterr().err
+    assert "it is stopped (Ctrl-Z) or hangs; the process that has the bench was asked" in said
+    assert f"error: batch {tmp_path}: its supervisor took no request" in said
+    assert "pausing" not in said
+    assert len(asked) == 1
+
+
 @pytest.mark.parametrize("spoil", [lambda queue: queue.write_bytes(b"x"), Path.unlink])
 def test_a_stop_at_once_reaches_a_batch_whose_queue_cannot_be_opened(
     spoil: Callable[[Path], object],

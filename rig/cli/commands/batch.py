@@ -15,6 +15,7 @@ from rig.core.errors import ConfigurationError, RigError
 
 if TYPE_CHECKING:
     from rig.batch.folder import BatchFolder
+    from rig.batch.queue import Queue
     from rig.batch.queue_records import RunState
     from rig.batch.report.status import BatchStatus
 
@@ -65,6 +66,9 @@ Debug = Annotated[bool, typer.Option("--debug", help="Show tracebacks.")]
 AsJson = Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")]
 RESULTS = Path("results")
 WATCH_S = 1.0
+UNHEARD_S, HEARD_CHECK_S = 5.0, 0.05
+"""Time in s after which a supervisor, which looks for requests every 0.1 s, is taken to be stopped
+or to hang, and the interval at which it is checked whether it has taken them."""
 
 
 app.command()(batch_plan.plan)
@@ -281,6 +285,7 @@ def _request(command: str, shown: str, folder: Path | None, results: Path, debug
         try:
             with Queue.open(found.queue) as queue:
                 queue.add_request(command)
+                heard = _is_heard(found, queue)
         except (QueueWriteError, ConfigurationError) as error:  # a full disk; a damaged queue
             if command == "stop-now":
                 _stop_by_signal(found, error)
@@ -289,7 +294,39 @@ def _request(command: str, shown: str, folder: Path | None, results: Path, debug
                 hint = "free some disk space and ask again" if full else error.hint or "ask again"
                 without = "rig batch stop --now works without the queue"
                 raise RigError(error.message, f"{hint}; {without}", error.code) from error
+        else:
+            if not heard:
+                _ask_the_worker(found, command)
         say(f"batch {found.path}: {shown}")
+
+
+def _is_heard(folder: BatchFolder, queue: Queue) -> bool:
+    """Return whether the supervisor of a batch has taken the requests, or has ended instead. One
+    that is stopped (Ctrl-Z) takes none, while its worker still takes the run under way."""
+    give_up_s = time.monotonic() + UNHEARD_S
+    while queue.has_requests() and folder.is_held("supervisor"):
+        if time.monotonic() > give_up_s:
+            return False
+        time.sleep(HEARD_CHECK_S)
+    return True
+
+
+def _ask_the_worker(folder: BatchFolder, command: str) -> None:
+    """Stop the worker of a batch at once whose supervisor takes no request. Raises RigError for any
+    other request: it is the supervisor's to pass on."""
+    from rig.run.locks.lock_holder import NotStoppedError, ask_to_stop
+
+    why = f"its supervisor took no request for {UNHEARD_S:g} s: it is stopped (Ctrl-Z) or hangs"
+    let_go = "let it continue, for example by fg in its terminal: it then takes the request"
+    if command != "stop-now":
+        raise RigError(
+            f"batch {folder.path}: {why}", f"{let_go}; rig batch stop --now does not need it"
+        )
+    try:
+        ask_to_stop(folder.worker_lock)
+    except NotStoppedError as error:
+        raise RigError(f"batch {folder.path}: {why}; {error.message}", let_go) from error
+    say(f"warning: {why}; the process that has the bench was asked to stop instead")
 
 
 def _stop_by_signal(folder: BatchFolder, why: RigError) -> None:
