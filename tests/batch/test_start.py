@@ -127,3 +127,23 @@ def test_a_run_whose_package_is_gone_fails_alone(tmp_path: Path) -> None:
     worker._send = lambda _, **fields: sent.append(fields["points"])
     worker._finished(lost, AttemptResult("failed", "usage", 2, "'lab-sweep' is unknown"))
     assert sent == ["0 of 0 points"]
+
+
+def test_a_program_whose_files_were_edited_since_is_seen_to_be_another(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    text = '[batch]\nname = "night"\n[[experiment]]\nprocedure = "sweep"\n'
+    (tmp_path / "night.toml").write_text(text)
+    batch, plan, source = read_batch(tmp_path / "night.toml")
+    monkeypatch.chdir(tmp_path)
+    commit = "9c142c0df5a1b2c3d4e5f60718293a4b5c6d7e8f"
+    monkeypatch.setattr(start, "source_state", lambda: commit)
+    estimates = dict.fromkeys(plan.conditions, RunEstimate(18.0, 1.0))
+    forecast: Any = None
+    prepared = PreparedBatch(batch, plan, None, estimates, forecast, source.text)
+    folder = begin(tmp_path / "night.toml", prepared, NOW)
+    monkeypatch.setattr(start, "source_state", lambda: f"{commit}+dirty")
+    with Queue.open(folder.queue) as queue, pytest.raises(ConfigurationError) as refused:
+        refuse_changes(queue, batch)
+    assert f"{commit} then, " in refused.value.message
+    assert f"{commit}+dirty now" in refused.value.message

@@ -26,6 +26,8 @@ from rig.run.source_state import source_state
 
 OF_BATCH_FILE = "fingerprint batch file"
 """The queue's entry with the fingerprint of the batch file."""
+OF_PROGRAM = "fingerprint program"
+"""The queue's entry with the version and the source of the program."""
 
 
 def begin(batch_file: Path, prepared: PreparedBatch, now: datetime) -> BatchFolder:
@@ -85,7 +87,7 @@ def fingerprints(
     """Return the fingerprints of everything that has to be unchanged for a batch to be resumed."""
     found = {
         OF_BATCH_FILE: _of_file(batch_file),
-        "fingerprint program": f"{rig.__version__} {source_state()}".strip(),
+        OF_PROGRAM: f"{rig.__version__} {source_state()}".strip(),
     }
     if bench is not None:
         found["fingerprint bench file"] = _of_file(bench)
@@ -108,7 +110,9 @@ def refuse_changes(queue: Queue, batch: BatchFile) -> None:
     for key, value in now.items():
         if (was := queue.meta(key)) != value:
             what = key.removeprefix("fingerprint ")
-            changed.append(f"{what} ({was[:12] or 'none'} then, {value[:12] or 'gone'} now)")
+            if key != OF_PROGRAM:  # whose states may differ in their last characters alone
+                was, value = was[:12], value[:12]
+            changed.append(f"{what} ({was or 'none'} then, {value or 'gone'} now)")
     if changed:
         raise ConfigurationError(
             f"{queue.path.parent}: changed since the batch began: {', '.join(changed)}",
