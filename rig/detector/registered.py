@@ -20,7 +20,15 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from rig.core.entry_points import DETECTORS, OWN_PACKAGE, find, load, names, package
+from rig.core.entry_points import (
+    DETECTORS,
+    OWN_PACKAGE,
+    find,
+    load,
+    names,
+    package,
+    packages_of,
+)
 from rig.core.errors import ConfigurationError, finding, is_stop
 from rig.core.settings import Settings
 from rig.detector.checking import CheckedDetector, DetectorError, asked, quiet_stdout
@@ -129,7 +137,7 @@ def chosen_detector(name: str, settings_json: str = "") -> ChosenDetector:
 
 def is_own(name: str) -> bool:
     """Return whether a detector is one of this project; nothing is imported."""
-    return _package_of(name)[0] == OWN_PACKAGE
+    return OWN_PACKAGE in packages_of(DETECTORS, name)
 
 
 def detector_names() -> tuple[str, ...]:
@@ -188,13 +196,16 @@ def _digest_of(kind: type[Detector]) -> str:
     """Return the SHA-256 of every file of the package around a class, or of its only module: a
     version that is kept by hand does not distinguish two states of the code."""
     top = import_module(kind.__module__.partition(".")[0])
-    file = Path(top.__file__ or "")
-    root = file.parent
-    files = sorted(root.rglob("*")) if hasattr(top, "__path__") else [file]
+    # A package without __init__.py has no file, and may lie in several folders.
+    folders = [Path(folder) for folder in getattr(top, "__path__", ())]
+    files = [(one, path) for one in folders for path in sorted(one.rglob("*"))]
+    if not folders:
+        assert top.__file__ is not None, "the class was imported from it"
+        files = [(Path(top.__file__).parent, Path(top.__file__))]
     hashed = hashlib.sha256()
-    for path in files:
+    for folder, path in files:
         if path.is_file() and "__pycache__" not in path.parts:
             content = path.read_bytes()
-            name = path.relative_to(root).as_posix()
+            name = path.relative_to(folder).as_posix()
             hashed.update(f"{name} {len(content)}\n".encode() + content)
     return hashed.hexdigest()

@@ -11,13 +11,13 @@ import queue
 import signal
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import (
     BrokenExecutor,
-    Executor,
     Future,
     ProcessPoolExecutor,
     as_completed,
+    wait,
 )
 from typing import Any, TypeVar
 
@@ -32,6 +32,8 @@ WORKERS_S = 30.0
 """Longest time in s that a cluster may be without any worker."""
 LOOK_EVERY_S = 0.5
 """Time in s between two looks whether scheduler and workers of a cluster are alive."""
+END_S = 3.0
+"""Time in s in which processes may end what they do once the command is interrupted."""
 CLOSE_S = 3.0
 """Longest time in s that cancelling the rest of a cluster's work may take."""
 
@@ -52,17 +54,20 @@ def completed(
     items: Sequence[Item],
     processes: int,
     scheduler: str | None = None,
+    *,
+    apart: bool = False,
 ) -> Iterator[tuple[int, Result | RigError]]:
     """Yield number and result of each item as they come; a RigError where its process failed.
 
     Processes are forked, which is what makes them worth it: new ones would import for longer than
-    they work. What the function needs is therefore best imported before. With `scheduler` the
+    they work. What the function needs is therefore best imported before. One process is not forked
+    unless the function is to run `apart`, as it may end its process. With `scheduler` the
     cluster's workers call it: the same program has to be installed there, and the files have to
     have the same names. ConfigurationError where the cluster cannot be reached; a RigError for each
     item that is missing when its scheduler is gone or it has no worker any more.
     """
     processes = min(processes, len(items))
-    if scheduler is None and processes <= 1:
+    if scheduler is None and processes <= 1 and not (apart and items):
         yield from enumerate(map(function, items))
         return
     if scheduler is not None:
@@ -76,9 +81,18 @@ def completed(
             for future in as_completed(futures):
                 outcome = _outcome(future)
                 yield futures[future], outcome
-        finally:
-            for future in futures:
-                future.cancel()
+        except BaseException:
+            _end(executor, futures)
+            raise
+
+
+def _end(executor: ProcessPoolExecutor, futures: Iterable[Future[Any]]) -> None:
+    """Give up what has not begun, and what does not end in time: a detector may never return, and
+    its process does not hear Ctrl-C."""
+    running = [future for future in futures if not future.cancel()]
+    if wait(running, END_S).not_done:
+        for process in list((executor._processes or {}).values()):
+            process.kill()
 
 
 def _outcome(future: Future[Result]) -> Result | RigError:
@@ -95,7 +109,7 @@ def _outcome(future: Future[Result]) -> Result | RigError:
         return failure
 
 
-def _forked(processes: int) -> Executor:
+def _forked(processes: int) -> ProcessPoolExecutor:
     context = multiprocessing.get_context("fork")
     return ProcessPoolExecutor(processes, context, initializer=_serve)
 

@@ -286,6 +286,28 @@ def test_one_that_ends_its_process_is_named(rig: Any) -> None:
         assert "died while detector 'lab-level' of the package lab-level judged" in line
 
 
+def test_one_that_ends_its_process_does_not_end_the_command_as_if_all_were_done(rig: Any) -> None:
+    installed(rig, LEVEL.replace("above =", "import os; len(volts) > 100 and os._exit(0); above ="))
+    done = rig.run("detect", "--detector", "lab-level", recorded(rig).name)
+    assert done.code == 1, done.stderr
+    assert "died while detector 'lab-level' of the package lab-level judged" in done.errors[-1]
+
+
+def test_a_name_that_two_packages_register_disables_that_name_only(rig: Any) -> None:
+    installed(rig)
+    on_path(rig, install(rig.folder / "other", "lab-other", LAB))
+    listed = rig.run("detectors")
+    assert listed.code == 0, listed.stderr
+    assert "paper-hp (default)" in listed.stdout
+    assert "'lab-level' is registered by the packages" in listed.stderr
+    file = recorded(rig)
+    done = rig.run("detect", file.name)
+    assert done.code == 0, done.stderr
+    refused = rig.run("detect", "--detector", "lab-level", file.name)
+    assert refused.code == 2
+    assert "uninstall all but one of them" in refused.errors[-1]
+
+
 @pytest.mark.thorough
 def test_another_package_s_detector_of_our_name_does_not_replace_ours(rig: Any) -> None:
     installed(rig, entries="[rig.detectors]\npaper-hp = lab.level:Level\n")

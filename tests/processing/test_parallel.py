@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import multiprocessing
 import os
 import signal
+import time
 
 import pytest
 
 from rig.core.errors import ConfigurationError, RigError
+from rig.processing import parallel
 from rig.processing.parallel import completed
 
 
@@ -56,6 +59,31 @@ def test_a_process_that_dies_is_reported() -> None:
     for failure in found.values():
         assert isinstance(failure, RigError)
         assert "the process that read it died" in failure.message
+
+
+def never_return(_: int) -> int:
+    while True:
+        time.sleep(1.0)
+
+
+def interrupt(*_: object) -> None:
+    raise KeyboardInterrupt
+
+
+def test_an_interruption_does_not_wait_for_a_file_that_never_ends(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(parallel, "END_S", 0.1)
+    monkeypatch.setattr(parallel, "as_completed", interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        list(completed(never_return, range(3), 2))
+    assert not multiprocessing.active_children()
+
+
+def test_one_file_may_be_read_apart_from_the_command() -> None:
+    ((_, failure),) = completed(die, [0], 1, apart=True)
+    assert isinstance(failure, RigError)
+    assert dict(completed(die, [], 1, apart=True)) == {}
 
 
 def test_a_cluster_that_is_not_there_is_a_usage_error() -> None:

@@ -106,7 +106,10 @@ def detect(
                 answered(number, detect_file(work[number]))
         with _DetectionProgress(len(there_is)) as progress:
             present = [work[number] for number in there_is]
-            results = completed(detect_file, present, jobs or processors(), scheduler)
+            # A package may end its process, and this one would end with code 0 and no word.
+            results = completed(
+                detect_file, present, jobs or processors(), scheduler, apart=not wanted.is_own
+            )
             for done, (number, result) in enumerate(results, 1):
                 progress.done(done, files[there_is[number]])
                 answered(there_is[number], result)
