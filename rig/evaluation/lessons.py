@@ -277,9 +277,11 @@ def sides_of(groups: Sequence[tuple[str, str]]) -> list[bool]:
     sizes = {one: part.count(one) for one in dict.fromkeys(part)}
     if len(sizes) < 2:
         named = ", ".join(sorted({sample or "without a name" for sample, _ in groups})[:4])
+        what = f"all {len(groups)} trials share samples or days ({named})"
+        if len(groups) == 1:
+            what = "it lists one trial"
         raise ConfigurationError(
-            f"--files: all {len(groups)} trials share samples or days ({named}), so that none can "
-            "be held out",
+            f"--files: {what}, so that none can be held out",
             "add trials of another sample on another day (rig import --sample, --start-time), or "
             "hold none out with --all",
         )

@@ -57,6 +57,7 @@ def test_a_network_is_trained_on_run_files_alone_and_says_so(tmp_path: Path, lis
     assert network.inputs == INPUTS
     assert len(network.hidden) == 2 * 4
     assert network.trained_on == "5 trials of run files"
+    assert network.name == "net"  # `rig show` names it beside the one of the program
     assert f"--files {listing} --members 2 --units 4 --epochs 3" in network.trained_by
     assert (network.first_seed, network.last_seed) == (0, -1)
     # Sample b was held out: a slip and a roll.
@@ -68,7 +69,7 @@ def test_a_network_is_trained_on_run_files_alone_and_says_so(tmp_path: Path, lis
     assert "--all" in Network.model_validate_json((tmp_path / "all.json").read_bytes()).trained_by
     assert run("--out", tmp_path / "b.json", "--files", listing, "--epochs", "3", "--units", "4")
     again = json.loads((tmp_path / "b.json").read_text())
-    assert again == json.loads(out.read_text())
+    assert again | {"name": "net"} == json.loads(out.read_text())
     (tmp_path / "own.toml").write_text('network = "net.json"\n')
     chosen = detector_with_settings("rig", tmp_path / "own.toml")
     assert chosen.settings.network == network
@@ -124,6 +125,26 @@ def test_files_in_which_nothing_is_touched_are_refused(tmp_path: Path):
     said = refused("--out", tmp_path / "net.json", "--files", tmp_path / "list.csv")
     assert "2 trials of run files: in none of them is the skin touched" in said
     assert not (tmp_path / "net.json").exists()
+
+
+def test_what_never_slips_teaches_nothing_and_is_refused(tmp_path: Path):
+    slip_file(tmp_path, "t0", procedure="roll-trial", simulated=False)
+    (tmp_path / "list.csv").write_text("file\nt0.h5\n")
+    said = refused("--out", tmp_path / "net.json", "--files", tmp_path / "list.csv", "--all")
+    assert "1 trial of run files: none to learn from has a slip of the whole ridge" in said
+    assert not (tmp_path / "net.json").exists()
+
+
+def test_a_folder_that_cannot_be_written_to_is_refused_before_the_training(tmp_path: Path):
+    said = refused("--out", "/proc/net.json", "--files", tmp_path / "missing.csv")
+    assert "--out /proc/net.json: its folder cannot be written to: " in said
+
+
+def test_one_trial_cannot_be_held_out(tmp_path: Path):
+    slip_file(tmp_path, "t0")
+    (tmp_path / "list.csv").write_text("file\nt0.h5\n")
+    said = refused("--out", tmp_path / "net.json", "--files", tmp_path / "list.csv")
+    assert "--files: it lists one trial, so that none can be held out" in said
 
 
 def test_an_earlier_network_is_never_overwritten(tmp_path: Path):

@@ -8,6 +8,7 @@ was trained, and scoring refuses the seeds. A fifth of the trials is held out an
 from __future__ import annotations
 
 import json
+import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -20,6 +21,7 @@ from rig.cli.options.numbers import LARGEST_SEED, whole_number
 from rig.cli.outcome import reported, say
 from rig.core.atomic import write_text
 from rig.core.errors import ConfigurationError
+from rig.core.units import counted
 
 if TYPE_CHECKING:
     from rig.detector.network import Network
@@ -134,6 +136,14 @@ def train(
             raise ConfigurationError(
                 f"{out.parent}: no such folder", "create it, or choose another folder"
             )
+        try:  # now, not after hours of training
+            with tempfile.TemporaryFile(dir=out.parent):
+                pass
+        except OSError as error:
+            raise ConfigurationError(
+                f"--out {out}: its folder cannot be written to: {error.strerror or error}",
+                "choose another folder",
+            ) from error
         if seeds is None and wire is None and files is None:
             seeds = MODEL_SEEDS
         if seeds is None and (population or front_end):
@@ -153,7 +163,7 @@ def train(
         )
         numbers = f"--members {members} --units {units} --epochs {epochs} --seed {seed}"
         command = " ".join(["rig train", *sources.words(population, front_end), numbers])
-        network, held_out = _trained(sources, members, units, epochs, seed, command)
+        network, held_out = _trained(out.stem, sources, members, units, epochs, seed, command)
         text = json.dumps(network.model_dump(mode="json"), indent=1) + "\n"
         write_text(out, text)
         if held_out:
@@ -191,21 +201,21 @@ class Sources:
 
     def said(self) -> str:
         """Return how many trials of each source there were, in words."""
-        return ", ".join(f"{count} {source}" for source, count in self.counted.items())
+        return ", ".join(f"{counted(n, 'trial')} {of}" for of, n in self.counted.items())
 
     def lessons(self) -> Iterator[Lesson]:
         """Yield all lessons, source by source. Raises ConfigurationError for a file that cannot
         be used."""
         for source, lessons in (
-            ("trials of the skin model", self._of_the_model()),
-            ("trials on the simulated bench", self._of_the_bench()),
-            ("trials of run files", self._of_files()),
+            ("of the skin model", self._of_the_model()),
+            ("on the simulated bench", self._of_the_bench()),
+            ("of run files", self._of_files()),
         ):
             for one in lessons:
                 self.counted[source] = self.counted.get(source, 0) + one.first
                 yield one
             if source in self.counted:
-                say(f"train: {self.counted[source]} {source}")
+                say(f"train: {counted(self.counted[source], 'trial')} {source}")
 
     def _of_the_model(self) -> Iterator[Lesson]:
         from rig.core.cache import user_cache
@@ -289,7 +299,7 @@ def _tuning_seeds(option: str, text: str | None) -> SeedRange | None:
 
 
 def _trained(
-    sources: Sources, members: int, units: int, epochs: int, seed: int, command: str
+    name: str, sources: Sources, members: int, units: int, epochs: int, seed: int, command: str
 ) -> tuple[Network, list[Lesson]]:
     """Return the network, and the lessons that were held out."""
     import rig
@@ -320,6 +330,14 @@ def _trained(
             f"{sources.said()}: in none of them is the skin touched, so there is nothing to learn",
             "check the channels and that the strips' signals are in volts",
         )
+    if not any((one.slip >= 0).any() for one in learnt):
+        raise ConfigurationError(
+            f"{sources.said()}: none to learn from has a slip of the whole ridge, so the network "
+            "would never alarm",
+            "add trials with slips (label, ridge_slip_s), or hold none out with --all",
+        )
+    if not any((one.right[:, 1] > 0).any() for one in learnt):
+        say("train: none of them rolls, so the network does not learn to report rolls")
     say(f"train: {sum(len(one.inputs) for one in learnt)} rows")
 
     def show(epoch: int, loss: float) -> None:
@@ -329,7 +347,7 @@ def _trained(
     hidden, output = learn_together(learnt, members, units, epochs, seed, show)
     seeds = [one for one in (sources.seeds, sources.wire) if one is not None]
     network = Network(
-        name=f"rig-{DETECTOR_VERSION}",
+        name=name,
         inputs=INPUTS,
         hidden=_rounded(hidden),
         output=_rounded(output),
