@@ -32,6 +32,18 @@ def write_checksum(path: Path, sha256: str) -> None:
     atomic.write_text(checksum_path(path), f"{sha256}  {path.name}\n", shared=True)
 
 
+def stated_sha256(file: Path) -> str | None:
+    """Return the SHA-256 that is written beside a file; None where none is, or not that of one
+    file. The file itself is not read."""
+    try:
+        with checksum_path(file).open(encoding="utf-8", errors="replace") as opened:
+            lines = opened.read(MAX_CHECKSUM_CHARACTERS).strip().splitlines()
+    except OSError:
+        return None
+    sha256 = lines[0].split()[0].lower() if len(lines) == 1 else ""
+    return sha256 if _SHA256.fullmatch(sha256) else None
+
+
 def checksum_findings(file: Path) -> Iterator[str]:
     """Yield what is wrong with a file according to the SHA-256 beside it, one sentence each.
 

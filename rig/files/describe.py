@@ -106,13 +106,20 @@ def ending_of(contents: JournalContents) -> RecordedOutcome:
 
 def describe_processed(file: ProcessedFile) -> dict[str, Any]:
     """Return a processed file's source, detector, parameters and events as JSON-able values."""
+    from rig.detector.network import Network
+
     source, detector = file.source, file.detector
     parameters = detector.settings.model_dump(exclude={"logic", "network"})
     network = getattr(detector.settings, "network", None)
     if network is not None:
-        parameters["network"] = getattr(network, "name", network)
+        parameters["network"] = (
+            f"{network.name}, trained on {network.trained_on}"
+            if isinstance(network, Network)
+            else network
+        )
     foreign = detector.package not in ("", OWN_PACKAGE)
     events = file.events()
+    doubts = list(file.doubts())
     return {
         "file": str(file.path),
         "title": file.title,
@@ -128,6 +135,7 @@ def describe_processed(file: ProcessedFile) -> dict[str, Any]:
             trial: [_event(event) for of, event in events if of == trial] or ["nothing found"]
             for trial in file.trial_ids()
         },
+        **({"warnings": doubts} if doubts else {}),
     }
 
 

@@ -24,6 +24,8 @@ from rig.detector.registered import ChosenDetector, chosen_detector
 from rig.detector.settings import DetectorSettings
 from rig.files.checksum import sha256_of
 from rig.files.definitions import definition_path
+from rig.files.describe import describe_processed
+from rig.files.errors import RunFileError
 from rig.files.hdf5.nexus import array_field
 from rig.files.processed.reader import ProcessedFile, is_processed
 from rig.files.runfile.compile import compile_run
@@ -200,6 +202,21 @@ def as_written(file: Path) -> tuple[int, int, int]:
     return state.st_ino, state.st_size, state.st_mtime_ns
 
 
+def test_a_network_of_one_s_own_is_shown_with_what_it_was_trained_on(
+    run_file: Path, tmp_path: Path
+) -> None:
+    usual = chosen_detector("rig")
+    assert isinstance(usual.settings, DetectorSettings)
+    assert usual.settings.network is not None
+    own = {"name": "own", "trained_on": "3 trials of run files"}
+    network = usual.settings.network.model_copy(update=own)
+    settings = usual.settings.model_copy(update={"network": network})
+    made = detected(run_file, tmp_path, ChosenDetector("rig", settings))
+    with ProcessedFile.open(made.file) as file:
+        shown = describe_processed(file)["parameters"]["network"]
+    assert shown == "own, trained on 3 trials of run files"
+
+
 def test_a_result_that_exists_is_kept(own_run: Path) -> None:
     first = detected(own_run)
     before = as_written(first.file)
@@ -245,7 +262,13 @@ def test_the_result_of_a_run_that_went_on_is_written_again(tmp_path: Path) -> No
     assert detected(run_file).trials == 1
     (tmp_path / "a_r001.rigj").unlink()
     trials.write_trials(tmp_path / "a_r001.rigj", TRIALS)
+    (early,) = (tmp_path / "processed").glob("*.h5")
+    gone_on = "a_r001.h5 has changed since, or is another run of that name: `rig detect` judges it"
+    assert gone_on in verify(early)[0]
+    with ProcessedFile.open(early) as file:
+        assert gone_on in describe_processed(file)["warnings"][0]
     later = detected(run_file)
+    assert verify(early) == []
     assert (later.trials, later.kept) == (2, False)
     assert "the run file has changed since" in later.warnings[0]
 
@@ -455,6 +478,18 @@ def test_verify_says_what_a_sound_file_holds(found: DetectionResult) -> None:
     assert str(verdict(found.file)) == (
         f"sound (paper-hp {DETECTOR_VERSION}, {sum(found.events.values())} events in 2 trials)"
     )
+
+
+def test_one_that_was_half_copied_is_to_be_detected_again_not_recovered(own_run: Path) -> None:
+    made = detected(own_run).file
+    made.chmod(0o644)
+    made.write_bytes(made.read_bytes()[:40_000])
+    assert is_processed(made)
+    (*_, said) = verify(made)
+    assert "not a readable processed file: " in said
+    with pytest.raises(RunFileError) as refusal:
+        ProcessedFile.open(made)
+    assert refusal.value.hint == "`rig detect` writes it again from the run file"
 
 
 def without_mark(entry: h5py.Group) -> None:

@@ -101,6 +101,7 @@ def of_processed(description: Mapping[str, Any], usual: Mapping[str, Any]) -> li
     sections = [
         Section("parameters", [_pairs(changed) or AT_DEFAULTS], rank=1),
         Section("found", [found, *slips, *others], rank=0),
+        Section("warnings", description.get("warnings", ()), rank=0),
     ]
     return on_a_screen(head, sections, [MORE_AND_FIGURES])
 

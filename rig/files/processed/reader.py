@@ -15,12 +15,15 @@ from rig.core.entry_points import OWN_PACKAGE
 from rig.core.settings import Settings, fingerprint
 from rig.detector.events import EventKind, SlipEvent
 from rig.detector.settings import settings_from_json
+from rig.files.checksum import stated_sha256
 from rig.files.errors import RunFileError
+from rig.files.file_kind import kind_of
 from rig.files.hdf5.open_file import OpenFile, definition_of
 from rig.files.hdf5.safe_reading import text_of, texts_of, whole
 from rig.files.journal.values import SIMULATED
 from rig.files.processed.values import (
     DEFINITION,
+    FOLDER,
     DetectedTrial,
     ProcessedSource,
     StatedDetector,
@@ -30,8 +33,11 @@ from rig.files.processed.values import (
 
 
 def is_processed(path: Path) -> bool:
-    """Return whether a file says that it is a processed file. False for a damaged one."""
-    return definition_of(path) == DEFINITION
+    """Return whether a file says that it is a processed file; of one that cannot say what it is,
+    as it is damaged, whether it lies where these lie."""
+    if said := definition_of(path):
+        return said == DEFINITION
+    return path.absolute().parent.name == FOLDER and kind_of(path) == "hdf5"
 
 
 class ProcessedFile(OpenFile):
@@ -177,9 +183,20 @@ class ProcessedFile(OpenFile):
         found = f"{events} event{'s' * (events != 1)} in {trials} trial{'s' * (trials != 1)}"
         return f"{self.detector.name} {self.version}, {found}"
 
+    def doubts(self) -> Iterator[str]:
+        """Run: whether the run file in the folder above is still the one that was processed, by the
+        SHA-256 beside it. Nothing is yielded where none is there."""
+        run_file = self.path.absolute().parent.parent / Path(self.source.file_name).name
+        if stated_sha256(run_file) not in (None, self.source.sha256):
+            yield (
+                f"{run_file.name} has changed since, or is another run of that name: "
+                "`rig detect` judges it as it is now"
+            )
+
     def findings(self) -> Iterator[str]:
         """Contents: what is wrong with what the file says of itself, one sentence each."""
         source, detector = self.source, self.detector
+        yield from self.doubts()
         for where, title in (("title", self.title), ("source/title", source.title)):
             if not title.startswith(source.mark):
                 yield f"{where} does not say {source.mark}, as its source does"
