@@ -9,9 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import math
-import os
-import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 import numpy as np
@@ -19,6 +17,7 @@ from numpy.typing import NDArray
 
 from rig.core.entry_points import DETECTORS, find, place_in
 from rig.core.errors import LONGEST_REASON, ExitCode, RigError, is_stop, shortened
+from rig.core.quiet_stdout import quiet_stdout
 from rig.core.settings import Settings
 from rig.detector.contract import Detector
 from rig.detector.events import EVENT_KINDS, SlipEvent
@@ -128,27 +127,6 @@ class CheckedDetector(Detector):
         return DetectorError(self._name, self._package, reason)
 
 
-@contextlib.contextmanager
-def quiet_stdout() -> Iterator[None]:
-    """Send to stderr what code of another package prints or writes to descriptor 1: stdout carries
-    the command's data."""
-    with contextlib.redirect_stdout(sys.stderr):
-        try:
-            # One terminal, or nowhere, as beside a trial: nothing has to be kept apart.
-            stdout = None if os.path.sameopenfile(1, 2) else os.dup(1)
-        except OSError:  # one of them is closed
-            stdout = None
-        if stdout is None:
-            yield
-            return
-        try:
-            os.dup2(2, 1)
-            yield
-        finally:
-            os.dup2(stdout, 1)
-            os.close(stdout)
-
-
 def asked(
     name: str,
     package: str,
@@ -201,13 +179,22 @@ def event_fault(event: Any, first: int, end: int, rate_Hz: float) -> str | None:
         return f"an event with the confidence {event.confidence!r}: it must be from 0 to 1"
     if not isinstance(event.reason, str):
         return "an event whose reason is not a text"
+    if not _storable(event.reason):
+        return f"an event whose reason a file cannot hold: {shortened(event.reason)!a}"
     if not isinstance(event.features, dict):
         return "an event whose features are not a dict of numbers by name"
     for name, value in event.features.items():
-        number = isinstance(value, int | float | np.floating) and math.isfinite(value)
-        if not isinstance(name, str) or not number:
+        number = isinstance(value, int | float | np.number) and np.isrealobj(value)
+        if not isinstance(name, str) or not number or not math.isfinite(value):
             return f"an event whose feature {shortened(str(name))!r} is not a finite number"
+        if not _storable(name):
+            return f"an event with a feature whose name a file cannot hold: {shortened(name)!a}"
     return None
+
+
+def _storable(text: str) -> bool:
+    """Return whether HDF5 gives a text back as it is: UTF-8, without the character 0."""
+    return "\0" not in text and text == text.encode(errors="ignore").decode()
 
 
 def _plain(event: SlipEvent) -> SlipEvent:

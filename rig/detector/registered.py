@@ -30,8 +30,9 @@ from rig.core.entry_points import (
     packages_of,
 )
 from rig.core.errors import ConfigurationError, finding, is_stop
+from rig.core.quiet_stdout import quiet_stdout
 from rig.core.settings import Settings
-from rig.detector.checking import CheckedDetector, DetectorError, asked, quiet_stdout
+from rig.detector.checking import CheckedDetector, DetectorError, asked
 from rig.detector.contract import Detector
 from rig.detector.resampling import ResampledDetector
 

@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 from rig.core.errors import RigError, is_stop
 from rig.core.file_entry_points import FIGURES, PROCESSED, strays
+from rig.core.quiet_stdout import quiet_stdout
 from rig.core.time_limit import time_limit
 from rig.figures.registry import RegisteredFigure, figures_of
 
@@ -203,8 +204,7 @@ class _Drawing:
             self._warn(f"{registered} was left out: {limit}")
             return
         try:
-            # Text that a figure's function prints must not mix with the answer.
-            with time_limit(left_s), contextlib.redirect_stdout(sys.stderr):
+            with time_limit(left_s), quiet_stdout():
                 self._add(registered, opened)
         except _NoPlaceError:
             raise

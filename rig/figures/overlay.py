@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from rig.core.errors import ConfigurationError, is_stop
 from rig.core.file_entry_points import OVERLAYS, entries_of, strays
+from rig.core.quiet_stdout import quiet_stdout
 from rig.core.settings import name_without_unit, unit_of
 from rig.core.time_limit import time_limit
 from rig.figures.circumstances import film_of, in_one_line, statements
@@ -134,7 +135,7 @@ def _figures_of(runs: Sequence[RunFile]) -> tuple[dict[str, Figure], list[str], 
     warnings, tracebacks = list(strays(OVERLAYS, (kind,))), list[str]()
     for one in registered:
         try:
-            with time_limit(TIMEOUT_S):
+            with time_limit(TIMEOUT_S), quiet_stdout():
                 drawn = figures_by(one, runs)
                 for figure in drawn.values():  # a text that is not a formula fails only here
                     figure.draw_without_rendering()

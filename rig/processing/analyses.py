@@ -11,10 +11,8 @@ A package that fails loses its own values; each failure is one sentence.
 
 from __future__ import annotations
 
-import contextlib
 import json
 import math
-import sys
 import traceback
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -25,6 +23,7 @@ from typing import TYPE_CHECKING, Any
 from rig.core.atomic import write_text
 from rig.core.errors import is_stop
 from rig.core.file_entry_points import ANALYSES, FileEntry, entries_of, strays
+from rig.core.quiet_stdout import quiet_stdout
 from rig.core.settings import unit_of
 from rig.core.time_limit import time_limit
 from rig.files.checksum import sha256_of
@@ -81,8 +80,7 @@ def analyse(run: RunFile) -> Analyses:
             warnings.append(f"{registered} was left out: another analysis has its name")
             continue
         try:
-            # Text that an analysis prints must not mix with the answer.
-            with time_limit(LONGEST_S), contextlib.redirect_stdout(sys.stderr):
+            with time_limit(LONGEST_S), quiet_stdout():
                 values = _analysis(registered, run)
             found.append(values)
         # A package may raise anything, and call sys.exit() where it was meant as a program.

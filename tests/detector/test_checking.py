@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from rig.core.settings import Settings
-from rig.detector.checking import CheckedDetector
+from rig.detector.checking import CheckedDetector, event_fault
 from rig.detector.contract import Detector, Reals
 from rig.detector.events import SlipEvent
 
@@ -34,3 +34,17 @@ def test_events_of_a_block_are_taken_in_the_order_of_their_rows() -> None:
         ("cannot judge", 5),
         ("roll", 7),
     ]
+
+
+def test_texts_that_no_file_can_hold_are_refused_with_the_detector_s_name() -> None:
+    def fault(reason: str = "", name: str = "jump_mV", value: object = 1.0) -> str | None:
+        event = SlipEvent("rejected", 3, 0.003, 0.5, reason, {name: value})  # type: ignore[dict-item]
+        return event_fault(event, 0, 10, 1000.0)
+
+    assert fault("no motion µ, 滑") is None
+    assert fault("nul\0after") == "an event whose reason a file cannot hold: 'nul\\x00after'"
+    assert fault("half \udc80") == "an event whose reason a file cannot hold: 'half \\udc80'"
+    assert "whose name a file cannot hold: 'a\\x00b'" in str(fault(name="a\0b"))
+    assert fault(value=np.int8(3)) is None
+    for value in (np.nan, np.complex64(1), "3"):
+        assert fault(value=value) == "an event whose feature 'jump_mV' is not a finite number"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import sys
 from pathlib import Path
 from typing import Any
@@ -132,13 +133,16 @@ def test_an_analysis_that_never_returns_is_interrupted(
     )
 
 
-def test_an_analysis_may_print_and_close_its_file(
+def test_an_analysis_may_print_and_close_its_file_and_even_stdout(
     file: Path,
     monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    capfd: pytest.CaptureFixture[str],
     tmp_path: Path,
 ) -> None:
-    module = "def closes(run):\n    print('look')\n    with run:\n        return {'points': 1}\n"
+    module = (
+        "import os\ndef closes(run):\n    print('look')\n    os.write(1, b'as C does\\n')\n"
+        "    os.close(1)\n    with run:\n        return {'points': 1}\n"
+    )
     entries = "[rig.analyses]\nlab-trial.closes = lab_closes:closes"
     site = install(tmp_path / "closes", "lab-closes", entries, {"lab_closes.py": module})
     monkeypatch.syspath_prepend(str(site))
@@ -146,7 +150,10 @@ def test_an_analysis_may_print_and_close_its_file(
         (found,) = (one for one in analyse(run).found if one.package == "lab-closes")
         assert run.point_ids() == ["trial-1"], "it is still open for who comes next"
     assert found.values == {"points": 1}
-    assert capsys.readouterr() == ("", "look\n")
+    os.write(1, b"the answer\n")
+    out, err = capfd.readouterr()
+    assert out == "the answer\n"
+    assert set(err.splitlines()) == {"look", "as C does"}
 
 
 def test_a_signal_during_an_analysis_ends_the_command_and_is_no_fault_of_the_package(
