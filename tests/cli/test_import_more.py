@@ -130,6 +130,14 @@ def test_what_is_not_a_number_in_an_npz_is_refused_with_a_remedy_for_numpy(tmp_p
     assert refused.value.hint == "save it as an array of numbers, such as float64"
 
 
+def test_a_matrix_with_a_row_for_each_channel_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "a.npz"
+    np.savez(path, strips=np.arange(600.0).reshape(2, 300))
+    with pytest.raises(ForeignFileError, match="strips has 2 rows and 300 columns") as refused:
+        read(path, {"v_1": "strips:1", "v_2": "strips:2"})
+    assert "transpose" in str(refused.value.hint)
+
+
 def test_pickled_objects_in_an_npz_are_not_loaded(tmp_path: Path) -> None:
     class Evil:
         def __reduce__(self) -> tuple[Any, ...]:

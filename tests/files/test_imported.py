@@ -12,6 +12,7 @@ import pytest
 from imports import BY_NUMBER, assert_as_written, read, refused
 from tiers import mostly_thorough
 
+from rig.files.errors import ForeignFileError
 from rig.files.imported.import_file import read_foreign
 from rig.files.imported.source import MAX_BYTES
 
@@ -188,6 +189,9 @@ def test_a_rate_at_which_no_slip_can_be_found_is_reported_with_its_likely_cause(
     stated = read(in_ms, tmp_path, {"v_1": "2", "v_2": "3"}, rate_Hz=400.0)
     assert stated.warnings == ("400 Hz: slips are not found in recordings below 500 Hz",)
     assert read(in_ms, tmp_path, {"v_1": "2", "v_2": "3"}, rate_Hz=500.0).warnings == ()
+    assert read(in_ms, tmp_path, {"v_1": "2", "v_2": "3"}, rate_Hz=5e4).warnings == ()
+    (warning,) = read(in_ms, tmp_path, {"v_1": "2", "v_2": "3"}, rate_Hz=1e6).warnings
+    assert "1000000 Hz: slips are not found in recordings above 50000 Hz" in warning
 
 
 def test_files_that_are_no_recordings_are_refused(tmp_path: Path) -> None:
@@ -242,6 +246,23 @@ def test_uneven_times_are_refused_where_they_are(
 ) -> None:
     with refused(reason):
         read(timed(times), tmp_path)
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        timed([0, 0, 0, 0, 0, 0.01, 0.01]),  # 1 kHz in hundredths
+        timed([0, 0.001, 0.001, 0.002, 0.003, 0.003]),  # 1.5 kHz in thousandths
+        "t,a,b\n0:00.001,1,2\n0:00.002,3,4\n",
+    ],
+    ids=["hundredths", "thousandths", "time of day"],
+)
+def test_times_that_no_rate_can_be_read_from_are_better_left_out(
+    tmp_path: Path, content: str
+) -> None:
+    with pytest.raises(ForeignFileError) as refusal:
+        read(content, tmp_path)
+    assert "leave out --time and give --rate" in str(refusal.value.hint)
 
 
 def test_rate_and_times_have_to_agree(tmp_path: Path) -> None:

@@ -234,7 +234,7 @@ class _Importing:
         written = f" ({foreign.source.written_as})" if foreign.source.written_as else ""
         say(
             f"IMPORTED {foreign.name}: {foreign.source.format}{written}, {recording.rows} samples "
-            f"at {recording.rate_Hz:g} Hz"
+            f"at {recording.rate_Hz:.10g} Hz"
         )
         for warning in recording.warnings:
             say(f"warning: {warning}")

@@ -38,6 +38,8 @@ NUMERIC = frozenset(
 )
 LOGICAL = "logical"
 """Class of truth values, 0 or 1: columns that mark when something happens."""
+MOST_COLUMNS_A_ROW = 100
+"""A matrix with more columns for each of its rows has a row for each channel."""
 _WANTED = re.compile(r"([A-Za-z]\w*)(?::([0-9]{1,9}))?\Z", re.ASCII)
 
 
@@ -96,6 +98,12 @@ class MatlabTable:
                 "save it with one row per sample",
             )
         columns = 1 if 1 in shape else shape[1]
+        if columns > MOST_COLUMNS_A_ROW * shape[0]:
+            raise ForeignFileError(
+                self._file,
+                f"variable {variable} has {shape[0]} rows and {columns} columns",
+                "exchange them (transpose it): save it as one row a sample",
+            )
         number = int(found[2] or 1)
         if not 1 <= number <= columns or (found[2] is None and columns > 1):
             raise ForeignFileError(

@@ -41,6 +41,8 @@ LOWEST_RATE_Hz, HIGHEST_RATE_Hz = 1.0, 1e7
 SLOW_Hz = 500.0
 """Rate below which no detector of this project judges a recording: what is faster than half of it
 is lost, and the impulse of a slip lies between 100 and 400 Hz."""
+FAST_Hz = 50e3
+"""Rate above which no detector of this project judges a recording."""
 LEAST_ROWS = 2
 LARGEST = {"V": 1e3, "N": 1e4}
 """Beyond, a column holds no such signal, or it holds counts whose scale was not stated."""
@@ -219,7 +221,7 @@ def recording_of(source: ImportSource, stated: ChannelMap, name: str) -> Recordi
                 for channel, numbers in raw.items()
                 if (numbers == numbers[0]).all()
             ),
-            *_too_slow(rate_Hz, times is not None),
+            *_not_judged(rate_Hz, times is not None),
         ),
         labels_s,
     )
@@ -228,8 +230,13 @@ def recording_of(source: ImportSource, stated: ChannelMap, name: str) -> Recordi
     return recording
 
 
-def _too_slow(rate_Hz: float, by_times: bool) -> list[str]:
+def _not_judged(rate_Hz: float, by_times: bool) -> list[str]:
     """Return a warning about a rate at which no slip can be found, and what may be its cause."""
+    if rate_Hz > FAST_Hz:
+        return [
+            f"{rate_Hz:.7g} Hz: slips are not found in recordings above {FAST_Hz:g} Hz; import it "
+            "thinned out behind a low-pass filter"
+        ]
     if rate_Hz >= SLOW_Hz:
         return []
     in_ms = by_times and 1e3 * rate_Hz >= SLOW_Hz
@@ -344,6 +351,8 @@ def uniform_rate(times_s: NDArray[np.float64], source: ImportSource, name: str) 
 
     def refuse(row: int, reason: str) -> ForeignFileError:
         hint = "cut the file there, or resample it; a gap cannot be imported"
+        if row and times_s[row] == times_s[row - 1]:
+            hint += "; if its times are only rounded, leave out --time and give --rate"
         return ForeignFileError(name, reason, hint, source.place(row))
 
     if np.abs(times_s).max() > LATEST_S:

@@ -27,6 +27,7 @@ MOST_COLUMNS = 1000
 
 _CONTROL = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f]")
 _COMMENT = ("#", "%")
+_TIME_OF_DAY = re.compile(r"\d:\d\d")
 _IN_BRACKETS = re.compile(r"[(\[]\s*([^)\]]+?)\s*[)\]]\s*\Z")
 UNITS = {
     **dict.fromkeys(("V", "Volt", "Volts", "volt", "volts"), "V"),
@@ -205,9 +206,12 @@ class TextTable:
         for k in wanted:
             if not self._dialect.is_number(cells[k]):
                 what = f"{shortened(cells[k])!r} is" if cells[k] else "an empty cell is"
+                hint = "cut the file there: a sample that is missing cannot be imported"
+                if _TIME_OF_DAY.search(cells[k]):
+                    hint = "times are read in s: leave out --time and give --rate"
                 raise refuse(
                     f"{self.name(k)}: {what} not a number ({self._dialect})",
-                    "cut the file there: a sample that is missing cannot be imported",
+                    hint,
                 )
         return [self._dialect.number(cells[k]) for k in wanted]
 
