@@ -15,6 +15,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
@@ -38,6 +39,9 @@ TIMES = ("motion_s", "node_slip_s", "ridge_slip_s", "gross_slip_s", "lift_off_s"
 """Columns of the truth that are times, in s of the record."""
 TEXTS = ("file", "point", "label", *NAMES)
 """Columns that are not numbers."""
+LIKE = 0.8
+"""Similarity, from 0 to 1, from which on the name of a column is taken for a slip of the pen."""
+OF_TRAITS = "leave the column out: one of your own is a trait of the trials and holds numbers"
 MAX_LIST_BYTES = 16 << 20
 """Largest size of a list."""
 
@@ -171,6 +175,14 @@ def _rows(listing: Path) -> list[ListRow]:
         raise ConfigurationError(
             f"{listing}: has no column 'file'", "its first line names the columns"
         )
+    known = (*TEXTS, *TIMES)
+    for name in heads:  # a truth under a wrong name would be ignored as a trait
+        close = get_close_matches(name.lower(), known, 1, LIKE)
+        if name not in known and close:
+            raise ConfigurationError(
+                f"{listing}: the column {name!r} is not known: did you mean {close[0]!r}?",
+                f"a trait of your own needs a name less like {close[0]!r}",
+            )
     if not rows:
         raise ConfigurationError(f"{listing}: lists no file")
     seen: dict[tuple[str, ...], int] = {}
@@ -280,17 +292,17 @@ def _truth(row: dict[str, str], recorded: _Recorded, where: str) -> Truth:
 def _traits(row: dict[str, str], where: str) -> dict[str, float | str]:
     known = {"file", "point", "label", *TIMES}
     return {
-        name: cell if name in NAMES else _number(cell, f"{where}: {name}")
+        name: cell if name in NAMES else _number(cell, f"{where}: {name}", OF_TRAITS)
         for name, cell in row.items()
         if name not in known and cell
     }
 
 
-def _number(cell: str, what: str) -> float:
+def _number(cell: str, what: str, hint: str | None = None) -> float:
     try:
         number = float(cell)
     except ValueError:
-        raise ConfigurationError(f"{what} {cell!r} is not a number") from None
+        raise ConfigurationError(f"{what} {cell!r} is not a number", hint) from None
     if not math.isfinite(number):
         raise ConfigurationError(f"{what} {cell!r} must be finite, or empty for never")
     return number

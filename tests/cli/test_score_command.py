@@ -91,6 +91,9 @@ def population(tmp_path: Path) -> Path:
             ["--files", "list.csv", "--tune", "x.json"],
             "--files cannot be combined with --tune, --tuning or --wire",
         ),
+        (["--files", "list.csv", "--seeds", "1000000:1000010"], "combined with --seeds, which is"),
+        (["--files", "list.csv", "--kinds", "tap"], "combined with --kinds, which is of random"),
+        (["--files", "list.csv", "--swapped-gains"], "combined with --swapped-gains, which is"),
     ],
 )
 def test_what_cannot_be_scored_is_refused_in_one_line(arguments, words, tmp_path):
@@ -241,6 +244,10 @@ def test_labelled_files_are_scored_by_their_list_or_by_what_a_simulated_bench_kn
         ("file,motion_s\nslip.h5,soon\n", "line 2: motion_s 'soon' is not a number"),
         ("file,label,ridge_slip_s\nslip.h5,slip,\n", "a trial labelled 'slip' needs ridge_slip_s"),
         ("file,noise_mV\nslip.h5,much\n", "line 2: noise_mV 'much' is not a number"),
+        ("file,remark\nslip.h5,good\n", "remark 'good' is not a number; leave the column out"),
+        ("file,lable\nslip.h5,slip\n", "the column 'lable' is not known: did you mean 'label'?"),
+        ("file,lift_of_s\nslip.h5,1.9\n", "'lift_of_s' is not known: did you mean 'lift_off_s'?"),
+        ("file,Motion\nslip.h5,1.1\n", "'Motion' is not known: did you mean 'motion_s'?"),
         ("file,motion_s\nslip.h5,900\n", "line 2: motion_s 900 s: the record is from 0 to "),
         (
             "file,motion_s,ridge_slip_s\n\nslip.h5,0.5,0.2\n",

@@ -216,7 +216,8 @@ def score(
             "--elements": elements, "--ridge": ridge, "--youngs-modulus": youngs_modulus,
             "--speed": speed, "--swapped-gains": swapped_gains or None,
         }  # fmt: skip
-        if wire and (given := [name for name, value in of_the_model.items() if value is not None]):
+        given = [name for name, value in of_the_model.items() if value is not None]
+        if wire and given:
             raise ConfigurationError(
                 f"--wire cannot be combined with {given[0]}, which is of the skin model's trials",
                 "leave it out: --wire draws the bench itself",
@@ -227,6 +228,12 @@ def score(
             if tune is not None or tuning or wire:
                 raise ConfigurationError(
                     "--files cannot be combined with --tune, --tuning or --wire", "tune on --seeds"
+                )
+            given += ["--seeds"] * (seeds is not None) + ["--kinds"] * (kinds is not None)
+            if given:
+                raise ConfigurationError(
+                    f"--files cannot be combined with {given[0]}, which is of random trials",
+                    "leave it out: the trials of the list are scored as they are",
                 )
             contenders += map(BaselineContender, beside)
             listed = judge_files(files, contenders, sweep=roc, done=_Progress("files"))
