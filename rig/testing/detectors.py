@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import math
+import time
 from collections.abc import Callable, Iterable
 
 import numpy as np
@@ -188,6 +189,22 @@ def _rows_are_left_as_they_are(chosen: ChosenDetector) -> None:
     assert given.tobytes() == before.tobytes(), "it changed the rows that it was given"
 
 
+def _it_keeps_up_with_a_trial(chosen: ChosenDetector) -> None:
+    """Blocks of two rows, as a running trial hands them over, take less time of a processor than
+    they last; a slower detector falls behind and is dropped."""
+    rate_Hz = _rate(chosen)
+    volts, detector = recording(rate_Hz), chosen.make(rate_Hz)
+    detector.add(volts[:1])  # what is compiled or loaded at first use is ready before a trial
+    begun_s = time.process_time()
+    for begin in range(1, len(volts), 2):
+        detector.add(volts[begin : begin + 2])
+    taken_s = time.process_time() - begun_s
+    assert taken_s < DURATION_S, (
+        f"{DURATION_S:g} s of rows, two at a time, took {taken_s:.1f} s of a processor: beside a "
+        "running trial it would fall behind and be dropped"
+    )
+
+
 def _parameters_survive_json(chosen: ChosenDetector) -> None:
     text = chosen.settings.model_dump_json()
     again = chosen_detector(chosen.name, text)
@@ -205,6 +222,7 @@ _CHECKS: tuple[Callable[[ChosenDetector], None], ...] = (
     _recordings_at_other_rates_are_judged,
     _nothing_is_found_in_nothing,
     _rows_are_left_as_they_are,
+    _it_keeps_up_with_a_trial,
     _parameters_survive_json,
 )
 

@@ -3,6 +3,7 @@ not."""
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from typing import Any
 
@@ -135,6 +136,17 @@ class AtOnce(Steps):
         return super().judge(volts) if self.reported < 5 else []
 
 
+class Slow(Steps):
+    """Thinks for longer than two rows last."""
+
+    def judge(self, volts: np.ndarray) -> list[SlipEvent]:
+        """Keeps a processor busy for 2.2 ms."""
+        until_s = time.process_time() + 2.2e-3
+        while time.process_time() < until_s:
+            pass
+        return super().judge(volts)
+
+
 FAULTS: dict[str, type[Detector]] = {
     "blocks-give-the-events-of-the-whole": EachBlockAnew,
     "events-lie-in-the-rows-in-which-they-were-decided": Late,
@@ -146,6 +158,7 @@ FAULTS: dict[str, type[Detector]] = {
     "recordings-at-other-rates-are-judged": EachBlockAnew,
     "nothing-is-found-in-nothing": Nervous,
     "rows-are-left-as-they-are": Changing,
+    "it-keeps-up-with-a-trial": Slow,
 }
 
 
