@@ -111,12 +111,10 @@ def describe_processed(file: ProcessedFile) -> dict[str, Any]:
     source, detector = file.source, file.detector
     parameters = detector.settings.model_dump(exclude={"logic", "network"})
     network = getattr(detector.settings, "network", None)
-    if network is not None:
-        parameters["network"] = (
-            f"{network.name}, trained on {network.trained_on}"
-            if isinstance(network, Network)
-            else network
-        )
+    if isinstance(network, Network):
+        parameters["network"] = f"{network.name}, trained on {network.trained_on}"
+    elif network is not None:  # of another package, or another version: not all its weights
+        parameters["network"] = network.get("name") if isinstance(network, dict) else network
     foreign = detector.package not in ("", OWN_PACKAGE)
     events = file.events()
     doubts = list(file.doubts())

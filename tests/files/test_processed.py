@@ -492,6 +492,31 @@ def test_one_that_was_half_copied_is_to_be_detected_again_not_recovered(own_run:
     assert refusal.value.hint == "`rig detect` writes it again from the run file"
 
 
+def test_parameters_of_another_version_of_this_program_are_shown_as_they_stand(
+    own_run: Path,
+) -> None:
+    made = detected(own_run).file
+    made.chmod(0o644)
+    with h5py.File(made, "r+") as file:
+        note = file["entry/process/settings/data"]
+        former = note.asstr()[()].replace('"fire_mV":', '"former_mV":3.5,"fire_mV":')
+        note[()] = former
+    with ProcessedFile.open(made) as opened:
+        shown = describe_processed(opened)
+    assert shown["parameters"]["former_mV"] == 3.5
+    assert shown["trials"].keys() == TRIALS.keys()
+
+
+def test_a_layout_of_another_version_is_named_instead_of_a_damage(own_run: Path) -> None:
+    made = detected(own_run).file
+    made.chmod(0o644)
+    with h5py.File(made, "r+") as file:
+        file["entry/definition"].attrs["version"] = "2"
+    with pytest.raises(RunFileError, match="of layout 2, and this program reads layout 1") as found:
+        ProcessedFile.open(made)
+    assert "install the version of tactile-rig that has written it" in str(found.value.hint)
+
+
 def without_mark(entry: h5py.Group) -> None:
     entry["title"][()] = "Slips detected"
 

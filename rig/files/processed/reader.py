@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import get_args
 
 from rig.core.entry_points import OWN_PACKAGE
+from rig.core.errors import shortened
 from rig.core.settings import Settings, fingerprint
 from rig.detector.events import EventKind, SlipEvent
 from rig.detector.settings import settings_from_json
@@ -24,6 +25,7 @@ from rig.files.journal.values import SIMULATED
 from rig.files.processed.values import (
     DEFINITION,
     FOLDER,
+    LAYOUT_VERSION,
     DetectedTrial,
     ProcessedSource,
     StatedDetector,
@@ -49,6 +51,14 @@ class ProcessedFile(OpenFile):
     def _check(self) -> None:
         if "entry/definition" not in self._file or self._text("definition") != DEFINITION:
             raise RunFileError(self.path, "an HDF5 file, but not a processed file")
+        layout = str(self.entry["definition"].attrs.get("version", LAYOUT_VERSION))
+        if layout != LAYOUT_VERSION:
+            raise RunFileError(
+                self.path,
+                f"a processed file of layout {shortened(layout)}, and this program reads layout "
+                f"{LAYOUT_VERSION}",
+                "install the version of tactile-rig that has written it, or a later one",
+            )
         _ = self.source, self.detector
 
     @cached_property
@@ -71,18 +81,22 @@ class ProcessedFile(OpenFile):
     @cached_property
     def detector(self) -> StatedDetector:
         """The detector: its name, version, package and parameters. Another package's does not have
-        to be installed."""
+        to be installed, and another version of this program may have had other parameters."""
         with self._naming():
             stated = self.entry["process/program"].attrs
             package = str(stated.get("package", ""))
-            own = package in ("", OWN_PACKAGE)
-            read = settings_from_json if own else UnknownSettings.model_validate_json
+            parameters = self._text("process/settings/data")
+            try:
+                own = package in ("", OWN_PACKAGE)
+                settings = settings_from_json(parameters) if own else None
+            except ValueError:  # another version of this program had other ones
+                settings = None
             return StatedDetector(
                 name=str(stated["detector"]),
                 version=self.version,
                 package=package,
                 package_version=str(stated.get("package_version", "")),
-                settings=read(self._text("process/settings/data")),
+                settings=settings or UnknownSettings.model_validate_json(parameters),
             )
 
     @property
