@@ -492,6 +492,13 @@ def test_one_that_was_half_copied_is_to_be_detected_again_not_recovered(own_run:
     assert refusal.value.hint == "`rig detect` writes it again from the run file"
 
 
+def test_one_in_place_of_a_run_file_is_refused_with_the_run_file_s_name(own_run: Path) -> None:
+    made = detected(own_run).file
+    with pytest.raises(RunFileError, match="a processed file, not a run file") as refusal:
+        RunFile.open(made)
+    assert refusal.value.hint == "name the run file that it was made from, own_r001.h5"
+
+
 def test_parameters_of_another_version_of_this_program_are_shown_as_they_stand(
     own_run: Path,
 ) -> None:

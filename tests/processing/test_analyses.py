@@ -102,6 +102,14 @@ def test_a_file_without_an_analysis_is_reported(rig: Any, tmp_path: Path) -> Non
     assert "nothing was computed for" in refused.errors[0]
 
 
+def test_a_file_that_cannot_be_used_leaves_those_behind_it(rig: Any, file: Path) -> None:
+    (rig.folder / "half.h5").write_bytes(file.read_bytes()[:20_000])
+    done = rig.run("analyse", "half.h5", str(file))
+    assert "half.h5: not a readable run file" in done.errors[0]
+    assert "  largest_N: 2.5" in done.stdout
+    assert done.code == 5
+
+
 def test_a_file_whose_analysis_fails_is_reported_as_that(rig: Any, tmp_path: Path) -> None:
     entries = "[rig.analyses]\nlab-trial = lab_fails:fails"
     module = "def fails(run):\n    raise KeyError('fit')\n"

@@ -435,14 +435,24 @@ def analyse(
     `rig show` computes and shows the same values, and saves nothing.
     """
     with reported(debug):
+        from rig.files.errors import RunFileError
         from rig.files.runfile.reader import RunFile
         from rig.processing.analyses import analyse as compute
         from rig.processing.analyses import keep
 
         nothing_of: list[str] = []
         hint = None
+        unusable: list[RunFileError] = []
         for path in files:
-            with RunFile.open(path) as run:
+            try:
+                opened = RunFile.open(path)
+            except RunFileError as error:  # those behind it are analysed all the same
+                if len(files) == 1:
+                    raise
+                say_failure(error, debug)
+                unusable.append(error)
+                continue
+            with opened as run:
                 analyses = compute(run)
                 _print_values(_analysed(analyses, debug))
                 if analyses.found:
@@ -459,6 +469,9 @@ def analyse(
                     hint = "install a package with an analysis for it: see docs/add-an-analysis.md"
         if nothing_of:
             raise ConfigurationError(f"nothing was computed for {', '.join(nothing_of)}", hint)
+        if unusable:
+            some = len(unusable) < len(files)
+            raise typer.Exit(int(ExitCode.FINISHED_WITH_FAILURES if some else unusable[0].code))
 
 
 def _analysed(analyses: Analyses, debug: bool) -> dict[str, Any]:

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
+from rig.core.errors import shortened
 from rig.core.units import counted
 from rig.files.errors import RunFileError
 from rig.files.hdf5.open_file import OpenFile
@@ -85,6 +86,13 @@ class RunFile(OpenFile):
 
     def _check(self) -> None:
         if "entry/journal_header" not in self._file:
+            if "entry/source/file_name" in self._file:
+                made_from = text_of(self.entry["source/file_name"])
+                raise RunFileError(
+                    self.path,
+                    "a processed file, not a run file",
+                    f"name the run file that it was made from, {shortened(made_from)}",
+                )
             raise RunFileError(
                 self.path, "an HDF5 file, but not a run file: it has no journal header"
             )
