@@ -188,7 +188,7 @@ class Detector(ABC):
         while changes := self._next_changes(end):
             sample, value = changes.popleft()
             sample = max(sample, self._rows)  # behind a gap it may be past
-            events += self.judge(rows[self._rows - first : sample - first])
+            events += self._judged(rows[self._rows - first : sample - first])
             self._rows = sample
             if changes is self._forces:
                 self.commanded_force(self._force_N, value)
@@ -196,9 +196,16 @@ class Detector(ABC):
             else:
                 self.commanded(self._x_mm_s or 0.0, value)
                 self._x_mm_s = value
-        events += self.judge(rows[self._rows - first :])
+        events += self._judged(rows[self._rows - first :])
         self._rows = end
         return events
+
+    def _judged(self, volts: Reals) -> list[SlipEvent]:
+        """Return what `judge` does. TypeError where that is None: it lacks a return."""
+        found = self.judge(volts)
+        if found is None:
+            raise TypeError("judge returned None where a list of events is expected")
+        return found
 
     def _next_changes(self, end: int) -> deque[tuple[int, float]] | None:
         """Return the changes of which the first is the next one before a row; None without one."""

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from rig.core.settings import Settings
-from rig.detector.checking import CheckedDetector, event_fault
+from rig.detector.checking import CheckedDetector, DetectorError, event_fault
 from rig.detector.contract import Detector, Reals
 from rig.detector.events import SlipEvent
 
@@ -48,3 +49,18 @@ def test_texts_that_no_file_can_hold_are_refused_with_the_detector_s_name() -> N
     assert fault(value=np.int8(3)) is None
     for value in (np.nan, np.complex64(1), "3"):
         assert fault(value=value) == "an event whose feature 'jump_mV' is not a finite number"
+
+
+class WithoutReturn(ByChannel):
+    """Forgets to return what it has found."""
+
+    def judge(self, volts: Reals) -> list[SlipEvent]:  # type: ignore[return]
+        """Returns nothing."""
+        super().judge(volts)
+
+
+def test_a_judge_without_a_return_is_named_as_that() -> None:
+    settings = Settings()
+    checked = CheckedDetector(lambda rate: WithoutReturn(settings, rate), "x", "x", settings, 1e3)
+    with pytest.raises(DetectorError, match="judge returned None where a list of events is expect"):
+        checked.add(np.zeros((10, 2)), 0)
