@@ -119,6 +119,8 @@ def judge_files(
     `sweep` runs the detectors at all thresholds of a ROC. `done` is called after each trial with
     its number and the number of all.
     """
+    for _ in listed_trials(listing):
+        pass  # a line that cannot be used is named before the first trial is judged
     judged, simulated = [], False
     for number, (one, total) in enumerate(listed_trials(listing), 1):
         simulated |= one.simulated

@@ -264,6 +264,15 @@ def test_a_list_that_cannot_be_used_is_refused_with_its_line(listing, words, tmp
     assert words in line
 
 
+def test_a_line_that_cannot_be_used_is_named_before_the_first_trial_is_judged(tmp_path):
+    slip_file(tmp_path)
+    (tmp_path / "list.csv").write_text("file,motion_s\nslip.h5,1.1\nslip.h5,900\n")
+    given = ("--files", tmp_path / "list.csv", "--out", tmp_path / "out")
+    result = CliRunner().invoke(app, [str(each) for each in given])
+    (line,) = result.stderr.splitlines()
+    assert "line 3: motion_s 900 s: the record is from 0 to 3 s" in line
+
+
 @pytest.mark.nightly
 def test_trials_are_made_on_the_whole_simulated_bench_once(tmp_path):
     given = ("--wire", "--seeds", "1000000:1000001", "--kinds", "hold", "--detector", "paper-hp",

@@ -1,6 +1,8 @@
 """``rig train``: refusals before anything is computed, and learning from run files."""
 
+import errno
 import json
+import sys
 from pathlib import Path
 
 import pytest
@@ -16,6 +18,7 @@ from rig.evaluation.labelled_files import listed_trials
 from rig.evaluation.lessons import LESSON_POPULATION
 from tests.cli.strips_file import slip_file
 
+train_module = sys.modules[train.__module__]
 app = typer.Typer(pretty_exceptions_enable=False)
 app.command()(train)
 
@@ -138,6 +141,21 @@ def test_what_never_slips_teaches_nothing_and_is_refused(tmp_path: Path):
 def test_a_folder_that_cannot_be_written_to_is_refused_before_the_training(tmp_path: Path):
     said = refused("--out", "/proc/net.json", "--files", tmp_path / "missing.csv")
     assert "--out /proc/net.json: its folder cannot be written to: " in said
+
+
+def test_a_network_that_the_disk_does_not_take_is_named(tmp_path: Path, monkeypatch):
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(train_module, "write_text", full)
+    slip_file(tmp_path, "t0")
+    (tmp_path / "list.csv").write_text("file\nt0.h5\n")
+    given = ("--out", tmp_path / "net.json", "--files", tmp_path / "list.csv", "--all")
+    small = ("--epochs", "1", "--units", "2", "--members", "1")
+    result = CliRunner().invoke(app, [str(each) for each in (*given, *small)])
+    assert result.exit_code == 1
+    said = result.stderr.splitlines()[-1]
+    assert "net.json: the network cannot be written: No space left on device; free space" in said
 
 
 def test_one_trial_cannot_be_held_out(tmp_path: Path):

@@ -22,6 +22,7 @@ from rig.cli.outcome import reported, say
 from rig.core.atomic import write_text
 from rig.core.errors import ConfigurationError
 from rig.core.units import counted
+from rig.files.errors import RecordingError
 
 if TYPE_CHECKING:
     from rig.detector.network import Network
@@ -165,7 +166,14 @@ def train(
         command = " ".join(["rig train", *sources.words(population, front_end), numbers])
         network, held_out = _trained(out.stem, sources, members, units, epochs, seed, command)
         text = json.dumps(network.model_dump(mode="json"), indent=1) + "\n"
-        write_text(out, text)
+        try:
+            write_text(out, text)
+        except OSError as error:
+            raise RecordingError(
+                out,
+                f"the network cannot be written: {error.strerror or error}",
+                "free space there and repeat the command, which gives the same network",
+            ) from error
         if held_out:
             _judge(network, held_out)
         size = f"{len(network.hidden)} units"
