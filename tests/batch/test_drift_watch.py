@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from rig.batch.execute.between_runs import SelfEnding
+from rig.batch.execute.between_runs import BENCH_IN_USE, BENCH_SAFE, SelfEnding
 from rig.batch.execute.disk_room import has_room
 from rig.batch.execute.drift_watch import DriftWatch
 from rig.batch.execute.supervisor import Supervisor
@@ -53,7 +53,7 @@ class Night:
         worker._batch = self.file.batch
         worker._commands = SimpleNamespace(take_given_up=lambda: False)
         worker._send = lambda *_, **__: None
-        worker._between = SimpleNamespace(hold=lambda why, over: self.holds.append((why, over)))
+        worker._between = SimpleNamespace(hold=lambda why, over, *_: self.holds.append((why, over)))
         self.worker = worker
 
     def move_away(self) -> None:
@@ -136,6 +136,14 @@ def test_a_hold_for_want_of_room_ends_by_itself_and_one_for_want_of_locks_does_n
     assert over is None
 
 
+def test_a_run_whose_bench_another_program_has_stays_queued_and_waits_for_a_person(
+    night: Night,
+) -> None:
+    why, over = night.fail("in-use")
+    assert (why, over) == ("r1.rigj: it cannot be written", None)
+    assert night.queue.counts()["queued"] == 1
+
+
 def test_a_disk_that_locks_nothing_has_no_room_for_a_journal(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -157,7 +165,8 @@ def test_people_are_notified_of_a_hold_once_and_its_state_is_set_each_time(tmp_p
     supervisor._queue = SimpleNamespace(set_meta=None)
     supervisor._record = lambda _, *values: states.append(values[-1])
     supervisor._notify = lambda _, text: notified.append(text)
-    hold = {"text": "the folder was moved", "by_itself": "the folder is in its place"}
+    over = "the folder is in its place"
+    hold = {"text": "the folder was moved", "by_itself": over, "bench": BENCH_SAFE}
     supervisor._on_hold(hold)
     supervisor._on_state({"state": "running", "text": "the folder is in its place again"})
     supervisor._on_hold(hold)
@@ -167,4 +176,9 @@ def test_people_are_notified_of_a_hold_once_and_its_state_is_set_each_time(tmp_p
     assert said[-1] == (
         "the bench is safe and the batch waits; it continues when the folder is in its place, or "
         f"with: rig batch resume {tmp_path}"
+    )
+    supervisor._on_hold({"text": "it is in use", "by_itself": "", "bench": BENCH_IN_USE})
+    assert said[-1] == (
+        "the bench is left to the other program and the batch waits; it continues with: "
+        f"rig batch resume {tmp_path}"
     )
