@@ -126,6 +126,13 @@ def test_a_record_that_no_run_could_use_is_refused_before_anything_is_connected(
     assert "lacks what this procedure needs" in ended.stderr, "it went on to look at the rest"
 
 
+def test_a_home_folder_that_only_a_shell_knows_is_refused(rig: Any) -> None:
+    ended = rig.run("batch", "plan", write(rig, SWEEPS.replace('"nights"', '"~/nights"')))
+    assert ended.code == 2
+    assert "batch.results = '~/nights': ~ is not replaced by your home folder" in ended.stderr
+    assert not (rig.folder / "~").exists()
+
+
 def test_files_of_the_simulation_have_to_be_there(rig: Any) -> None:
     simulation = '[simulation]\n[[simulation.fault]]\nruns = [1]\nplan = "faults.toml"\n'
     ended = rig.run("batch", "plan", write(rig, SWEEPS + simulation))

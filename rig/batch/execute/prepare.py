@@ -28,7 +28,7 @@ from rig.bench.connect import connect
 from rig.bench.connected import Bench
 from rig.bench.plan import BenchPlan, read_bench
 from rig.bench.settings import Fixture
-from rig.core.errors import ConfigurationError
+from rig.core.errors import ConfigurationError, shortened
 from rig.run.bench_selector import (
     POPULATION,
     BenchRequest,
@@ -87,6 +87,7 @@ def prepare(
         *_bad_records(batch, real, now),
         *_unusable_notifications(batch),
         *(() if begun else _no_window(batch, now)),
+        *(() if begun else _folder_of_a_shell(batch)),
     ]
     with tempfile.TemporaryDirectory(prefix="rig-batch-plan-") as results:
         request = _request(batch, path, chosen, real, Path(results))
@@ -112,6 +113,18 @@ def _require_utf8(path: Path) -> None:
             "to record it",
             "rename it, or move the file to another folder",
         ) from error
+
+
+def _folder_of_a_shell(batch: BatchFile) -> Iterator[PlanFinding]:
+    """Refuse ``results = "~/..."``: only a shell replaces ~. A folder of that name would be made,
+    and whoever removes it with a shell removes a home folder."""
+    results = batch.batch.results
+    if results.startswith("~"):
+        yield PlanFinding(
+            ("batch", "results"),
+            f"batch.results = {shortened(repr(results))}: ~ is not replaced by your home folder",
+            f"write the whole path, e.g. {Path.home()}/{results.lstrip('~/')}",
+        )
 
 
 def bench_of(batch: BatchFile, path: Path, given: Path | None) -> Path | None:
