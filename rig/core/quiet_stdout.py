@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import os
 import sys
 from collections.abc import Iterator
+
+_C = ctypes.CDLL(None)
 
 
 @contextlib.contextmanager
@@ -23,7 +26,10 @@ def quiet_stdout() -> Iterator[None]:
             return
         try:
             os.dup2(2, 1)
-            yield
+            try:
+                yield
+            finally:
+                _C.fflush(None)  # what C has not written yet would follow on stdout
         finally:
             os.dup2(stdout, 1)
             os.close(stdout)
