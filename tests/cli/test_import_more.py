@@ -136,6 +136,15 @@ def test_a_matrix_with_a_row_for_each_channel_is_refused(tmp_path: Path) -> None
     with pytest.raises(ForeignFileError, match="strips has 2 rows and 300 columns") as refused:
         read(path, {"v_1": "strips:1", "v_2": "strips:2"})
     assert "transpose" in str(refused.value.hint)
+    with pytest.raises(ForeignFileError, match="strips has 2 rows and 300 columns"):
+        read(path, {"v_1": "strips", "v_2": "strips:2"})
+
+
+def test_a_matrix_with_a_row_for_each_packet_of_many_samples_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "a.npz"
+    np.savez(path, packets=np.arange(1000.0).reshape(2, 500))
+    found = read(path, {"v_1": "packets:1..packets:250", "v_2": "packets:251..packets:500"})
+    assert found.raw["v_1"].tolist() == [*np.arange(250.0), *np.arange(500.0, 750.0)]
 
 
 def test_pickled_objects_in_an_npz_are_not_loaded(tmp_path: Path) -> None:

@@ -39,7 +39,8 @@ NUMERIC = frozenset(
 LOGICAL = "logical"
 """Class of truth values, 0 or 1: columns that mark when something happens."""
 MOST_COLUMNS_A_ROW = 100
-"""A matrix with more columns for each of its rows has a row for each channel."""
+"""A matrix with more columns for each of its rows has a row for each channel, unless as many of
+them are wanted: then a row holds the samples of one packet."""
 _WANTED = re.compile(r"([A-Za-z]\w*)(?::([0-9]{1,9}))?\Z", re.ASCII)
 
 
@@ -98,12 +99,8 @@ class MatlabTable:
                 "save it with one row per sample",
             )
         columns = 1 if 1 in shape else shape[1]
-        if columns > MOST_COLUMNS_A_ROW * shape[0]:
-            raise ForeignFileError(
-                self._file,
-                f"variable {variable} has {shape[0]} rows and {columns} columns",
-                "exchange them (transpose it): save it as one row a sample",
-            )
+        if found[2] is None:
+            self._check_orientation(variable, 1)
         number = int(found[2] or 1)
         if not 1 <= number <= columns or (found[2] is None and columns > 1):
             raise ForeignFileError(
@@ -157,9 +154,11 @@ class MatlabTable:
         """
         import numpy as np
 
-        names = list(dict.fromkeys(self._columns[column][0] for column in columns))
+        wanted = [self._columns[column][0] for column in columns]
+        names = list(dict.fromkeys(wanted))
         for variable in names:
             self._check_size(variable)
+            self._check_orientation(variable, wanted.count(variable))
         arrays = arrays_of(self._content, self._file, names)
         loaded = {variable: self._exact(variable, array) for variable, array in arrays.items()}
         taken = []
@@ -191,6 +190,17 @@ class MatlabTable:
                 self._file,
                 f"variable {variable} has {count} values, {MAX_VALUES} are allowed",
                 "save the channels that are wanted alone",
+            )
+
+    def _check_orientation(self, variable: str, wanted: int) -> None:
+        """ForeignFileError for a matrix with a row for each channel, of which so few columns are
+        wanted."""
+        rows, columns = self._variables[variable][1]
+        if rows > 1 and columns > MOST_COLUMNS_A_ROW * rows and wanted < MOST_COLUMNS_A_ROW:
+            raise ForeignFileError(
+                self._file,
+                f"variable {variable} has {rows} rows and {columns} columns",
+                "exchange them (transpose it): save it with one row per sample",
             )
 
     def _exact(self, variable: str, array: NDArray[Any]) -> NDArray[np.float64]:
