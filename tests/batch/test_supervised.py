@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import contextlib
+import io
+import json
 import os
 import signal
 import subprocess
 import threading
 import time
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -16,7 +19,7 @@ from nights import QUICK_NIGHT, await_answer, await_point, folder_of, worker_of,
 
 from rig.batch.execute import worker_link
 from rig.batch.execute.between_runs import SUPERVISOR_S, BetweenRuns, SelfEnding
-from rig.batch.execute.worker_process import BEAT, send_beat
+from rig.batch.execute.worker_process import BEAT, WorkerProcess, send_beat
 from rig.run.stopping import StopRequestedError
 
 
@@ -84,6 +87,56 @@ def test_a_hold_that_ends_by_itself_says_what_is_there_again(
     between.waits._wait("held", SelfEnding(lambda: True, "the folder is in its place"))
     assert between.reported == ["the folder is in its place again"]
     assert not between.commands.paused.is_set()
+
+
+@pytest.mark.parametrize(
+    ("commands", "paused"), [([], False), (["pause"], True), (["pause", "go"], False)]
+)
+@pytest.mark.parametrize("when", ["before", "meanwhile"])
+def test_a_hold_that_ends_by_itself_leaves_the_pause_of_a_person(
+    commands: list[str], paused: bool, when: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    nothing = SimpleNamespace(start=lambda: None)
+    monkeypatch.setattr(worker_link.threading, "Thread", lambda **_: nothing)  # type: ignore[attr-defined]
+    listener = worker_link.CommandListener(SimpleNamespace(), lambda *_, **__: None)  # type: ignore[arg-type]
+    between = Between(0.0, monkeypatch)
+    waits = between.waits
+    waits._commands, waits._until, waits._on_hold = listener, None, "wait"
+    waits._queue = SimpleNamespace(add_event=lambda *_: None)
+
+    def is_over() -> bool:
+        if when == "meanwhile":
+            for command in commands:
+                listener._handle(command)
+        return True
+
+    if when == "before":
+        for command in commands:
+            listener._handle(command)
+    waits.hold("the disk is full", SelfEnding(is_over, "there is room on the disk"))
+    assert listener.paused.is_set() == paused
+
+
+def test_a_reason_to_wait_reaches_the_next_worker_with_any_characters(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    given: list[list[str]] = []
+
+    def popen(arguments: list[str], **_: Any) -> None:
+        given.append(arguments)
+        raise InterruptedError
+
+    monkeypatch.setattr(subprocess, "Popen", popen)
+    reason = "stage_z: answered 'a\0\ud800 µ'; " + "check it; " * 20000
+    with pytest.raises(InterruptedError):
+        WorkerProcess(tmp_path, io.BytesIO(), reason)
+    (arguments,) = given
+    (option,) = (one for one in arguments if one.startswith("--paused="))
+    assert option.isascii()
+    assert option.isprintable()
+    assert len(option) < 1000
+    read = json.loads(option.removeprefix("--paused="))
+    assert read.startswith("stage_z: answered 'a\0\ud800 µ'; check it")
 
 
 def test_a_stop_request_ends_that_wait(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -137,13 +137,15 @@ class BetweenRuns:
 
     def hold(self, why: str, over: SelfEnding | None = None, bench: str = BENCH_SAFE) -> None:
         """Wait for a person, or end the batch, as `on_hold` says. With `over` the batch also
-        continues by itself as soon as that is so. `bench` says how the bench is meanwhile."""
+        continues by itself as soon as that is so, unless a person has paused it. `bench` says how
+        the bench is meanwhile."""
         self._queue.add_event("hold", why)
         if self._on_hold == "stop":
             raise EndOfBatchError(why, "rig batch resume", ExitCode.STOPPED_BY_CONDITION)
         self._commands.paused.set()
         self._send("hold", text=why, by_itself="" if over is None else over.words, bench=bench)
         self._wait("held", over)
+        self._stay_paused()
 
     def wait_for_the_queue(self, error: QueueWriteError) -> None:
         """Return when the disk has room again, and the batch's folder is in its place; between
@@ -152,7 +154,6 @@ class BetweenRuns:
         if self._on_hold == "stop":
             self._queue.wait_for_disk = give_up
             raise EndOfBatchError(error.message, "rig batch resume", ExitCode.STOPPED_BY_CONDITION)
-        paused = self._commands.paused.is_set()
         self._commands.paused.set()
         over, why = room_on_disk(self._queue_has_room), error.one_line()
         if not self._queue.path.exists():  # SQLite writes to no file that was moved
@@ -164,7 +165,11 @@ class BetweenRuns:
         except RigError:
             self._queue.wait_for_disk = give_up  # the batch ends, with or without its record
             raise
-        if paused:
+        self._stay_paused()
+
+    def _stay_paused(self) -> None:
+        """Pause the batch after a hold if a person has asked for it and has not resumed it."""
+        if self._commands.for_a_person:
             self._commands.paused.set()
 
     def _queue_has_room(self) -> bool:

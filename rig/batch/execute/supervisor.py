@@ -193,15 +193,15 @@ class Supervisor:
             if self._stop.requested is not None or self._asked_to_end:
                 self._set_end("stopped: the worker died while it was stopping")
                 return ExitCode.INTERNAL
+            if crashes >= CRASHES:
+                self._set_end(f"stopped: {text}")
+                self._say(f"error: {crashes} workers in a row died before they began a run")
+                return ExitCode.INTERNAL
             if self._waits_because:
                 self._say(
                     f"the batch still waits: {self._waits_because}; it continues with: "
                     f"rig batch resume {self._folder.path}"
                 )
-            if crashes >= CRASHES:
-                self._set_end(f"stopped: {text}")
-                self._say(f"error: {crashes} workers in a row died before they began a run")
-                return ExitCode.INTERNAL
 
     def _conclude(self, end: Mapping[str, Any]) -> ExitCode:
         """Record why a worker has ended the batch, which it may have been unable to record; returns

@@ -407,7 +407,7 @@ def main(arguments: Sequence[str]) -> int:
     """Run the worker program."""
     parser = argparse.ArgumentParser("python -m rig.batch.execute.worker")
     parser.add_argument("folder", type=Path)
-    parser.add_argument("--paused", default="")
+    parser.add_argument("--paused", type=json.loads, default='""')  # a default is read as well
     given = parser.parse_args(arguments)
     folder = BatchFolder(given.folder)
     lines = threading.Lock()

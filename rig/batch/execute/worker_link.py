@@ -32,6 +32,8 @@ class CommandListener:
         self._stop, self._send = stop, send
         self.paused_because = paused_because
         self.paused = threading.Event()
+        self.for_a_person = bool(paused_because)
+        """True if the pause ends only when a person resumes the batch, whatever else is over."""
         if paused_because:
             self.paused.set()
         self.stop_after_run = False
@@ -77,7 +79,10 @@ class CommandListener:
             self._stop.after_point = self.stop_after_run = True
         elif command == "stop-after-run":
             self.stop_after_run = True
-        elif command == "pause" and not self.paused.is_set():
+        elif command == "pause":
+            self.for_a_person = True  # in a hold that ends by itself as well
+            if self.paused.is_set():
+                return
             self.paused.set()
             self._send("state", state="pausing")
             if self.in_run:  # a run that still connects takes no notice: the batch waits after it
@@ -85,7 +90,7 @@ class CommandListener:
         elif command == "go":
             if self.paused.is_set():
                 self._send("state", state="running")
-            self.paused_because = ""
+            self.paused_because, self.for_a_person = "", False
             self.paused.clear()
             if self.in_run:
                 os.kill(os.getpid(), signal.SIGCONT)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import fcntl
+import json
 import os
 import selectors
 import struct
@@ -13,6 +14,8 @@ import termios
 import time
 from pathlib import Path
 from typing import IO, Self
+
+from rig.core.errors import LONGEST_REASON, shortened
 
 BEAT, BEAT_EVERY_S = "beat", 1.0
 """Word that informs the worker that the supervisor is alive, and the interval in s."""
@@ -26,7 +29,9 @@ class WorkerProcess:
     """
 
     def __init__(self, folder: Path, log: IO[bytes], waits_because: str = ""):
-        paused = [f"--paused={waits_because}"] if waits_because else []
+        # As JSON: no argument holds a character 0, which a driver's text may have, or 128 KiB.
+        reason = json.dumps(shortened(waits_because, LONGEST_REASON))
+        paused = [f"--paused={reason}"] if waits_because else []
         self._process = subprocess.Popen(
             [sys.executable, "-P", "-m", "rig.batch.execute.worker", *paused, "--", str(folder)],
             stdin=subprocess.PIPE,
