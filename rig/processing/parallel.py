@@ -90,8 +90,11 @@ def _end(executor: ProcessPoolExecutor, futures: Iterable[Future[Any]]) -> None:
     """Give up what has not begun, and what does not end in time: a detector may never return, and
     its process does not hear Ctrl-C."""
     running = [future for future in futures if not future.cancel()]
-    if wait(running, END_S).not_done:
-        for process in list((executor._processes or {}).values()):
+    ended = False
+    try:
+        ended = not wait(running, END_S).not_done
+    finally:  # by a second Ctrl-C as well: no one else would end them
+        for process in [] if ended else list((executor._processes or {}).values()):
             process.kill()
 
 

@@ -80,6 +80,14 @@ def test_an_interruption_does_not_wait_for_a_file_that_never_ends(
     assert not multiprocessing.active_children()
 
 
+def test_a_second_interruption_ends_the_processes_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(parallel, "as_completed", interrupt)
+    monkeypatch.setattr(parallel, "wait", interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        list(completed(never_return, range(3), 2))
+    assert not multiprocessing.active_children()
+
+
 def test_one_file_may_be_read_apart_from_the_command() -> None:
     ((_, failure),) = completed(die, [0], 1, apart=True)
     assert isinstance(failure, RigError)
