@@ -12,6 +12,7 @@ imported recording has the label and times that were stated at its import.
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -41,6 +42,8 @@ TEXTS = ("file", "point", "label", *NAMES)
 """Columns that are not numbers."""
 LIKE = 0.8
 """Similarity, from 0 to 1, from which on the name of a column is taken for a slip of the pen."""
+UNITS = ("_mm", "_um", "_deg", "_N", "_V", "_mV", "_Hz")
+"""Ends of names that are of no time: ``motion_mm`` is a trait."""
 OF_TRAITS = "leave the column out: one of your own is a trait of the trials and holds numbers"
 MAX_LIST_BYTES = 16 << 20
 """Largest size of a list."""
@@ -180,7 +183,11 @@ def _rows(listing: Path) -> list[ListRow]:
     known = (*TEXTS, *TIMES)
     for name in heads:  # a truth under a wrong name would be ignored as a trait
         close = get_close_matches(name.lower(), known, 1, LIKE)
-        if name not in known and close:
+        # Numbers that are of no time are a trait of the trials, whatever its name is like.
+        a_trait = (
+            name.endswith(UNITS) if close and close[0] in TIMES else _holds_numbers(name, rows)
+        )
+        if name not in known and close and not a_trait:
             raise ConfigurationError(
                 f"{listing}: the column {name!r} is not known: did you mean {close[0]!r}?",
                 f"a trait of your own needs a name less like {close[0]!r}",
@@ -197,6 +204,12 @@ def _rows(listing: Path) -> list[ListRow]:
                 "remove one of them",
             )
     return rows
+
+
+def _holds_numbers(name: str, rows: Sequence[ListRow]) -> bool:
+    with contextlib.suppress(ValueError):
+        return all(math.isfinite(float(row.cells[name] or 0.0)) for row in rows)
+    return False
 
 
 def _recorded(path: Path, point: str, where: str) -> _Recorded:
