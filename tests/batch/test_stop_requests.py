@@ -84,6 +84,7 @@ def test_a_stop_at_once_reaches_a_batch_whose_supervisor_is_stopped(
     folder = batch_in(tmp_path)
     asked: list[Path] = []
     monkeypatch.setattr(batch, "UNHEARD_S", 0.0)
+    monkeypatch.setattr(batch, "UNHEARD_NOW_S", 0.0)
     monkeypatch.setattr(lock_holder, "ask_to_stop", asked.append)
     with folder.held_by("supervisor", 0.0):
         batch.stop(tmp_path, now=True)

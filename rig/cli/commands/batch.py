@@ -66,9 +66,10 @@ Debug = Annotated[bool, typer.Option("--debug", help="Show tracebacks.")]
 AsJson = Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")]
 RESULTS = Path("results")
 WATCH_S = 1.0
-UNHEARD_S, HEARD_CHECK_S = 5.0, 0.05
+UNHEARD_S, UNHEARD_NOW_S, HEARD_CHECK_S = 5.0, 1.0, 0.05
 """Time in s after which a supervisor, which looks for requests every 0.1 s, is taken to be stopped
-or to hang, and the interval at which it is checked whether it has taken them."""
+or to hang; the same for a stop at once, which does no harm if it comes twice; and the interval at
+which it is checked whether it has taken them."""
 
 
 app.command()(batch_plan.plan)
@@ -285,7 +286,8 @@ def _request(command: str, shown: str, folder: Path | None, results: Path, debug
         try:
             with Queue.open(found.queue) as queue:
                 queue.add_request(command)
-                heard = _is_heard(found, queue)
+                within_s = UNHEARD_NOW_S if command == "stop-now" else UNHEARD_S
+                heard = _is_heard(found, queue, within_s)
         except (QueueWriteError, ConfigurationError) as error:  # a full disk; a damaged queue
             if command == "stop-now":
                 _stop_by_signal(found, error)
@@ -296,14 +298,15 @@ def _request(command: str, shown: str, folder: Path | None, results: Path, debug
                 raise RigError(error.message, f"{hint}; {without}", error.code) from error
         else:
             if not heard:
-                _ask_the_worker(found, command)
+                _ask_the_worker(found, command, within_s)
         say(f"batch {found.path}: {shown}")
 
 
-def _is_heard(folder: BatchFolder, queue: Queue) -> bool:
-    """Return whether the supervisor of a batch has taken the requests, or has ended instead. One
-    that is stopped (Ctrl-Z) takes none, while its worker still takes the run under way."""
-    give_up_s = time.monotonic() + UNHEARD_S
+def _is_heard(folder: BatchFolder, queue: Queue, within_s: float) -> bool:
+    """Return whether the supervisor of a batch has taken the requests, or has ended instead, within
+    a time. One that is stopped (Ctrl-Z) takes none, while its worker still takes the run under
+    way."""
+    give_up_s = time.monotonic() + within_s
     while queue.has_requests() and folder.is_held("supervisor"):
         if time.monotonic() > give_up_s:
             return False
@@ -311,12 +314,12 @@ def _is_heard(folder: BatchFolder, queue: Queue) -> bool:
     return True
 
 
-def _ask_the_worker(folder: BatchFolder, command: str) -> None:
-    """Stop the worker of a batch at once whose supervisor takes no request. Raises RigError for any
-    other request: it is the supervisor's to pass on."""
+def _ask_the_worker(folder: BatchFolder, command: str, within_s: float) -> None:
+    """Stop the worker of a batch at once whose supervisor has taken no request within a time.
+    Raises RigError for any other request: it is the supervisor's to pass on."""
     from rig.run.locks.lock_holder import NotStoppedError, ask_to_stop
 
-    why = f"its supervisor took no request for {UNHEARD_S:g} s: it is stopped (Ctrl-Z) or hangs"
+    why = f"its supervisor took no request for {within_s:g} s: it is stopped (Ctrl-Z) or hangs"
     let_go = "let it continue, for example by fg in its terminal: it then takes the request"
     if command != "stop-now":
         raise RigError(
