@@ -29,6 +29,8 @@ if TYPE_CHECKING:
 Reals = NDArray[np.float64]
 Given = TypeVar("Given")
 
+LARGEST = float(np.finfo(np.float64).max)
+"""Largest number that a file holds; a larger int compares with it exactly."""
 MOST_EVENTS_A_ROW = 16
 """Maximum number of events decided in one row: a detector that returns more is broken."""
 
@@ -185,7 +187,7 @@ def event_fault(event: Any, first: int, end: int, rate_Hz: float) -> str | None:
         return "an event whose features are not a dict of numbers by name"
     for name, value in event.features.items():
         number = isinstance(value, int | float | np.number) and np.isrealobj(value)
-        if not isinstance(name, str) or not number or not math.isfinite(value):
+        if not isinstance(name, str) or not number or not -LARGEST <= value <= LARGEST:
             return f"an event whose feature {shortened(str(name))!r} is not a finite number"
         if not _storable(name):
             return f"an event with a feature whose name a file cannot hold: {shortened(name)!a}"

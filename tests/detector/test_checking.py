@@ -47,7 +47,7 @@ def test_texts_that_no_file_can_hold_are_refused_with_the_detector_s_name() -> N
     assert fault("half \udc80") == "an event whose reason a file cannot hold: 'half \\udc80'"
     assert "whose name a file cannot hold: 'a\\x00b'" in str(fault(name="a\0b"))
     assert fault(value=np.int8(3)) is None
-    for value in (np.nan, np.complex64(1), "3"):
+    for value in (np.nan, np.complex64(1), "3", 10**400):
         assert fault(value=value) == "an event whose feature 'jump_mV' is not a finite number"
 
 
