@@ -10,6 +10,8 @@ from rig.batch.plan.conditions import BatchCondition
 
 RunState = Literal["queued", "running", "done", "failed", "set-aside"]
 Ending = Literal["complete", "stopped", "failed", "died"]
+WAITS_FOR_A_PERSON = "waits for a person"
+"""Name of the reason for which a batch waits until a person resumes it."""
 HOLDS, PRESSES = "holds", "presses"
 """Entries about the batch: how many holds its runs have had, and how often they have pressed
 the object."""

@@ -20,6 +20,7 @@ from rig.batch.folder import BatchFolder
 from rig.batch.plan.conditions import BatchPlan
 from rig.batch.queue import Queue
 from rig.batch.queue_file import QueueWriteError
+from rig.batch.queue_records import WAITS_FOR_A_PERSON
 from rig.batch.running import require_own
 from rig.cli.commands import batch
 from rig.core.errors import ExitCode
@@ -316,12 +317,47 @@ def test_a_batch_that_waits_for_a_person_waits_also_when_its_worker_has_died(
     waiting._holds = waiting._presses = nothing  # type: ignore[assignment]
     waiting._log = None  # type: ignore[assignment]
     monkeypatch.setattr("rig.batch.execute.supervisor.WorkerProcess", Worker)
-    for name in ("_record", "_poll", "_send", "_notify"):
+    for name in ("_poll", "_send", "_notify"):
         monkeypatch.setattr(waiting, name, lambda *_: None)
     with Queue.open(BatchFolder(tmp_path).queue) as waiting._queue:
         assert waiting._workers() == ExitCode.INTERNAL, "none of these workers has begun a run"
+        assert waiting._queue.meta(WAITS_FOR_A_PERSON) == paused, "for the next supervisor"
     assert begun[0] == ""
     assert set(begun[1:]) == {paused}
+
+
+@pytest.mark.parametrize("unattended", [False, True])
+def test_a_batch_that_waits_for_a_person_waits_also_when_a_service_restarts_it(
+    unattended: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = batch_in(tmp_path)
+    with Queue.open(folder.queue) as queue:
+        queue.set_meta(WAITS_FOR_A_PERSON, "a person has paused it")
+    begun: list[str] = []
+
+    def supervise(self: Supervisor) -> ExitCode:
+        begun.append(self._waits_because)
+        return ExitCode.DONE
+
+    monkeypatch.setattr(Supervisor, "_supervise", supervise)
+    monkeypatch.setattr(batch, "start_log", lambda _: None)
+    monkeypatch.setattr("rig.batch.execute.batch_clock.renew_window", lambda _: None)
+    with pytest.raises(typer.Exit):
+        batch.resume(tmp_path, despite_changes=True, unattended=unattended)
+    assert begun == ["a person has paused it" if unattended else ""]
+
+
+def test_a_service_does_not_resume_a_batch_that_a_person_has_paused_in_a_terminal(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = batch_in(tmp_path)
+    monkeypatch.setattr(BatchFolder, "is_held", lambda *_: True)
+    with pytest.raises(typer.Exit) as ended:
+        batch.resume(tmp_path, unattended=True)
+    assert ended.value.exit_code == ExitCode.USAGE
+    assert "is running already" in capsys.readouterr().err
+    with Queue.open(folder.queue) as queue:
+        assert queue.take_requests() == []
 
 
 def test_a_stop_by_a_key_is_recorded_under_the_name_of_the_key(

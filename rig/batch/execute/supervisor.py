@@ -26,7 +26,7 @@ from rig.batch.folder import BatchFolder
 from rig.batch.plan.settings import BatchFile, Occasion
 from rig.batch.queue import Queue
 from rig.batch.queue_file import QueueDamagedError, QueueWriteError
-from rig.batch.queue_records import HOLDS, PRESSES
+from rig.batch.queue_records import HOLDS, PRESSES, WAITS_FOR_A_PERSON
 from rig.batch.report.heartbeat import Heartbeat, HeartbeatRecord, HeartbeatState
 from rig.batch.report.notify import Notifier
 from rig.core.errors import ExitCode
@@ -116,7 +116,7 @@ class Supervisor:
         """Reason why the batch was held last, until a run has ended."""
         self._waits_because = ""
         """Reason why the batch waits until a person resumes it; empty where it does not. It is kept
-        here because the worker that waits may die."""
+        here, and in the queue, because the worker that waits may die, and this process, too."""
         self.bench = ""
         """How the latest run left its bench, as a sentence; empty where that is not known."""
         self._files_were_left = False
@@ -131,6 +131,7 @@ class Supervisor:
             Queue.open(self._folder.queue) as self._queue,
         ):
             self._requests()  # left by an earlier supervisor: they were not meant for this one
+            self._waits_because = self._queue.meta(WAITS_FOR_A_PERSON)
             return self._supervise()
 
     def _supervise(self) -> ExitCode:
@@ -153,6 +154,7 @@ class Supervisor:
             self._record(self._queue.set_meta, "state", "running")
             self._record(self._queue.add_event, "info", f"started (process {os.getpid()})")
             self._notify("start", f"{counted(self._queue.remaining().runs, 'run')} to do")
+            self._say_that_it_waits()
             code = self._workers()
             with contextlib.suppress(QueueDamagedError):
                 self._finish_files()
@@ -197,11 +199,18 @@ class Supervisor:
                 self._set_end(f"stopped: {text}")
                 self._say(f"error: {crashes} workers in a row died before they began a run")
                 return ExitCode.INTERNAL
-            if self._waits_because:
-                self._say(
-                    f"the batch still waits: {self._waits_because}; it continues with: "
-                    f"rig batch resume {self._folder.path}"
-                )
+            self._say_that_it_waits()
+
+    def _wait_because(self, reason: str) -> None:
+        self._waits_because = reason
+        self._record(self._queue.set_meta, WAITS_FOR_A_PERSON, reason)
+
+    def _say_that_it_waits(self) -> None:
+        if self._waits_because:
+            self._say(
+                f"the batch still waits: {self._waits_because}; it continues with: "
+                f"rig batch resume {self._folder.path}"
+            )
 
     def _conclude(self, end: Mapping[str, Any]) -> ExitCode:
         """Record why a worker has ended the batch, which it may have been unable to record; returns
@@ -227,9 +236,9 @@ class Supervisor:
                 for command in self._requests():
                     self._asked_to_end |= _ends_the_batch(command)
                     if command == "pause":
-                        self._waits_because = self._waits_because or "a person has paused it"
+                        self._wait_because(self._waits_because or "a person has paused it")
                     elif command == "go":
-                        self._waits_because = ""
+                        self._wait_because("")
                     self._send(worker, command, REQUESTS.get(command.split()[0], command))
                 self._poll()
                 worker.beat()
@@ -383,7 +392,7 @@ class Supervisor:
         self._set_state("held", event["text"])
         self._files_were_left |= bool(event["by_itself"])
         if not event["by_itself"]:  # otherwise another worker finds out itself whether it is over
-            self._waits_because = event["text"]
+            self._wait_because(event["text"])
         if event["text"] != self._held_for:
             self._held_for = event["text"]
             self._notify("hold", event["text"])

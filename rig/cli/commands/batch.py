@@ -112,6 +112,13 @@ def resume(
         bool,
         typer.Option("--despite-changes", help="Continue although files or program changed."),
     ] = False,
+    unattended: Annotated[
+        bool,
+        typer.Option(
+            "--unattended",
+            help="For a service: a batch that was paused or held keeps waiting for a person.",
+        ),
+    ] = False,
     as_json: AsJson = False,
     debug: Debug = False,
 ) -> None:
@@ -125,6 +132,7 @@ def resume(
         from rig.batch.folder import folder_to_resume
         from rig.batch.plan.settings import BatchFile
         from rig.batch.queue import Queue
+        from rig.batch.queue_records import WAITS_FOR_A_PERSON
         from rig.batch.report.status import status_of
         from rig.batch.running import require_own
         from rig.core.units import counted
@@ -133,6 +141,11 @@ def resume(
         with Queue.open(found.queue) as queue:
             if found.is_held("supervisor"):
                 require_own(found)
+                if unattended:
+                    raise ConfigurationError(
+                        f"batch {found.path} is running already",
+                        "leave it to the terminal or service that runs it, or stop it first",
+                    )
                 if retry_failed or despite_changes:
                     raise ConfigurationError(
                         f"batch {found.path} is running: --retry-failed and --despite-changes are "
@@ -157,6 +170,8 @@ def resume(
                 refuse_missing(queue, ("queued", "running", *lost))
             if retry_failed:
                 say(f"{counted(queue.put_back(), 'run')} queued again")
+            if not unattended:
+                queue.set_meta(WAITS_FOR_A_PERSON, "")
             renew_window(queue)
         _supervise(found, as_json)
 
