@@ -103,7 +103,7 @@ def test_a_record_with_a_flipped_bit_is_taken_again_and_not_kept(
     payload = {"command": "WAV:DATA", "acquisition": acquisition, "byte": -3, "bit": 6}
     ran = misread(tmp_path, {"device": "daq", **payload})
     assert ran.code == 0
-    assert f"1 record at {frequency} Hz taken again" in ran.stderr
+    assert f"1 record at {frequency} Hz repeated" in ran.stderr
 
 
 @pytest.mark.thorough
