@@ -11,7 +11,7 @@ PROGRAM = """
 import ctypes, os
 from rig.core.quiet_stdout import quiet_stdout
 with quiet_stdout():
-    ctypes.CDLL(None).puts(b"from C")  # which keeps it back where stdout is no terminal
+    ctypes.CDLL(None).puts(b"from C")  # which keeps it back where stdout is not a terminal
     os.write(1, b"from below\\n")
     print("from Python")
 print("the data")
