@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from rig.files.errors import JournalError
-from rig.files.journal.follow import JournalTail
+from rig.files.journal.follow import UNSOUND, JournalTail
 from rig.files.journal.format import JournalRecord, PointDiscard
 from rig.files.journal.values import End, JournalEvent, Results
 from rig.files.naming import JOURNAL_SUFFIX, RUN_SUFFIX
@@ -92,6 +92,8 @@ class BenchWatch:
         """True while a long journal is still read up to its end."""
         self._tail: JournalTail | None = None
         self._problem = ""
+        self._unsound: str | None = None
+        """What the viewers were warned of: bytes of the journal that are not a record."""
         self._grew_s = time.monotonic()
         self._looked_s = -LOOK_EVERY_S
 
@@ -163,6 +165,7 @@ class BenchWatch:
         self._tail = JournalTail(path)
         with self.lock:
             self.path, self.view, self._problem = path, RunView(), ""
+            self._unsound = None
             self.word = BEGUN  # the word before was that of another run
             self.generation += 1
             self._run_pid = self._ended_pid = -1
@@ -205,8 +208,19 @@ class BenchWatch:
                 self._grew_s = now
             else:
                 self.behind = False
+            self._note_unsound(self._tail.problem)
             # With what was read, so that no viewer sees a run with the word from before it.
             self.word = bench_word(self.facts(now))
+
+    def _note_unsound(self, problem: str | None) -> None:
+        """Warn, once, of bytes that are not a record: nothing behind them can be shown."""
+        if problem == self._unsound or (problem is not None and not problem.startswith(UNSOUND)):
+            return
+        self._unsound = problem
+        if problem is not None:
+            self.view.note(
+                "warning", "page", f"what follows in the journal cannot be shown: {problem}"
+            )
 
     def _restart(self, error: JournalError) -> None:
         """Begin again with a journal that was cut or replaced; say so of one that is none."""

@@ -228,7 +228,10 @@ def test_a_journal_that_is_cut_under_the_page_is_said_and_is_not_green(rig, brow
     writer = recorded_run.start_writer(path)
     try:
         wait_for(browser, "#facts", lambda text: "sweep" in text)
-        os.truncate(path, path.stat().st_size // 2)
+        # A run that writes on may have made up for the cut before the page looks again; and half of
+        # the file may be more than the page has read. The header it has read.
+        writer.send_signal(signal.SIGSTOP)
+        os.truncate(path, 100)
         wait_for(browser, "#events", lambda text: "was cut to" in text)
         assert not browser.find_element("id", "word").text.startswith("safe")
     finally:

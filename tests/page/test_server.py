@@ -265,6 +265,22 @@ def test_a_run_that_was_killed_is_unsafe_until_its_guard_has_reported(page):
         writer.wait()
 
 
+def test_bytes_in_a_journal_that_are_not_a_record_are_said_once(page):
+    path = page.results / "2026-11-22" / "2026-11-22T12-00-00_sweep_r003.rigj"
+    path.parent.mkdir(exist_ok=True)
+    with JournalWriter.create(path, run.header()) as writer:
+        run.take_point(writer, 0)
+        page.frames(lambda f: f["run"].get("done") == 1)
+        with path.open("ab") as journal:
+            journal.write(bytes(50))
+        page.frames(lambda f: any("cannot be shown: bad record" in e["text"] for e in f["events"]))
+        run.take_point(writer, 1)
+        time.sleep(1.0)
+        frame = page.frames(lambda f: True)
+        warned = [e for e in frame["events"] if "bad record" in e["text"]]
+        assert (len(warned), frame["run"]["done"]) == (1, 1)
+
+
 def test_nonsense_in_the_folder_is_never_green(tmp_path):
     results = tmp_path / "results"
     (results / "day").mkdir(parents=True)

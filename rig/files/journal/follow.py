@@ -33,6 +33,9 @@ from rig.files.journal.values import End, Results, RunHeader
 READ_BYTES = 1 << 20
 """Bytes that are read at a time; a longer record is read whole."""
 
+UNSOUND = "bad record"
+"""How `JournalTail.problem` begins where the bytes can never become a record."""
+
 
 def follow(path: Path | str, go_on: Callable[[], bool]) -> Iterator[JournalRecord]:
     """Yield the records of a journal, its header first, those that are still to come included.
@@ -149,7 +152,7 @@ class JournalTail:
                 self._offset += need
                 self.ended = isinstance(record, End) or (self.ended and isinstance(record, Results))
         except BadRecord as error:
-            self.problem = f"bad record at byte {self._offset}: {error}"
+            self.problem = f"{UNSOUND} at byte {self._offset}: {error}"
             self._seen = now
         return records
 
