@@ -35,8 +35,8 @@ class SlipTrialRecord(TrialRecord):
     ramp_to_s: float | None = None
     """Time until which the tangential force followed its ramp, if there was one."""
     slid_from_mm: float = 0.0
-    """Way along x from which a weight's way counts: of the first alarm, else of the latest moment
-    at which the force followed its ramp."""
+    """Way along x at which a weight's way begins: of the latest moment at which the force followed
+    its ramp."""
     slid_mm: float = 0.0
     """Largest way of a weight from there."""
     lost: bool = False

@@ -158,11 +158,10 @@ class SlipTrialRun(PressedTrial):
         )
         ask, speeds = self._asking(ramp), x.stage.reach()["speed"]
         weight = RestingWeight(load_N, settings.speed_mm_s)
-        from_mm: float | None = None
         speed_mm_s = 0.0
 
         def pull(tick: Tick) -> bool:
-            nonlocal speed_mm_s, from_mm
+            nonlocal speed_mm_s
             self.hold_tick(tick)
             since_s, travel_mm, force_N, asked_mm_s = ask(tick)
             if asked_mm_s != speed_mm_s:
@@ -171,12 +170,12 @@ class SlipTrialRun(PressedTrial):
                 if abs(speed_mm_s) < SLOWEST_mm_s:
                     to_mm = x.latest.position_mm
                 x.start_move(to_mm, speeds.nearest(max(abs(speed_mm_s), SLOWEST_mm_s)))
-            # A fast ramp counts as followed with much of the weight missing: from its end on, what
-            # still moves is the weight's way.
-            if from_mm is None and ramp.follows and ramp.wanted_N(since_s) < load_N:
+            # The way begins where the force last followed the ramp, with or without an alarm: a
+            # late alarm gives the weight no slack, and shear after an early one is no way. A fast
+            # ramp passes as followed with much of the weight missing: from its end on, what still
+            # moves is the weight's way.
+            if ramp.follows and ramp.wanted_N(since_s) < load_N:
                 record.ramp_to_s, record.slid_from_mm = self.since_s(), travel_mm
-            if from_mm is None and record.alarms:
-                from_mm = record.slid_from_mm = travel_mm
             record.slid_mm = max(record.slid_mm, travel_mm - record.slid_from_mm)
             weight.add(since_s, force_N, travel_mm)
             record.weight_rested = weight.rested_s >= settings.hold_for_s

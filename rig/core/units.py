@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import importlib
 import re
+import sys
 import typing
 from datetime import timedelta
 from typing import Any
+
+from rig.core import unreadable_packages
 
 _QUANTITY = re.compile(r"^\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(.*?)\s*$")
 _SYMBOL = r"[A-Za-zµμΩ°%][A-Za-zµμΩ°%0-9]*"
@@ -83,13 +87,19 @@ def is_unit(text: str) -> bool:
         return False
     if all(symbol in _COMMON_SYMBOLS for symbol in re.findall(_SYMBOL, text)):
         return True
-    import pint  # Slow to import, so imported only for the rare units that need it.
-
+    pint = _pint()
     try:
         pint.Unit(text)
     except Exception:  # noqa: BLE001 - pint raises what it likes: a KeyError for "1*T**0"
         return False
     return True
+
+
+def _pint() -> Any:
+    """Return the module pint, which is slow to import and needed for rare units only."""
+    if "pint" not in sys.modules:
+        unreadable_packages.tolerate_in_backport()  # dask, where it is installed, looks there
+    return importlib.import_module("pint")
 
 
 def quantity(text: str, unit: str | None) -> float:
@@ -114,8 +124,7 @@ def quantity(text: str, unit: str | None) -> float:
     if not _follows_grammar(written):
         shown = written if len(written) <= _LONGEST_UNIT else written[:_LONGEST_UNIT] + "..."
         raise ValueError(f"{shown!r} is not a unit; write it as {unit}")
-    import pint
-
+    pint = _pint()
     try:
         return float(pint.Quantity(number, written).to(unit).magnitude)
     except Exception as error:

@@ -7,25 +7,43 @@ numba). Once `tolerate` has been called, such a package registers nothing.
 
 from __future__ import annotations
 
-from importlib.metadata import Distribution, EntryPoints
+import importlib
+import importlib.metadata
+from typing import Any
 
 from rig.core.errors import is_stop
 
 _unreadable: dict[str, str] = {}
+_tolerant: list[property] = []
+"""What look-ups were replaced by, so that none is replaced twice."""
 
 
 def tolerate() -> None:
     """Let every distribution without readable entry points have none, in this process."""
     # A look-up of our own would not do: pydantic and numba ask importlib.metadata themselves while
     # they are imported, and it has no other place at which one package's file can be left out.
-    original = Distribution.entry_points
-    assert isinstance(original, property)
-    read = original.fget
-    assert read is not None
+    _tolerate(importlib.metadata)
 
-    def entry_points(self: Distribution) -> EntryPoints:
+
+def tolerate_in_backport() -> None:
+    """Do the same for ``importlib_metadata``, from which newer releases of libraries take what
+    older versions of Python lack, if it is installed."""
+    try:
+        backport = importlib.import_module("importlib_metadata")
+    except ImportError:
+        return
+    _tolerate(backport)
+
+
+def _tolerate(metadata: Any) -> None:
+    original = metadata.Distribution.entry_points
+    if original in _tolerant:
+        return
+    read, none = original.fget, metadata.EntryPoints(())
+
+    def entry_points(self: Any) -> Any:
         try:
-            found: EntryPoints = read(self)
+            return read(self)
         except Exception as error:  # whatever the file holds
             if is_stop(error):
                 raise
@@ -33,10 +51,10 @@ def tolerate() -> None:
             name = getattr(getattr(self, "_path", None), "name", "without a name")
             reason = " ".join(str(error).split())
             _unreadable[str(name)] = f"{type(error).__name__}: {reason}"
-            return EntryPoints(())
-        return found
+            return none
 
-    Distribution.entry_points = property(entry_points)
+    metadata.Distribution.entry_points = property(entry_points)
+    _tolerant.append(metadata.Distribution.entry_points)
 
 
 def warnings() -> list[str]:
