@@ -87,7 +87,7 @@ def test_the_default_detector_is_paper_hp_and_the_help_says_why(rig: Any, runs: 
     shown = " ".join(re.sub(r"[│╭╮╰╯─]", " ", rig.run("detect", "--help").stdout).split())
     assert "[default: paper-hp]" in shown
     assert "none is shown to reach it, so the default is the published detector" in shown
-    assert "rig misses 1 of 10 where the commands of x and of the held force are known" in shown
+    assert "rig misses 1 of 8 where the commands of x and of the held force are known" in shown
 
 
 @pytest.mark.thorough

@@ -33,7 +33,7 @@ def detect(
         str,
         typer.Option(
             help="Detector to use; `rig detectors` lists them. On the simulated bench paper-hp "
-            "misses 5 slips of 10. rig misses 1 of 10 where the commands of x and of the held "
+            "misses 5 slips of 10. rig misses 1 of 8 where the commands of x and of the held "
             "force are known, as in this program's trials, and 1 of 7 without them: in holds and "
             "re-grips, when the force falls, in strong noise and where friction hardly falls. All "
             "alarm falsely when the object is released (rig in 1 of 5); in other trials impulse "
