@@ -37,7 +37,7 @@ from rig.run.arming import SHUTDOWN_DEADLINE_S, Arming, ShutdownFailure
 from rig.run.holds import PAUSE, HoldError, PauseSwitch
 from rig.run.interlocks.store import InterlockStore
 from rig.run.locks.bench_mark import BenchMarks
-from rig.run.making_safe.guard import GuardLink
+from rig.run.making_safe.guard_link import GuardLink
 from rig.run.points import remedy
 from rig.run.stopping import StopFlag
 from rig.run.trip import TripError

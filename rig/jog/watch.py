@@ -13,7 +13,7 @@ from rig.run.arming import BEAT_EVERY_S, Arming
 from rig.run.holds import Holds
 from rig.run.interlocks.store import InterlockStore
 from rig.run.interlocks.watch import InterlockWatch
-from rig.run.making_safe.guard import GuardLink
+from rig.run.making_safe.guard_link import GuardLink
 from rig.run.stopping import StopFlag
 from rig.run.streams.force_monitor import ForceMonitor
 

@@ -14,7 +14,7 @@ from rig.files.journal.values import RunHeader
 from rig.files.naming import JOURNAL_SUFFIX
 from rig.run.locks.bench_mark import BenchMark, read_marks
 from rig.run.locks.lock_holder import LockHolder, holder_of, lock_file
-from rig.run.making_safe.guard import GUARD_SUFFIX, report_path
+from rig.run.making_safe.guard_report import GUARD_SUFFIX, report_path
 
 
 class BenchSigns:

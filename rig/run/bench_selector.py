@@ -169,7 +169,7 @@ class BenchSelector:
     ) -> ChosenBench:
         from rig.bench.plan import parse_bench, rehearsal
         from rig.core.clock import ControlLink, PacedClock, SlavedClock
-        from rig.run.making_safe.guard import GUARD_SUFFIX
+        from rig.run.making_safe.guard_report import GUARD_SUFFIX
 
         self._report_takeovers(*sorted(request.results.glob(f"*/*{GUARD_SUFFIX}")))
         self.while_it_boots()
@@ -188,7 +188,7 @@ class BenchSelector:
         return ChosenBench(plan, clock, None, started, ready["recorded_toml"])
 
     def _report_takeovers(self, *reports: Path) -> None:
-        from rig.run.making_safe.guard import takeover_notice
+        from rig.run.making_safe.guard_report import takeover_notice
 
         for report in reports:
             if (notice := takeover_notice(report)) is not None:

@@ -47,7 +47,7 @@ from rig.run.interlocks.store import InterlockStore
 from rig.run.interlocks.watch import InterlockError
 from rig.run.job import Journal, RunJob
 from rig.run.locks.bench_mark import BenchMarks
-from rig.run.making_safe.guard import GuardLink
+from rig.run.making_safe.guard_link import GuardLink
 from rig.run.observers import Observers, RunObserver
 from rig.run.outcome import RunOutcome
 from rig.run.passing import KeptBackError

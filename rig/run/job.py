@@ -21,7 +21,7 @@ from rig.core.settings import Settings, fingerprint, leaves, name_without_unit, 
 from rig.files.journal.reader import JournalContents
 from rig.files.journal.writer import JournalWriter, begin_journal, begin_journal_at
 from rig.run.locks.lock import BenchLock
-from rig.run.making_safe.guard import GUARD_SUFFIX, report_path
+from rig.run.making_safe.guard_report import GUARD_SUFFIX, report_path
 from rig.run.outcome import RunOutcome
 from rig.run.points import Point, Reading
 from rig.run.procedure import Procedure

@@ -9,7 +9,7 @@ from typing import Any
 
 from rig.core.errors import ExitCode, RigError
 from rig.run.arming import ShutdownFailure
-from rig.run.making_safe.guard import TakenOver
+from rig.run.making_safe.guard_link import TakenOver
 
 
 @dataclass

@@ -22,7 +22,7 @@ from rig.core.errors import ConfigurationError, ExitCode
 from rig.run.arming import ShutdownFailure
 from rig.run.locks.bench_mark import BenchMarks
 from rig.run.locks.lock import address_names
-from rig.run.making_safe.guard import TakenOver
+from rig.run.making_safe.guard_link import TakenOver
 from rig.run.outcome import RunOutcome
 
 BENCH = """

@@ -36,7 +36,7 @@ from rig.instruments.roles import ForceFrames, Reach
 from rig.run.execute import execute
 from rig.run.holds import Holds
 from rig.run.job import RunJob
-from rig.run.making_safe.guard import GuardLink
+from rig.run.making_safe.guard_link import GuardLink
 from rig.run.points import Point
 from rig.run.procedure import Procedure
 from rig.run.stopping import StopFlag

@@ -20,7 +20,7 @@ from rig.cli.report import ConsoleObserver, closing_lines
 from rig.core.errors import ExitCode
 from rig.figures.drawing import DrawingProcess, Drawn
 from rig.run.arming import ShutdownFailure
-from rig.run.making_safe.guard import TakenOver
+from rig.run.making_safe.guard_link import TakenOver
 from rig.run.outcome import RunOutcome
 from rig.run.points import Point
 from rig.run.stopping import StopRequestedError

@@ -44,7 +44,7 @@ from rig.run.context import Run
 from rig.run.execute import execute
 from rig.run.holds import PAUSE
 from rig.run.job import RunJob
-from rig.run.making_safe.guard import TakenOver
+from rig.run.making_safe.guard_link import TakenOver
 from rig.run.observers import RunObserver
 from rig.run.outcome import RunOutcome
 from rig.run.points import Point, Reading

@@ -10,7 +10,7 @@ import pytest
 from rig.core.errors import ExitCode, InstrumentError, RigError, UnsafeError
 from rig.core.settings import Settings
 from rig.run.context import Run
-from rig.run.making_safe.guard import judged
+from rig.run.making_safe.guard_link import judged
 
 STILL_OVER = UnsafeError("stage_z: unload: 20 N, over the limit of 15 N", "move it away by hand")
 NO_ANSWER = InstrumentError("stage_z", "stop", "no answer within 1 s", "check its cable")

@@ -211,7 +211,7 @@ def test_a_run_whose_guard_was_killed_says_so_and_continues(rig):
 def test_a_run_whose_guard_is_stopped_says_so_once_and_continues(rig):
     running = rig.start(
         *rig.sweep_arguments(*FORTY_POINTS),
-        before="import rig.run.making_safe.guard as g; g.SILENT_S = g.ENDING_S = 0.5",
+        before="import rig.run.making_safe.guard_link as g; g.SILENT_S = g.ENDING_S = 0.5",
     )
     running.wait_for(r"^5/40 ")
     (guard,) = children_named("rig.run.making_safe.guard", running.process.pid)

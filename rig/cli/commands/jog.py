@@ -198,7 +198,8 @@ def _at_the_bench(
     from rig.jog.session import JogSession
     from rig.run.interlocks.store import InterlockStore
     from rig.run.locks.bench_mark import BenchMarks
-    from rig.run.making_safe.guard import GuardLink, report_path
+    from rig.run.making_safe.guard_link import GuardLink
+    from rig.run.making_safe.guard_report import report_path
 
     plan, clock = chosen.plan, chosen.clock
     contacts = {contact.role for contact in plan.settings.interlock}

@@ -9,34 +9,31 @@ where nothing speaks against that (`rig.run.making_safe.lift`), compiles the jou
 report of what was done. On a bench that others use it leaves a mark (`rig.run.locks.bench_mark`),
 which the next command reports; that of an unsafe bench refuses it.
 
-This module is the program as well (``python -m rig.run.making_safe.guard``); it imports the rest of
-the project only when it has to act, so a guard costs a few milliseconds.
+This module is the program as well (``python -m rig.run.making_safe.guard``). At its start it
+imports its report's module and two of `rig.core`; it imports the rest of the project only when
+it has to act, so a guard costs a few milliseconds. The run's side of the pipe is
+`rig.run.making_safe.guard_link`, which the guard never imports.
 """
 
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import json
 import math
 import os
 import queue
 import select
 import signal
-import struct
-import subprocess
 import sys
-import termios
 import threading
 import time
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-from rig.core.atomic import write_text
 from rig.core.errors import RigError
+from rig.run.making_safe.guard_report import in_words, write
 
 if TYPE_CHECKING:
     from rig.bench.plan import BenchPlan
@@ -44,22 +41,11 @@ if TYPE_CHECKING:
     from rig.run.making_safe.still_pressed import PressedState
 
 
-GUARD_SUFFIX = ".guard.json"
-"""Suffix of a report next to its run file, for a bench that ended with the run."""
 COMPILED_S = 30.0
 """Longest time in s that a run which waits for its guard allows for the compilation of its data."""
-SILENT_S = 5.0
-"""Longest time in s for which a guard may leave heartbeats unread. After it the run reports that
-the guard is stopped or gets no processor time, since it normally reads each at once."""
 PRESSED_S = 25.0
 """Time in s after which the guard no longer lifts z; it then stands within `REST_S` and the time
 that a last measurement takes."""
-MOST_UNREAD_BYTES = 4096
-"""Number of unread bytes from which no further heartbeats are sent. A pipe holds 65536 bytes, and a
-write to a full one would wait for ever; so there is always room for the messages that the bench is
-safe and that the run is done."""
-ENDING_S = 5.0
-"""Longest time in s that a guard with nothing left to do may take to end before it is killed."""
 AGAIN_S, AGAIN_EVERY_S = 5.0, 0.5
 """Time in s for which the guard tries again what did not answer, and the pause before each try: a
 switch that restarts, or an adapter that was unplugged, answers again within a few seconds."""
@@ -67,248 +53,6 @@ SHOWN_S = 0.3
 """Longest time in s that a last word at the terminal of a killed run may take."""
 REST_S = 10.0
 """Longest time in which an axis comes to rest, in addition to the waits for its answers."""
-
-
-def report_path(results: Path, bench_name: str) -> Path:
-    """Return the path of the report of a bench's guard."""
-    return results / f"guard-{bench_name}.json"
-
-
-def takeover_notice(path: Path) -> str | None:
-    """Return, once, a sentence on what the guard did when the run of a simulated bench of its own
-    died, from its report. Returns None for a guard that is still acting, and for one that could not
-    make the bench safe: that bench has ended."""
-    try:
-        report = json.loads(path.read_text())
-        if report["safe"] is not True or report.get("told") or "file" not in report:
-            return None
-        notice = _in_words(report)
-    except (OSError, ValueError, KeyError, TypeError):
-        return None
-    _mark_reported(path, report)
-    return notice
-
-
-def _in_words(report: dict[str, Any]) -> str:
-    """Return what the guard has done, as a sentence."""
-    words = (
-        f"the guard of an earlier run had to act at {report['time']}: {report['cause']}; "
-        "everything was stopped and switched off"
-    )
-    for role in report["failures"] if report["safe"] else ():
-        words += f"; {role} did not answer, which drives nothing"
-    if report.get("pressed"):
-        words += f", {report['pressed']}"
-    if report["journal"] is not None and "file" in report:
-        words += f"; data: {report['file']}; continue with: rig resume {report['journal']}"
-    return words
-
-
-def _mark_reported(path: Path, report: dict[str, Any]) -> None:
-    with contextlib.suppress(OSError):
-        _write(path, report | {"told": True})
-
-
-class TakenOver(NamedTuple):
-    """Result of the guard's try to make a bench safe after its run could not."""
-
-    safe: bool
-    summary: str
-    """The result as a sentence."""
-    released: bool = False
-    """True if the guard has seen z stand clear of contact."""
-
-
-def judged(report: dict[str, Any], over_limit: Sequence[str] = ()) -> TakenOver:
-    """Return what a guard's report says of the bench that a run has left to it.
-
-    `over_limit` names what the run has found pressed over its limit. To stop everything does not
-    release it, so it is safe only where the guard has then seen z stand clear.
-    """
-    if not report["safe"]:
-        failures = "; ".join(f"{role}: {why}" for role, why in report["failures"].items())
-        return TakenOver(False, f"the guard could not make the bench safe either: {failures}")
-    released = report.get("released") is True
-    pressed = f", {report['pressed']}" if report["pressed"] else ""
-    if over_limit and not released:
-        return TakenOver(
-            False,
-            f"the guard has stopped everything{pressed}; {' and '.join(over_limit)} may still be "
-            "over the limit: move the stage away by hand, then run: rig make-safe",
-        )
-    return TakenOver(True, f"the guard then made the bench safe{pressed}", released)
-
-
-class GuardLink:
-    """The run's side of the guard: starts it and keeps it informed."""
-
-    def __init__(
-        self,
-        plan: BenchPlan,
-        journal: Path | None,
-        report: Path,
-        held: Sequence[int] = (),
-        marks: Sequence[str] = (),
-        lifts: bool = True,
-    ):
-        """Start the guard.
-
-        `journal` is the run's journal, None if nothing is recorded. `held` are the lock files of
-        the bench, which the guard keeps open as long as it runs. `marks` are the names of the
-        bench's addresses, whose marks it writes; none for a bench that belongs to the run alone.
-        `lifts` off: a person is at the bench, so the guard stops z and does not lift it. Raises
-        RigError if the guard cannot be started.
-        """
-        self._report = report.resolve()
-        self._journal = None if journal is None else str(journal.resolve())
-        order = {
-            "run_pid": os.getpid(),
-            "journal": self._journal,
-            "report": str(self._report),
-            "bench": plan.settings.name,
-            "marks": list(marks),
-            "bench_toml": plan.text,
-            "bench_source": plan.source,
-            "heartbeat_timeout_s": plan.settings.heartbeat_timeout_s,
-            "lifts": lifts,
-        }
-        self._take_over_s = longest_take_over_s(plan)
-        try:
-            self._process = subprocess.Popen(
-                [sys.executable, "-P", "-m", "rig.run.making_safe.guard"],
-                stdin=subprocess.PIPE,
-                stdout=subprocess.DEVNULL,
-                stderr=subprocess.DEVNULL,
-                start_new_session=True,
-                pass_fds=held,
-            )
-        except OSError as error:
-            raise RigError(
-                f"the guard cannot be started: {error}; the limit on processes, files or memory is "
-                "reached",
-                "end other programs, or raise the limit (ulimit -u, ulimit -n), and start again",
-            ) from error
-        self._zero: Sequence[float] | None = None
-        self._limit_N = math.inf
-        self._heard_s = time.monotonic()
-        """Time at which the guard had last read everything that was sent to it."""
-        self._send(json.dumps(order))
-
-    @property
-    def pid(self) -> int:
-        """The guard's process id."""
-        return self._process.pid
-
-    def trouble(self) -> str | None:
-        """Return what is wrong with the guard, as the end of a sentence that begins with "the
-        guard"; None while it is well."""
-        if self._process.poll() is not None:
-            return "has died"
-        silent_s = time.monotonic() - self._heard_s
-        if silent_s < SILENT_S:
-            return None
-        pid = self._process.pid
-        return (
-            f"(process {pid}) has not read a heartbeat for {silent_s:.0f} s, it is stopped or gets "
-            f"no processor time (to continue it: kill -CONT {pid})"
-        )
-
-    def beat(self) -> None:
-        """Send a heartbeat, unless the guard has left many unread; never waits."""
-        unread = self._unread_bytes()
-        if unread == 0:
-            self._heard_s = time.monotonic()
-        if unread < MOST_UNREAD_BYTES:
-            self._send("beat")
-
-    def zero(self, raw: Sequence[float]) -> None:
-        """Send the force sensor's raw reading without force, if it is another than before. The
-        guard needs it to say what is still pressed."""
-        if raw != self._zero:
-            self._zero = raw
-            self._send(f"zero {json.dumps(list(raw))}")
-
-    def limit(self, limit_N: float) -> None:
-        """Send the force that the run watches for, if it is another than before: one above it that
-        remains is not safe."""
-        if limit_N != self._limit_N and math.isfinite(limit_N):
-            self._limit_N = limit_N
-            self._send(f"limit {limit_N!r}")
-
-    def safe(self) -> None:
-        """Report that everything is off, so that a slow compilation does not make the guard act."""
-        self._send("safe")
-
-    @property
-    def died(self) -> bool:
-        """True if the guard has ended."""
-        return self._process.poll() is not None
-
-    def cause(self, text: str) -> None:
-        """Send why the guard has to act, or may have to: a sentence for its report."""
-        self._send(f"cause {json.dumps(text)}")
-
-    def kill(self) -> NoReturn:
-        """Have the guard kill this run and make the bench safe. This process ends as well if the
-        guard does not react."""
-        self._send("kill")
-        self._process.send_signal(signal.SIGCONT)  # one that was stopped is needed now
-        if not self.died:
-            time.sleep(ENDING_S)
-        _kill(os.getpid())
-        raise AssertionError("a process that was killed still runs")
-
-    def done(self) -> None:
-        """Report that the run is done, and wait for the guard to end."""
-        self._send("done")
-        assert self._process.stdin is not None
-        with contextlib.suppress(OSError):
-            self._process.stdin.close()
-        try:
-            self._process.wait(ENDING_S)
-        except subprocess.TimeoutExpired:
-            # A stopped guard would keep the locks of the bench until it is continued.
-            self._process.kill()
-            self._process.wait()
-
-    def take_over(self, over_limit: Sequence[str] = (), cause: str = "") -> TakenOver:
-        """Leave the bench to the guard for this cause, and return the result of its try; see
-        `judged`."""
-        assert self._process.stdin is not None
-        if cause:
-            self.cause(cause)
-        with contextlib.suppress(OSError):
-            self._process.stdin.close()
-        self._process.send_signal(signal.SIGCONT)  # one that was stopped is needed now
-        try:
-            self._process.wait(timeout=self._take_over_s)
-            report = json.loads(self._report.read_text())
-        except subprocess.TimeoutExpired:
-            return TakenOver(
-                False,
-                f"the guard has not reported within {self._take_over_s:.0f} s: look at the bench; "
-                f"its report will be in {self._report}",
-            )
-        except (OSError, ValueError) as error:
-            return TakenOver(False, f"the guard did not report: {error}")
-        own = (os.getpid(), self._journal)
-        if (report["run_pid"], report["journal"]) != own:  # Left by an earlier run.
-            code = self._process.returncode
-            return TakenOver(False, f"the guard did not report: it ended with code {code}")
-        if report["safe"]:
-            _mark_reported(self._report, report)
-        return judged(report, over_limit)
-
-    def _unread_bytes(self) -> int:
-        assert self._process.stdin is not None
-        count = fcntl.ioctl(self._process.stdin, termios.FIONREAD, struct.pack("i", 0))
-        return int(struct.unpack("i", count)[0])
-
-    def _send(self, word: str) -> None:
-        assert self._process.stdin is not None
-        with contextlib.suppress(OSError):  # A run continues without its guard rather than fail.
-            self._process.stdin.write(word.encode() + b"\n")
-            self._process.stdin.flush()
 
 
 @dataclass
@@ -476,11 +220,11 @@ def _publish(order: dict[str, Any], report: dict[str, Any]) -> None:
     with contextlib.suppress(RigError):
         marks = BenchMarks(order["marks"], order["bench"], order["journal"])
         if report["safe"]:
-            marks.stopped(_in_words(report), report["released"])
+            marks.stopped(in_words(report), report["released"])
         else:
             marks.unsafe(report["failures"])
     with contextlib.suppress(OSError):
-        _write(Path(order["report"]), report)
+        write(Path(order["report"]), report)
 
 
 class MadeSafe(NamedTuple):
@@ -569,10 +313,6 @@ def _understand(line: bytes, watch: _Watch | None) -> _Watch:
 def _kill(pid: int) -> None:
     with contextlib.suppress(ProcessLookupError):
         os.kill(pid, signal.SIGKILL)
-
-
-def _write(path: Path, report: dict[str, Any]) -> None:
-    write_text(path, json.dumps(report, indent=1) + "\n", durable=False)
 
 
 if __name__ == "__main__":

@@ -21,7 +21,8 @@ from rig.bench.plan import BenchPlan, parse_bench
 from rig.core.clock import ControlLink, WallClock
 from rig.core.errors import InstrumentError
 from rig.run.locks.bench_mark import read_marks
-from rig.run.making_safe.guard import GuardLink, act, make_bench_safe
+from rig.run.making_safe.guard import act, make_bench_safe
+from rig.run.making_safe.guard_link import GuardLink
 
 PATIENCE_S = 60.0
 
@@ -134,8 +135,8 @@ def test_a_guard_that_is_stopped_never_blocks_its_run_is_reported_and_ends_with_
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """More heartbeats than a pipe holds: the next one would wait for ever."""
-    monkeypatch.setattr("rig.run.making_safe.guard.SILENT_S", 0.1)
-    monkeypatch.setattr("rig.run.making_safe.guard.ENDING_S", 0.1)
+    monkeypatch.setattr("rig.run.making_safe.guard_link.SILENT_S", 0.1)
+    monkeypatch.setattr("rig.run.making_safe.guard_link.ENDING_S", 0.1)
     link = GuardLink(bench.plan, bench.journal, bench.report)
     os.kill(link._process.pid, signal.SIGSTOP)
     for _ in range(14_000):
@@ -241,6 +242,26 @@ def test_signals_do_not_keep_the_guard_from_its_work(bench: Bench, guard: Guard)
     assert guard.finish() == 0
     assert report_of(bench)["safe"] is True
     assert bench.outputs()[-1][0] is False
+
+
+def test_a_guard_that_waits_has_imported_little() -> None:
+    """Its start delays that of its run, and what it has imported takes memory until the end."""
+    script = (
+        "import sys, rig.run.making_safe.guard; "
+        "print(*sorted(m for m in sys.modules if m.partition('.')[0] in ('rig', 'drivers')))"
+    )
+    imported = subprocess.check_output([sys.executable, "-P", "-c", script], text=True).split()
+    assert imported == [
+        "rig",
+        "rig.core",
+        "rig.core.atomic",
+        "rig.core.errors",
+        "rig.core.unreadable_packages",
+        "rig.run",
+        "rig.run.making_safe",
+        "rig.run.making_safe.guard",
+        "rig.run.making_safe.guard_report",
+    ]
 
 
 def test_a_guard_without_an_order_ends_quietly(guard: Guard) -> None:
