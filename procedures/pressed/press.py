@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING
 
 from procedures.pressed.approach.approach_watch import ApproachWatch, naming_the_sensor
 from procedures.pressed.approach.contact import (
-    BOTTOM_mm,
     CLEAR_mm,
     contact_range_mm,
     felt_N,
@@ -14,7 +13,7 @@ from procedures.pressed.approach.contact import (
     nothing_felt,
     refuse_early_contact,
 )
-from procedures.pressed.approach.way_down import held_speed_bound
+from procedures.pressed.approach.way_down import BOTTOM_mm, held_speed_bound
 from procedures.pressed.record.reading import CONTACT_N
 from procedures.pressed.settings import TAP_S, NEAR_mm
 from rig.control.approach import Approach

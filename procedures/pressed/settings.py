@@ -16,7 +16,6 @@ from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from procedures.pressed.approach.contact import (
     HOMING_S,
-    SETTLED_S,
     TARE_S,
     ZERO_LABEL,
     arm_from_where_it_stands,
@@ -24,11 +23,10 @@ from procedures.pressed.approach.contact import (
     first_ways_s,
     force_zero_of,
     park,
-    say_if_lost,
     stream_force,
     travel_s,
-    unload,
 )
+from procedures.pressed.approach.unload import SETTLED_S, say_if_lost, unload
 from rig.bench.settings import STRIPS, FixtureSettings
 from rig.core.errors import RigError
 from rig.core.settings import Settings as BaseSettings

@@ -16,9 +16,7 @@ from typing import TYPE_CHECKING
 from procedures.pressed.approach.approach_watch import ApproachWatch, naming_the_sensor
 from procedures.pressed.approach.contact import (
     HOMING_S,
-    SETTLED_S,
     TARE_S,
-    BOTTOM_mm,
     ForceZero,
     arm_from_where_it_stands,
     come_close,
@@ -34,10 +32,11 @@ from procedures.pressed.approach.contact import (
     stream_force,
     tare_in_free_air,
     travel_s,
-    unload,
 )
 from procedures.pressed.approach.earlier_runs import EarlierPress
 from procedures.pressed.approach.torque_watch import TorqueWatch
+from procedures.pressed.approach.unload import SETTLED_S, unload
+from procedures.pressed.approach.way_down import BOTTOM_mm
 from rig.bench.limits import require
 from rig.bench.settings import FixtureSettings
 from rig.core.errors import InstrumentError, LimitError

@@ -35,6 +35,8 @@ BASELINE_S = 0.1
 ARRIVED_S = 0.08
 """Expected time of a move in addition to its length divided by its speed: to come up to speed and
 to be asked whether it is over (measured)."""
+BOTTOM_mm = 0.002
+"""Distance in mm from a position, such as the latest contact, at which z has arrived there."""
 USUAL_LINK_S = 0.001
 """Time of an order on a link of its own (CMMT), which estimates assume."""
 

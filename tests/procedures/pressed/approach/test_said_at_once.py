@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from procedures.pressed.approach.contact import unload
+from procedures.pressed.approach.unload import unload
 from rig.core.errors import InstrumentError, InstrumentTimeoutError
 from rig.instruments.roles import LastSeen
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from procedures.pressed.approach.contact import UNLOAD_DEADLINE_S, _go_clear, _unload_deadline_s
+from procedures.pressed.approach.unload import UNLOAD_DEADLINE_S, _go_clear, unload_deadline_s
 from procedures.pressed.approach.way_down import TRAVEL_mm_s, travel_mm_s
 from procedures.sweep.preload import APPROACH_mm_s, _possible_mm_s
 from rig.control.approach import Approach
@@ -62,7 +62,7 @@ def test_a_slow_stage_has_the_time_for_its_way_off_the_object() -> None:
     """From wherever it stands, and back to where it came from."""
     stage = Stage(0.2)
     travel = stage.reach()["position"]
-    assert _unload_deadline_s(pressed_by(stage)) >= UNLOAD_DEADLINE_S + travel.high / 0.2
+    assert unload_deadline_s(pressed_by(stage)) >= UNLOAD_DEADLINE_S + travel.high / 0.2
 
 
 def test_a_slow_stage_searches_for_contact_at_its_own_speed() -> None:
