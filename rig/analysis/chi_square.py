@@ -14,8 +14,8 @@ def probability_above(chi_square: float, degrees: int) -> float:
     `chi_square`.
 
     Abramowitz and Stegun, Handbook of Mathematical Functions, 26.4.4 (odd) and 26.4.5 (even
-    degrees): a finite sum. NaN for a `chi_square` that is negative or NaN, or without degrees of
-    freedom.
+    degrees): a finite sum. It is NaN for a `chi_square` that is negative or NaN, or without degrees
+    of freedom.
     """
     if not chi_square >= 0 or degrees < 1:
         return math.nan

@@ -14,8 +14,8 @@ NO_SCATTER = 1e-7
 
 
 def explaining_error(residuals: Reals, variances: Reals, degrees: float) -> float:
-    """Return the additional error of every point that reduces chi-square to ``degrees``, by
-    bisection; 0 if none is needed (Mandel and Paule 1970)."""
+    """Return the additional error of every point, in the unit of the residuals (n,), that reduces
+    chi-square to ``degrees``, by bisection; 0 if none is needed (Mandel and Paule 1970)."""
     squares = np.square(residuals)
     if (squares / variances).sum() <= degrees:
         return 0.0

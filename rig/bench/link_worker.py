@@ -147,8 +147,8 @@ class LinkWorker:
         """Wait until every call asked for has been made; raise the exception of one that failed.
 
         Stop requests and watchers may end the wait, as any wait of the procedure. Raises
-        InstrumentError if the instrument takes longer than a call may: a link that hangs must not
-        make the procedure hang.
+        InstrumentTimeoutError if the instrument takes longer than a call may: a link that hangs
+        must not make the procedure hang.
         """
         give_up_s = time.monotonic() + self._patience_s + SPARE_S
         while not self._idle_within(WAIT_SLICE_S):

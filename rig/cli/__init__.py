@@ -14,7 +14,7 @@ SIGNALS_THAT_END = (signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
 
 
 def main() -> None:
-    """Entry point of the command ``rig``."""
+    """Run the command ``rig`` with the arguments of this process, and end it with an exit code."""
     atexit.register(_ignore_signals)  # Registered first, so it is called last.
     for number in _signals_that_end():
         signal.signal(number, _leave)

@@ -85,7 +85,7 @@ class Child:
 
         `longest_output` is how many bytes of stdout are returned, the last ones; `stderr` is where
         that goes if it is not to be read; `environment` is added to this process's; `inherited` are
-        file descriptors that stay open in it. OSError where it cannot be started.
+        file descriptors that stay open in it. Raises OSError where it cannot be started.
         """
         stdin = os.memfd_create("given")  # a pipe could fill up while the program hangs
         try:

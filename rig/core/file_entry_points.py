@@ -58,8 +58,8 @@ class FileEntry:
         return f"the {noun} {self.entry.name} ({self.entry.value}) of {self.package}"
 
     def load(self) -> Callable[[Any], Any]:
-        """Import its function. ConfigurationError for a name of another form or a value that is
-        not a function; whatever the package raises while it is imported."""
+        """Import its function and return it. Raises ConfigurationError for a name of another form
+        or a value that is not a function, and whatever the package raises while it is imported."""
         if _NAME.fullmatch(self.entry.name) is None:
             raise ConfigurationError(
                 "its name must be PROCEDURE or PROCEDURE.WHAT, of letters, digits, - and _"

@@ -22,7 +22,7 @@ was written, such as the name of a detector that is not installed here."""
 
 def stored_settings(model: type[T], values: Mapping[str, Any]) -> T:
     """Return the settings that a file states, by field, to compute and show its results; not to run
-    with them. ValidationError for values that this version refuses."""
+    with them. Raises ValidationError for values that this version refuses."""
     return model.model_validate_json(json.dumps(dict(values)), context=STORED)
 
 

@@ -76,7 +76,8 @@ class CheckedDetector(Detector):
         return self._ask("low_pass", lambda: self._inner.low_pass)
 
     def predictive(self, v_d: Reals) -> Reals:
-        """Return v_d (n,) behind `low_pass`. DetectorError where that is not one number a row."""
+        """Return v_d (n,) behind `low_pass`. Raises DetectorError where that is not one number a
+        row."""
         found = np.asarray(self._ask("predictive", self._inner.predictive, v_d.copy()))
         if found.shape != v_d.shape or not np.isfinite(found).all():
             raise self._error("returned a predictive signal that is not one number for each row")

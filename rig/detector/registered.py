@@ -52,7 +52,8 @@ class ChosenDetector:
 
     @cached_property
     def kind(self) -> type[Detector]:
-        """Class of the detector. ConfigurationError where it is not installed or cannot be used."""
+        """Class of the detector. Raises ConfigurationError where it is not installed or cannot be
+        used."""
         return detector_class(self.name)
 
     @property
@@ -82,7 +83,7 @@ class ChosenDetector:
 
     def seeds_seen(self) -> tuple[int, int] | None:
         """Return the first and last seed of the simulated trials on which its parameters were
-        chosen; None where there are none. DetectorError where its package fails."""
+        chosen; None where there are none. Raises DetectorError where its package fails."""
         found = asked(self.name, self.package, "seeds_seen", self.kind.seeds_seen, self.settings)
         if found is None:
             return None
@@ -93,7 +94,7 @@ class ChosenDetector:
         return found
 
     def at_threshold(self, factor: float) -> ChosenDetector:
-        """Return it with `factor` times its threshold, or as it is where it has none.
+        """Return it with `factor` times its threshold, or as it is where it has none. Raises
         DetectorError where its package fails."""
         changed = asked(
             self.name, self.package, "with_threshold",
@@ -125,8 +126,8 @@ class ChosenDetector:
 
 
 def chosen_detector(name: str, settings_json: str = "") -> ChosenDetector:
-    """Return a detector with parameters given as JSON, or with its own. ConfigurationError where
-    it is unknown, its package cannot be used, or the parameters are not its."""
+    """Return a detector with parameters given as JSON, or with its own. Raises ConfigurationError
+    where it is unknown, its package cannot be used, or the parameters are not its."""
     kind = detector_class(name)
     if not settings_json:
         return ChosenDetector(name, kind.default_settings())
@@ -148,8 +149,8 @@ def detector_names() -> tuple[str, ...]:
 
 @cache
 def detector_class(name: str) -> type[Detector]:
-    """Return the class of a registered detector. ConfigurationError where it is unknown, or its
-    package cannot be used."""
+    """Return the class of a registered detector. Raises ConfigurationError where it is unknown, or
+    its package cannot be used."""
     with quiet_stdout():
         found: type[Detector] = load(DETECTORS, name, lambda value: _fault(name, value))
     return found

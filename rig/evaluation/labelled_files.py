@@ -117,7 +117,8 @@ def judge_files(
     sweep: bool,
     done: Callable[[int, int], None],
 ) -> ListedTrials:
-    """Score all trials of a list. ConfigurationError names the line that cannot be used.
+    """Score all trials of a list. Raises ConfigurationError where a line cannot be used, and names
+    the line.
 
     `sweep` runs the detectors at all thresholds of a ROC. `done` is called after each trial with
     its number and the number of all.
@@ -141,8 +142,8 @@ def judge_files(
 
 
 def listed_trials(listing: Path) -> Iterator[tuple[ListedTrial, int]]:
-    """Yield every trial of a list, with the number of all. ConfigurationError names the line that
-    cannot be used."""
+    """Yield every trial of a list, with the number of all. Raises ConfigurationError where a line
+    cannot be used, and names the line."""
     rows = _rows(listing)
     for line, row in rows:
         where = f"{listing}, line {line}"

@@ -210,7 +210,8 @@ class Teacher:
         self._settings = named_detectors()["rig"].model_copy(update={"network": silent})
 
     def rows_of(self, lesson: Lesson) -> TrainingRows:
-        """Return the rows of a lesson. ValueError for a recording that the detector refuses."""
+        """Return the rows of a lesson. Raises ValueError for a recording that the detector
+        refuses."""
         volts, ratio, commands = lesson.volts, Ratio(1, 1), lesson.commands
         if not Rig.accepts(lesson.rate_Hz):
             resampler = StreamingResampler(lesson.rate_Hz, NETWORK_RATE_Hz, 2)

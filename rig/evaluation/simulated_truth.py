@@ -32,7 +32,8 @@ ROLL = "roll-trial"
 
 def times_of(reading: dict[str, Any], record_s: float) -> dict[str, float | None]:
     """Return what the World says of a trial, in s from the start of its record; None for never, and
-    for what happened after the record, which is `record_s` long. Empty where it says nothing."""
+    for what happened after the record, which is `record_s` long. The dict is empty where the World
+    says nothing."""
     account = reading.get("simulated_truth")
     if not account:
         return {}
@@ -59,8 +60,8 @@ def times_of(reading: dict[str, Any], record_s: float) -> dict[str, float | None
 
 def slips_of(reading: dict[str, Any], record_s: float) -> tuple[tuple[float, float], ...]:
     """Return begin and end of every slip of the ridge that is read as a whole, in s from the start
-    of its record, which is `record_s` long; one that lasts beyond it ends with it. Empty where the
-    World says nothing of it."""
+    of its record, which is `record_s` long; one that lasts beyond it ends with it. The tuple is
+    empty where the World says nothing of them."""
     known = json.loads(reading.get("simulated_truth") or "{}")
     begun_us = known.get("record_begun_us", 0)
     begins_us, ends_us = known.get("ridge_slip_begins_us", []), known.get("ridge_slip_ends_us", [])
@@ -100,7 +101,7 @@ def label_of(times: dict[str, float | None], procedure: str, motion_end_s: float
 
 def motion_end_of(run: RunFile, point: str, reading: dict[str, Any]) -> float | None:
     """Return when the motion of a point ended, in s of its record: when x came to rest, or the roll
-    ended; None where the file does not say. 0 where x has never moved."""
+    ended; None where the file does not say, and 0 where x has never moved."""
     if reading.get("roll_to_s") is not None:
         return float(reading["roll_to_s"])
     axes = {wave.stream: wave for wave in run.waveforms(point)}

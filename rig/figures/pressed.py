@@ -44,7 +44,7 @@ def a_figure_a_trial(
 
 
 def seconds(waveform: Waveform) -> NDArray[np.float64]:
-    """Return the times of the rows of an equally spaced record, since its start."""
+    """Return the times of the rows of an equally spaced record, in s since its start, (n,)."""
     first = next(iter(waveform.counts.values()))
     return np.arange(len(first)) / (waveform.rate_Hz or 1.0)
 

@@ -43,7 +43,8 @@ FEWEST = 2
 
 def draw_series(run: RunFile) -> dict[str, Figure]:
     """Draw friction, touch gains and force errors over the trials of a series with their
-    distribution beside; invalid trials are open circles. None for a single trial."""
+    distribution beside; invalid trials are open circles. Returns an empty dict for fewer than
+    `FEWEST` trials."""
     invalid = np.array([bool(why) for why in run.column("invalid")])
     if len(invalid) < FEWEST:
         return {}

@@ -98,7 +98,7 @@ class Detections:
 
     @property
     def slip_s(self) -> float | None:
-        """Time of the first detected slip."""
+        """Time of the first detected slip in s; None if none was detected."""
         return min(self.slips_s, default=None)
 
 
@@ -174,9 +174,9 @@ def later_slips(
 
 
 def measured_slip(series: Mapping[str, Waveform], begin_s: float, end_s: float) -> float:
-    """Return the time at which F_t/F_n is largest in a motion of x in one direction, from `begin_s`
-    to `end_s`. `series` are the streams of the trial by their names. Raises FrictionError with the
-    reason where the motion does not determine it."""
+    """Return the time in s at which F_t/F_n is largest in a motion of x in one direction, from
+    `begin_s` to `end_s`. `series` are the streams of the trial by their names. Raises FrictionError
+    with the reason where the motion does not determine it."""
     force, position, ticks = (series.get(name) for name in ("force", "position", "ticks"))
     if force is None or position is None or ticks is None:
         raise FrictionError("force or position is not in the record")

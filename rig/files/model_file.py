@@ -107,7 +107,7 @@ def _write_result(data: h5py.Group, name: str, result: ModelQuantity) -> None:
 
 
 def is_model(path: Path) -> bool:
-    """Return whether a file says that it is one of the skin model. False for a damaged one."""
+    """Return whether a file says that it is one of the skin model; a damaged one does not."""
     return definition_of(path) == DEFINITION
 
 

@@ -18,8 +18,9 @@ _RUN = re.compile(r"_r(\d+)\.(?:h5|rigj)\Z")
 def next_run_path(results: Path | str, procedure: str, when: datetime) -> Path:
     """Return the next run's path: ``2026-11-21/2026-11-21T22-00-00_sweep_r017.h5``.
 
-    Makes the day's folder. Two processes can be given the same number: the exclusive
-    ``JournalWriter.create`` decides, and the loser (FileExistsError) asks again.
+    Makes the day's folder; raises NotADirectoryError where a file has its name. Two processes can
+    be given the same number: the exclusive ``JournalWriter.create`` decides, and the loser
+    (FileExistsError) asks again.
     """
     folder = Path(results) / f"{when:%Y-%m-%d}"
     try:

@@ -182,7 +182,7 @@ def safe_verdict(
 def verify_in_child(file: Path | str, patience_s: float = PATIENCE_S) -> list[str]:
     """Return the findings of `verify`, made in a child process.
 
-    RunFileError if HDF5 crashed on the file or did not finish with it in time.
+    Raises RunFileError if HDF5 crashed on the file or did not finish with it in time.
     """
     return list(verdict_in_child(file, patience_s).findings)
 
@@ -191,7 +191,7 @@ def verdict_in_child(file: Path | str, patience_s: float = PATIENCE_S) -> FileVe
     """Return `verdict`, made in a child process that may take `patience_s` and more for a large
     file.
 
-    RunFileError if HDF5 crashed on the file or did not finish with it in time.
+    Raises RunFileError if HDF5 crashed on the file or did not finish with it in time.
     """
     file = Path(file)
     size = file.stat().st_size if file.is_file() else 0

@@ -498,7 +498,7 @@ class ForceSensor(Instrument, Protocol):
         ...
 
     def start(self, rate_S_s: float) -> float:
-        """Begin to stream at the nearest rate that the sensor has; returns that rate."""
+        """Begin to stream at the nearest rate that the sensor has; return that rate in frames/s."""
         ...
 
     def read(self) -> ForceFrames | None:

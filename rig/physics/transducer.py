@@ -48,6 +48,8 @@ class TransducerChain:
     """Computes the volts of several equal channels from their stress, block by block."""
 
     def __init__(self, settings: TransducerSettings, step_s: float, channels: int = 2):
+        """Begin at rest, with steps of `step_s`. Raises ValueError for one that is not above 0
+        s."""
         if step_s <= 0:
             raise ValueError(f"step_s {step_s} s must be above 0 s: time runs forward")
         self.settings = settings

@@ -132,7 +132,7 @@ class SkinTrial:
 
     @property
     def filtered_v_d(self) -> Floats:
-        """Signal v_1 - v_2 behind the filter at the step rate, in V, (k,)."""
+        """Signal v_1 - v_2 behind the analogue filter at the step rate, in V, (k,)."""
         difference: Floats = self.filtered[:, 0] - self.filtered[:, 1]
         return difference
 
@@ -274,7 +274,8 @@ def sample(
 
 
 def high_frequency(signal: Floats, rate_Hz: float, corner_Hz: float = 100.0) -> Floats:
-    """Return the part of a signal above `corner_Hz`, by a causal Butterworth filter of order 3."""
+    """Return the part of a signal (n,) above `corner_Hz`, in its unit and shape, by a causal
+    Butterworth filter of order 3."""
     from scipy.signal import butter, sosfilt
 
     sections = butter(3, corner_Hz, "highpass", fs=rate_Hz, output="sos")

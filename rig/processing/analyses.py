@@ -101,7 +101,7 @@ def analyses_path(run_file: Path, folder: Path | None = None) -> Path:
 
 def keep(run: RunFile, analyses: Analyses, folder: Path | None = None) -> Path:
     """Write what was found, with the run file's SHA-256 and the versions of the packages, in place
-    of an earlier file; return its path. RecordingError where the disk does not take it."""
+    of an earlier file; return its path. Raises RecordingError where the disk does not take it."""
     target, header = analyses_path(run.path, folder), run.header
     content = {
         "definition": DEFINITION,

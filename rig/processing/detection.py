@@ -117,7 +117,7 @@ def detect_file(job: DetectionJob) -> DetectionResult | DetectionFailure:
 def detect_trials(run: RunFile, detector: ChosenDetector) -> list[DetectedTrial]:
     """Return what the detector finds in every kept trial of a run, in the order of the trials.
 
-    ConfigurationError where the run has no strips, or a trial cannot be judged.
+    Raises ConfigurationError where the run has no strips, or a trial cannot be judged.
     """
     stream = _stream_of_strips(run)
     pieces: dict[str | None, list[Waveform]] = {}

@@ -57,14 +57,15 @@ def completed(
     *,
     apart: bool = False,
 ) -> Iterator[tuple[int, Result | RigError]]:
-    """Yield number and result of each item as they come; a RigError where its process failed.
+    """Yield number and result of each item as they come; the result is a RigError where its process
+    failed.
 
     Processes are forked, which is what makes them worth it: new ones would import for longer than
     they work. What the function needs is therefore best imported before. One process is not forked
-    unless the function is to run `apart`, as it may end its process. With `scheduler` the
-    cluster's workers call it: the same program has to be installed there, and the files have to
-    have the same names. ConfigurationError where the cluster cannot be reached; a RigError for each
-    item that is missing when its scheduler is gone or it has no worker any more.
+    unless the function is to run `apart`, as it may end its process. With `scheduler` the cluster's
+    workers call it: the same program has to be installed there, and the files have to have the same
+    names. Raises ConfigurationError where the cluster cannot be reached, and yields a RigError for
+    each item that is missing when its scheduler is gone or it has no worker any more.
     """
     processes = min(processes, len(items))
     if scheduler is None and processes <= 1 and not (apart and items):

@@ -16,7 +16,7 @@ BUILT_FROM = Path(__file__).resolve().parents[1] / "commit.txt"
 @cache
 def source_state() -> str:
     """Return the commit hash, with ``+dirty`` if tracked files differ: of the repository that this
-    program runs from, else the one it was built from. Empty where neither is known."""
+    program runs from, else the one it was built from. The text is empty where neither is known."""
     commit = commit_of(Path(__file__).resolve().parents[2])
     if commit:
         return commit

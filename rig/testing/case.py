@@ -122,8 +122,8 @@ class Case(ABC):
         return self.name
 
     def module(self) -> Any:
-        """Return the driver's module, found as the program finds it; ConfigurationError where it is
-        not installed or lacks something."""
+        """Return the driver's module, found as the program finds it; raises ConfigurationError
+        where it is not installed or lacks something."""
         return load(DRIVERS, self.driver)
 
     def serve(

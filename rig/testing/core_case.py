@@ -120,7 +120,8 @@ class CoreCase(Case):
         self._core, self._settings, self._travel = core, settings or {}, travel
 
     def module(self) -> Any:
-        """Return the driver's module; ConfigurationError where its simulator has another role."""
+        """Return the driver's module; raises ConfigurationError where its simulator has another
+        role."""
         module = super().module()
         if module.ROLES[0] not in self._core.roles:
             raise ConfigurationError(

@@ -1,4 +1,5 @@
-"""The script of the role `generator`."""
+"""Checks a driver of the role `generator` step by step: what an experiment asks of it, and what the
+instrument must then show."""
 
 from __future__ import annotations
 

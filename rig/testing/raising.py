@@ -1,4 +1,4 @@
-"""Expecting an error, without pytest."""
+"""Checks that a block raises an error, without pytest."""
 
 from __future__ import annotations
 

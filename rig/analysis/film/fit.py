@@ -295,7 +295,8 @@ def _linearised(
 
 
 def chi_square(curve: ResponseCurve, model: FilmModel) -> float:
-    """Return the sum of squared whitened residuals."""
+    """Return the sum of squared whitened residuals of the curve from the model, a number without a
+    unit."""
     residual = curve.whitened(curve.log_ratio(model.response(curve.frequencies)))
     return float(residual @ residual)
 

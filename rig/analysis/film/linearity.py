@@ -82,11 +82,12 @@ class LoadLinearity:
 
     @property
     def worst_frequency_Hz(self) -> float:  # noqa: N802
-        """Frequency of the largest deviation."""
+        """Frequency of the largest deviation, in Hz."""
         return float(self.frequencies[int(np.argmax(self.worst_deviations))])
 
     def beyond(self, bounds: Bounds) -> NDArray[np.bool_]:
-        """Return True for frequencies (k,) whose own slope is significantly beyond the bound."""
+        """Return an array (k,), True for the frequencies whose own slope is significantly beyond
+        the bound."""
         sigmas = NormalDist().inv_cdf(1 - FALSE_ALARM / self.frequencies.size)
         surely: NDArray[np.bool_] = (
             np.abs(self.slopes) - sigmas * self.slope_errors > bounds.slope_dB_decade

@@ -70,7 +70,8 @@ class LearnedGain:
         return any(abs(x - known) <= math.log(NEAR) for known in self._nearest(x, 1))
 
     def at(self, frequency_Hz: float) -> float | None:
-        """Return the predicted gain, or None if nothing has been measured.
+        """Return the predicted gain in the unit of those learned, or None if nothing has been
+        measured.
 
         1 / gain² of anything that resonates without a zero nearby is a polynomial in f². A parabola
         in f² through the three nearest points therefore predicts the gain, also one step beyond
@@ -154,8 +155,8 @@ def record_samples(
 
 
 def affordable_inflation(needs: RecordNeeds, duration_s: float) -> float:
-    """Return by how much fitting lines may inflate the variance so that the target is still
-    met."""
+    """Return the factor by which fitting lines may enlarge the variance of a gain from a record of
+    `duration_s`, so that the target of `needs` is still met."""
     error = needs.error_of_one_second_dB
     if not error:
         return NEGLIGIBLE_INFLATION
@@ -197,8 +198,8 @@ class LearnedMains:
 def agreement(
     first: Response, second: Response, tolerance: float, samples: tuple[int, int]
 ) -> float:
-    """Return the largest difference up to which two responses agree: a relative tolerance plus
-    their noise.
+    """Return the largest difference, in the unit of the responses, up to which the two agree: a
+    relative tolerance plus their noise.
 
     ``samples`` are the lengths of their records. The noise by sample is that of the quieter record:
     ringing also enlarges a record's own error, and would otherwise hide itself.
@@ -242,7 +243,8 @@ def combined(responses: Sequence[Response]) -> Response:
 
 
 def range_for(amplitude_V: float, ranges_V: Sequence[float], margin: float = 1.6) -> float:
-    """Return the smallest input range that holds an amplitude with a margin, or else the largest.
+    """Return the smallest input range in V that holds an amplitude with a margin, or else the
+    largest.
 
     >>> range_for(0.7, [0.1, 1.0, 1.25, 10.0])
     1.25

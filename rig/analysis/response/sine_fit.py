@@ -126,13 +126,13 @@ class SineFit:
 
     @property
     def amplitude(self) -> float:
-        """Peak amplitude of the tone."""
+        """Peak amplitude of the tone, in the unit of the samples."""
         return abs(self.phasor)
 
     @property
     def standard_error(self) -> float:
-        """Standard error of the amplitude, first order: the error of the phasor along its own
-        direction."""
+        """Standard error of the amplitude in the unit of the samples, first order: the error of the
+        phasor along its own direction."""
         if not self.phasor:
             return math.sqrt(float(np.trace(self.covariance)) / 2)
         direction = np.array([self.phasor.real, self.phasor.imag]) / abs(self.phasor)
@@ -149,7 +149,8 @@ class SineFit:
 
     @property
     def harmonic_distortion(self) -> float:
-        """Root sum of squares of the measured harmonics over the tone. Noise adds to it."""
+        """Root sum of squares of the measured harmonics over the tone; NaN if none was measured, or
+        without a tone. Noise adds to it."""
         measured = self.harmonics[np.isfinite(self.harmonics)]
         if not measured.size or not self.amplitude:
             return math.nan
@@ -294,8 +295,9 @@ def record_length(
 
 
 def inflation(frequency: float, rate: float, n: int, interference: Sequence[float]) -> float:
-    """Return the variance of the phasor of a tone with all these lines fitted, relative to that
-    without."""
+    """Return the ratio of the variance of a tone's phasor with the lines of `interference` fitted,
+    those below half the rate, to that without. All frequencies are in Hz, `n` is the number of
+    samples at the `rate`."""
     lines = [line for line in interference if 0 < line < rate / 2]
     normal = _normal_equations([frequency, *lines], rate, n)
     return _tone_variance(normal, range(1 + len(lines))) / _tone_variance(normal, [0])

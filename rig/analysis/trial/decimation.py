@@ -57,6 +57,9 @@ class Decimator:
     """
 
     def __init__(self, rate_Hz: float, channels: int = 2):
+        """Begin a record of so many channels at `rate_Hz`. Raises ValueError for a rate that is not
+        a whole multiple of `RATE_Hz` between `SLOWEST_Hz` and `FASTEST_Hz`, and for less than one
+        channel."""
         factor = round(rate_Hz / RATE_Hz)
         if not SLOWEST_Hz <= rate_Hz <= FASTEST_Hz or abs(factor * RATE_Hz - rate_Hz) > 1e-9:
             raise ValueError(

@@ -104,7 +104,8 @@ def friction(
     zero_error_N: tuple[float, float] = (0.0, 0.0),
     rate_Hz: float = 1000.0,
 ) -> Friction:
-    """Coefficients from F_n, F_t and the travel since the slide began, (n,) each, at `rate_Hz`.
+    """Return the coefficients from F_n, F_t and the travel since the slide began, (n,) at
+    `rate_Hz`.
 
     The arrays begin and end with the motion. F_t is positive along the travel: both directions give
     positive coefficients. `zero_error_N` are the standard errors of the zeros of F_n and F_t.

@@ -161,7 +161,7 @@ def still_columns(time: Reals) -> Reals:
 
 
 def standard_error(influence: Reals, residual: Reals, parameters: int) -> float:
-    """Return the standard error of a fitted number, ``influence @ volts``.
+    """Return the standard error of a fitted number, ``influence @ volts``, in the number's unit.
 
     It is computed from the residuals with their own autocovariance (Newey and West 1987), and
     enlarged for the `parameters` that were fitted.

@@ -136,9 +136,9 @@ class BetweenRuns:
         self._send("state", state="running")
 
     def hold(self, why: str, over: SelfEnding | None = None, bench: str = BENCH_SAFE) -> None:
-        """Wait for a person, or end the batch, as `on_hold` says. With `over` the batch also
-        continues by itself as soon as that is so, unless a person has paused it. `bench` says how
-        the bench is meanwhile."""
+        """Wait for a person, or end the batch by an EndOfBatchError, as `on_hold` says. With `over`
+        the batch also continues by itself as soon as that is so, unless a person has paused it.
+        `bench` says how the bench is meanwhile."""
         self._queue.add_event("hold", why)
         if self._on_hold == "stop":
             raise EndOfBatchError(why, "rig batch resume", ExitCode.STOPPED_BY_CONDITION)
@@ -150,7 +150,7 @@ class BetweenRuns:
     def wait_for_the_queue(self, error: QueueWriteError) -> None:
         """Return when the disk has room again, and the batch's folder is in its place; between
         runs, with the bench safe. The queue tries its transaction again then, before anything else
-        happens."""
+        happens. Raises EndOfBatchError, without waiting, where `on_hold` is to stop."""
         if self._on_hold == "stop":
             self._queue.wait_for_disk = give_up
             raise EndOfBatchError(error.message, "rig batch resume", ExitCode.STOPPED_BY_CONDITION)

@@ -49,8 +49,8 @@ def rebuild(
     say that it failed has failed (`rig batch resume --retry-failed` queues it again); any other is
     queued, and continues from its journal. Numbers of attempts, holds and events are lost.
 
-    ConfigurationError if the batch is running, if its queue is sound, or if the batch file is not
-    that of the runs.
+    Raises ConfigurationError if the batch is running, if its queue is sound, or if the batch file
+    is not that of the runs.
     """
     for who in ("supervisor", "worker"):
         if folder.is_held(who):

@@ -97,8 +97,8 @@ def fingerprints(
 
 
 def refuse_changes(queue: Queue, batch: BatchFile) -> None:
-    """ConfigurationError where batch file, bench file, a simulated bench's files or the program
-    are not what they were when the batch began."""
+    """Raise ConfigurationError where batch file, bench file, a simulated bench's files or the
+    program are not what they were when the batch began."""
     bench = queue.meta("bench")
     now = fingerprints(
         Path(queue.meta("batch_file")),
@@ -122,7 +122,7 @@ def refuse_changes(queue: Queue, batch: BatchFile) -> None:
 
 
 def refuse_missing(queue: QueueView, states: Sequence[RunState]) -> None:
-    """ConfigurationError where a procedure of the runs in these states, or something that its
+    """Raise ConfigurationError where a procedure of the runs in these states, or something that its
     settings name, is not installed any more: every such run would fail."""
     conditions = queue.conditions()
     for name in dict.fromkeys(row.condition for row in queue.rows(states)):

@@ -68,8 +68,8 @@ class _Delivery:
 
 
 def require_usable(settings: NotifySettings) -> None:
-    """ConfigurationError where a notification could never be delivered: the extra ``notify`` or the
-    command is missing, or an address is unknown to apprise. Nothing is sent."""
+    """Raise ConfigurationError where a notification could never be delivered: the extra ``notify``
+    or the command is missing, or an address is unknown to apprise. Nothing is sent."""
     if settings.command and shutil.which(settings.command[0]) is None:
         raise ConfigurationError(
             f"notify.command: {settings.command[0]!r} is not found, or is not a program",

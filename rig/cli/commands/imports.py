@@ -283,7 +283,9 @@ def _as_object(run_file: Path, recording: Any, drawn: Drawn) -> dict[str, Any]:
 
 
 def channel_map(text: str) -> dict[str, str]:
-    """``v_1=2,v_2=Voltage`` by channel; names of columns may hold commas and equals signs."""
+    """Return the column of the file for each channel, from a text such as ``v_1=2,v_2=Voltage``;
+    names of columns may hold commas and equals signs. Raises ConfigurationError for a text of
+    another form, and where v_1 or v_2 is missing."""
     found = _pairs("--channels", text, CHANNELS)
     if missing := [channel for channel in ("v_1", "v_2") if channel not in found]:
         raise ConfigurationError(
@@ -294,7 +296,9 @@ def channel_map(text: str) -> dict[str, str]:
 
 
 def scale_map(text: str) -> dict[str, float]:
-    """``v_1=-1mV`` by channel, in V, N or s for one unit of the file."""
+    """Return what one unit of the file is in V, N or s for each channel, from a text such as
+    ``v_1=-1mV``; an empty dict for an empty text. Raises ConfigurationError for a text of another
+    form, another unit, and a scale that is 0 or not finite."""
     found: Mapping[str, str] = _pairs("--scale", text, tuple(SCALED)) if text.strip() else {}
     return {
         channel: _quantity(f"--scale {channel}", value, SCALED[channel])

@@ -71,7 +71,8 @@ class JogOptions:
     ] = None
 
     def settings(self) -> JogSettings:
-        """Return the validated settings; ConfigurationError names every option that is wrong."""
+        """Return the validated settings. Raises ConfigurationError, which names every option that
+        is wrong."""
         from rig.cli.options.settings import settings_from
         from rig.jog.axes import JogSettings
 

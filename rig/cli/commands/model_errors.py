@@ -10,7 +10,8 @@ from rig.core.errors import ConfigurationError, RigError
 
 @contextmanager
 def model_errors(remedy: str | None = None) -> Iterator[None]:
-    """Report invalid values, and contact steps without a solution, as one-line errors.
+    """Report invalid values as a ConfigurationError, and contact steps without a solution as a
+    RigError, each of one line.
 
     `remedy` is the hint for a step without a solution.
     """

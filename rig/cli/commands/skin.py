@@ -102,11 +102,12 @@ class SkinOptions:
     normal_force: Annotated[str, typer.Option(help="Normal force F_n.", metavar="N")] = "4N"
 
     def normal_newtons(self) -> float:
-        """Return the normal force in N; ConfigurationError if the text is not a force."""
+        """Return the normal force in N; raises ConfigurationError if the text is not a force."""
         return _number(self.normal_force, "N", "--normal-force")
 
     def skin_settings(self) -> SkinSettings:
-        """Return the settings of the skin; ConfigurationError names a file that is not valid."""
+        """Return the settings of the skin. Raises ConfigurationError, which names the file, for one
+        that is not valid."""
         from rig.physics.skin.settings import SkinSettings
 
         return _settings(SkinSettings, self.skin, SkinSettings(elements_per_ridge=self.elements))

@@ -107,7 +107,9 @@ def quantities_of_map(found: DesignMap) -> dict[str, ModelQuantity]:
 
 def save_model(model: Model, drawn: dict[str, Figure], results: Path) -> list[Path]:
     """Save the data as HDF5 and each figure as PNG and SVG in `results`, with a number if one of
-    the names is taken: what took minutes to compute is not lost, and nothing is overwritten."""
+    the names is taken: what took minutes to compute is not lost, and nothing is overwritten.
+    Returns the paths of the files, the data first. Raises ConfigurationError where they cannot be
+    written."""
     from rig.figures.style import save
     from rig.files.model_file import write_model
 

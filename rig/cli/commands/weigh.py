@@ -76,7 +76,8 @@ def weigh(
     """Return a reading under each of the known forces, in this order; the latest one may be
     repeated.
 
-    Raises QuitError, and without a person RejectedError for a bad reading.
+    Raises QuitError where the person quits. Without a person it raises ConfigurationError where the
+    weights cannot be put on by the bench itself, and RejectedError after several bad readings.
     """
     largest_N = max(abs(value) for force in forces_N for value in force)
     means: list[Mean] = []

@@ -55,8 +55,8 @@ SimulatedStages = Annotated[
 
 
 def parameters(model: type[Settings]) -> list[inspect.Parameter]:
-    """Command parameters for a settings class: all optional texts, validated by the class. One that
-    is given twice brings two texts, for `texts_of`."""
+    """Return the command parameters for a settings class: all optional texts, validated by the
+    class. One that is given twice brings two texts, for `texts_of`."""
     said = descriptions(model)
     return [
         inspect.Parameter(

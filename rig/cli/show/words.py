@@ -1,4 +1,4 @@
-"""Values in words, for a terminal."""
+"""Writes values in words, for a terminal."""
 
 from __future__ import annotations
 

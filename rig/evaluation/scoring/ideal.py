@@ -57,7 +57,7 @@ class Process:
 def process_of(rows: Floats, order: int = ORDER) -> Process:
     """Return the process that rows (n, channels) follow best, by least squares about their mean.
 
-    ValueError for fewer than `LEAST_ROWS` rows.
+    Raises ValueError for fewer than `LEAST_ROWS` rows.
     """
     if len(rows) < LEAST_ROWS:
         raise ValueError(f"{len(rows)} rows: a process is learnt from at least {LEAST_ROWS}")

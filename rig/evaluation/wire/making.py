@@ -119,7 +119,7 @@ class TrialCommands:
         """Return exit code, stdout and stderr of a command that works in a folder.
 
         The folder must have no bench file: where the present one has a ``bench.toml``, the command
-        would move a real bench.
+        would move a real bench. Raises KeyboardInterrupt once the commands have been ended.
         """
         with self.lock:
             if self.ended:
@@ -279,7 +279,8 @@ def _reason(code: int, out: str, err: str) -> str:
 
 
 def rig_command() -> Path:
-    """Return the command `rig` of this environment. ConfigurationError where there is none."""
+    """Return the command `rig` of this environment. Raises ConfigurationError where there is
+    none."""
     command = Path(sys.executable).with_name("rig")
     if not os.access(command, os.X_OK):
         raise ConfigurationError(

@@ -47,7 +47,8 @@ class WireRecord:
 
 
 def read_record(path: Path) -> WireRecord:
-    """Return the record of the only trial of a run file. ValueError for a file without one."""
+    """Return the record of the only trial of a run file. Raises ValueError for a file without
+    one."""
     with RunFile.open(path) as run:
         if run.outcome.simulated is not True:
             raise ValueError(f"{path.name} was not made on a simulated bench")

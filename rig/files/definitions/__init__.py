@@ -6,8 +6,8 @@ from pathlib import Path
 
 
 def definition_path(name: str) -> Path:
-    """Return the NXDL file of a definition such as ``NXrig_sweep``. FileNotFoundError if there is
-    none.
+    """Return the NXDL file of a definition such as ``NXrig_sweep``. Raises FileNotFoundError if
+    there is none.
     """
     path = Path(__file__).with_name(f"{name}.nxdl.xml")
     if not path.is_file():

@@ -13,7 +13,8 @@ from pathlib import Path
 
 
 class GuardedFile:
-    """A new file in the form that h5py's ``fileobj`` driver takes. FileExistsError if it exists."""
+    """A new file in the form that h5py's ``fileobj`` driver takes. Raises FileExistsError if it
+    exists."""
 
     def __init__(self, path: Path) -> None:
         self._descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o644)

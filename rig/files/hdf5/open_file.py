@@ -44,7 +44,7 @@ class OpenFile:
 
     @classmethod
     def open(cls, path: Path | str) -> Self:
-        """Open a file. RunFileError if it cannot be read or is another kind of file."""
+        """Open a file. Raises RunFileError if it cannot be read or is another kind of file."""
         import h5py
 
         path = Path(path)

@@ -68,7 +68,8 @@ class TextDialect:
         return self.is_number(cell) or _NO_VALUE.match(cell) is not None
 
     def number(self, cell: str) -> float:
-        """Return the value of a cell that is a number."""
+        """Return the value of a cell, with this file's decimal sign. Raises ValueError for a cell
+        that is not a number."""
         return float(cell.replace(",", ".") if self.decimal == "comma" else cell)
 
     def row_pattern(self, width: int, wanted: Sequence[int]) -> re.Pattern[str]:

@@ -77,8 +77,8 @@ def read_foreign(
 ) -> ForeignFile:
     """Open a text, LVM, MATLAB or npz file, recognised by its first bytes.
 
-    The last three are for text, where they are not to be recognised. ForeignFileError for anything
-    else, and for a file beyond MAX_BYTES.
+    The last three are for text, where they are not to be recognised. Raises ForeignFileError for
+    anything else, and for a file beyond MAX_BYTES.
     """
     name = plain_text(path.name)
     try:
@@ -123,7 +123,7 @@ def write_import(
 ) -> tuple[Path, Recording]:
     """Write the run file into today's folder below `results`; return its path and what it holds.
 
-    ForeignFileError if the file does not agree with what was stated (nothing was begun),
+    Raises ForeignFileError if the file does not agree with what was stated (nothing was begun),
     RecordingError where the run file cannot be written (nothing is left).
     """
     recording = recording_of(foreign.source, stated, foreign.name)

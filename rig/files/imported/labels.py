@@ -33,8 +33,8 @@ Label = dict[str, str | float]
 
 
 def read_labels(path: Path) -> dict[str, dict[str, str]]:
-    """Return the lines of a list of labels by the name of the file. ConfigurationError for one that
-    cannot be used."""
+    """Return the lines of a list of labels by the name of the file. Raises ConfigurationError for
+    one that cannot be used."""
     heads, rows = read_list(path, "list of labels", MAX_LIST_BYTES, ("file", "label"))
     known = ("file", "label", *TIMES)
     if "file" not in heads or not set(heads) - {"file"}:
@@ -61,9 +61,9 @@ def label_of(recording: Recording, line: Mapping[str, str] | None, name: str) ->
 
     The label follows from the times where it is not stated: a slip is a ``slip``, a lift-off
     without one a ``lift-off``; and where the file has a column for slips that is 0 throughout, it
-    is a ``hold``. The first node slips with the ridge where nothing else is stated.
-    ForeignFileError for times outside the record, contradictions, and where the
-    motion's begin is missing.
+    is a ``hold``. The first node slips with the ridge where nothing else is stated. Raises
+    ForeignFileError for times outside the record, contradictions, and where the motion's begin is
+    missing.
     """
     line = line or {}
     if not line and not recording.labels_s:

@@ -107,8 +107,8 @@ class LvmTable(TextTable):
 def read_lvm(content: bytes, name: str) -> LvmTable:
     """Return the one segment of an LVM file.
 
-    ForeignFileError for several segments, special blocks, channels of different rates or starts,
-    and rows that are not as many as the header says.
+    Raises ForeignFileError for several segments, special blocks, channels of different rates or
+    starts, and rows that are not as many as the header says.
     """
     lines = lines_of(content, name)
     ends = _ends_of_headers(lines, name)

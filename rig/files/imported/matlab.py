@@ -229,5 +229,5 @@ class MatlabTable:
 
 
 def read_matlab(content: bytes, name: str) -> MatlabTable:
-    """Return the variables of a MATLAB file. ForeignFileError if it cannot be read."""
+    """Return the variables of a MATLAB file. Raises ForeignFileError if it cannot be read."""
     return MatlabTable(name, content, variables_of(content, name))

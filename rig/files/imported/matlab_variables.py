@@ -36,13 +36,15 @@ Variables = dict[str, tuple[str, tuple[int, ...]]]
 
 
 def variables_of(content: bytes, name: str) -> Variables:
-    """Return class and shape of every variable. ForeignFileError if the file cannot be read."""
+    """Return class and shape of every variable. Raises ForeignFileError if the file cannot be
+    read."""
     listed = json.loads(_ask_child(content, name, ()))
     return {variable: (kind, tuple(shape)) for variable, (kind, shape) in listed.items()}
 
 
 def arrays_of(content: bytes, name: str, wanted: Sequence[str]) -> dict[str, NDArray[Any]]:
-    """Return the arrays of the variables `wanted`. ForeignFileError if the file cannot be read."""
+    """Return the arrays of the variables `wanted`. Raises ForeignFileError if the file cannot be
+    read."""
     import numpy as np
 
     with np.load(io.BytesIO(_ask_child(content, name, wanted)), allow_pickle=False) as arrays:

@@ -105,8 +105,8 @@ def combination_of(text: str, source: ImportSource, name: str) -> Combination:
     """Return what a channel is made of: a column, ``2..11`` for consecutive samples of a row, and
     sums or differences of these with blanks around the sign, as in ``left - right``.
 
-    A column whose name is the whole text has priority. ForeignFileError where a column is missing,
-    or terms have different numbers of samples.
+    A column whose name is the whole text has priority. Raises ForeignFileError where a column is
+    missing, or terms have different numbers of samples.
     """
     try:
         return Combination(((1.0, (source.column(text),)),))
@@ -172,9 +172,9 @@ class Recording:
 def recording_of(source: ImportSource, stated: ChannelMap, name: str) -> Recording:
     """Return the channels that the user named, read and checked.
 
-    ForeignFileError if a column is missing or named twice, is labelled in another unit while no
-    scale is stated, or holds something that is not a number; and if the rate is unknown, uneven or
-    contradicted.
+    Raises ForeignFileError if a column is missing or named twice, is labelled in another unit while
+    no scale is stated, or holds something that is not a number; and if the rate is unknown, uneven
+    or contradicted.
     """
     import numpy as np
 
@@ -343,9 +343,10 @@ def _check_rate(whose: str, rate_Hz: float, name: str) -> None:
 
 
 def uniform_rate(times_s: NDArray[np.float64], source: ImportSource, name: str) -> float:
-    """Return the rate of evenly spaced times, the roundest that agrees with them.
+    """Return the rate in 1/s of evenly spaced times (n,), the roundest that agrees with them.
 
-    ForeignFileError names the row where they are not even: STEP_TOLERANCE and LINE_TOLERANCE.
+    Raises ForeignFileError, which names the row, where they are not even: STEP_TOLERANCE and
+    LINE_TOLERANCE.
     """
     import numpy as np
 

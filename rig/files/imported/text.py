@@ -42,7 +42,7 @@ UNITS = {
 def lines_of(content: bytes, name: str) -> list[str]:
     """Return the lines of a text, without their ends: UTF-8, UTF-16 with its mark, or Latin-1.
 
-    ForeignFileError for what is empty, no text, or has lines beyond LONGEST_LINE.
+    Raises ForeignFileError for what is empty, no text, or has lines beyond LONGEST_LINE.
     """
     text = _decoded(content, name).replace("\r\n", "\n").replace("\r", "\n")
     if found := _CONTROL.search(text):
@@ -225,8 +225,8 @@ def read_text(
 ) -> TextTable:
     """Return the table in a text file. Arguments that are not given are recognised from the file.
 
-    ForeignFileError where there are no rows of two numbers at least, or where a line above them
-    looks like a row with something wrong.
+    Raises ForeignFileError where there are no rows of two numbers at least, or where a line above
+    them looks like a row with something wrong.
     """
     lines = lines_of(content, name)
     shape = recognised(lines[header_lines or 0 :], delimiter, decimal)

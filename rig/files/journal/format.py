@@ -109,7 +109,8 @@ class BadRecord(ValueError):  # noqa: N818 - an intermediate finding, not an err
 
 
 def to_json(value: Any) -> str:
-    """Return the JSON text of a value, NaN as stated above. TypeError for what JSON lacks."""
+    """Return the JSON text of a value, NaN as stated above. Raises TypeError for what JSON
+    lacks."""
     try:
         return json.dumps(value, allow_nan=False, separators=(",", ":"), default=_plain)
     except ValueError:
@@ -201,7 +202,7 @@ def frame(payload: bytes) -> bytes:
 
 
 def json_record(kind: RecordKind, value: Any) -> bytes:
-    """Return a record of JSON. ValueError beyond MAX_JSON, TypeError for what JSON lacks."""
+    """Return a record of JSON. Raises ValueError beyond MAX_JSON, TypeError for what JSON lacks."""
     text = to_json(value).encode("ascii")
     if len(text) > MAX_JSON:
         raise ValueError(f"{kind.name}: {len(text)} bytes of JSON; at most {MAX_JSON} are allowed")

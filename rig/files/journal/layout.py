@@ -55,8 +55,9 @@ class Column:
     A number column becomes float64, with NaN where a reading lacks the key; a text column
     (``kind="text"``) becomes UTF-8, with "" there.
 
-    ValueError for a name or key that is not letters, digits and underscores, and for a key that
-    does not end with its unit. Columns of older journals have no `meaning` and a key of any form.
+    Raises ValueError for a name or key that is not letters, digits and underscores, and for a key
+    that does not end with its unit. Columns of older journals have no `meaning` and a key of any
+    form.
     """
 
     name: str
@@ -262,14 +263,14 @@ class Layout:
         return shown[0].axes if shown else ()
 
     def column(self, name: str) -> Column:
-        """Return the column of that name. KeyError if there is none."""
+        """Return the column of that name. Raises KeyError if there is none."""
         for column in self.columns:
             if column.name == name:
                 return column
         raise KeyError(name)
 
     def plot(self, group: str) -> Plot:
-        """Return the plot of that group. KeyError if there is none."""
+        """Return the plot of that group. Raises KeyError if there is none."""
         for plot in self.plots:
             if plot.group == group:
                 return plot

@@ -125,8 +125,8 @@ class JournalContents:
         return found
 
     def records(self) -> Iterator[JournalRecord]:
-        """Read every record behind the header, in order, one at a time. JournalError if the file
-        changed since it was first read.
+        """Read every record behind the header, in order, one at a time. Raises JournalError if the
+        file changed since it was first read.
         """
         with self.path.open("rb") as file:
             file.seek(len(MAGIC))

@@ -108,8 +108,8 @@ class Recorder:
             raise moved
 
     def barrier(self, timeout_s: float = 60.0) -> None:
-        """Block until everything that was put before is on the disk. RecordingError if that takes
-        longer than `timeout_s`.
+        """Block until everything that was put before is on the disk. Raises RecordingError if that
+        takes longer than `timeout_s`.
         """
         with self._lock:
             ticket = self._put

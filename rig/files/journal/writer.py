@@ -173,7 +173,9 @@ class JournalWriter:
 
     @classmethod
     def create(cls, path: Path | str, header: RunHeader | Mapping[str, Any]) -> JournalWriter:
-        """Create a journal and put its header on the disk. FileExistsError if the file exists."""
+        """Create a journal, put its header on the disk, and return its writer. Raises
+        FileExistsError if the file exists, and RecordingError where it cannot be created, locked or
+        written; it is then removed again if the disk allows that."""
         path = Path(path)
         header = _validated(path, header)
         record = json_record(RecordKind.HEADER, header)
@@ -212,7 +214,7 @@ class JournalWriter:
     def reopen(cls, path: Path | str) -> JournalWriter:
         """Open a journal to continue it: cut off a torn end, discard a point that was left open.
 
-        JournalError for a file that is not a journal, is damaged before its end, or is being
+        Raises JournalError for a file that is not a journal, is damaged before its end, or is being
         written.
         """
         path = Path(path)
@@ -384,7 +386,8 @@ class JournalWriter:
 def begin_journal(
     results: Path, procedure: str, header: RunHeader | Mapping[str, Any]
 ) -> JournalWriter:
-    """Create a journal in today's folder under the next number. RecordingError if that fails."""
+    """Create a journal in today's folder under the next number. Raises RecordingError if that
+    fails."""
     now = datetime.now().astimezone()
     with _beginning(results):
         for _ in range(_NAME_TRIES):
@@ -397,8 +400,8 @@ def begin_journal(
 
 
 def begin_journal_at(path: Path, header: RunHeader | Mapping[str, Any]) -> JournalWriter:
-    """Create a journal at this path, and its folder. RecordingError if that fails or the file
-    exists.
+    """Create a journal at this path, and its folder. Raises RecordingError if that fails or the
+    file exists.
     """
     with _beginning(path):
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -437,8 +440,8 @@ def encode_or_raise(path: Path, encode: Any) -> Any:
 
 
 def lock_journal(path: Path, descriptor: int, *, shared: bool = False) -> None:
-    """Lock the journal until the descriptor is closed. JournalError if a run is writing it, or its
-    file system does not lock files."""
+    """Lock the journal until the descriptor is closed. Raises JournalError if a run is writing it,
+    or its file system does not lock files."""
     try:
         fcntl.flock(descriptor, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
     except OSError as error:

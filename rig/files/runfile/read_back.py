@@ -35,8 +35,8 @@ if TYPE_CHECKING:
 def differences(walk: SampleWalk, file: Path) -> list[str]:
     """Return what the file lacks of the journal or has otherwise, one sentence each.
 
-    Empty if the file holds everything. `walk` is a walk over the journal's samples that has come to
-    its end. Reads every sample of the file; a damaged file is a finding, not an error.
+    The list is empty if the file holds everything. `walk` is a walk over the journal's samples that
+    has come to its end. Reads every sample of the file; a damaged file is a finding, not an error.
     """
     import h5py
 

@@ -68,7 +68,7 @@ class Waveform:
     """Unit of scale × count + offset."""
 
     def values(self, channel: str) -> NDArray[np.float64]:
-        """Return a channel in `units`, float64 of shape (n,). KeyError for any other."""
+        """Return a channel in `units`, float64 of shape (n,). Raises KeyError for any other."""
         if channel not in self.counts:
             there = ", ".join(self.counts)
             raise KeyError(f"no channel {channel!r} in the stream {self.stream!r}: it has {there}")
@@ -159,7 +159,7 @@ class RunFile(OpenFile):
         """Return a column of the readings, float64 (or text) of shape (points,), in plot order.
 
         The present name also finds the column in files that were written before it was renamed.
-        RunFileError if the file lacks this column.
+        Raises RunFileError if the file lacks this column.
         """
         if name not in self.columns():
             name = column_in(self.header.layout, name)
@@ -189,7 +189,7 @@ class RunFile(OpenFile):
         """Yield samples, one segment at a time: of one point or all, of one stream or all.
 
         `status` is kept, discarded, unfinished or between (recorded while no point was open).
-        RunFileError if the file is damaged there.
+        Raises RunFileError if the file is damaged there.
         """
         places = {"kept": "waveforms", "between": "between_points"}
         place = places.get(status, "discarded")

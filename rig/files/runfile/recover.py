@@ -15,8 +15,8 @@ from rig.files.runfile.reader import RunFile
 def recover(file: Path | str) -> Path:
     """Compile what a journal holds; returns the path of the run file.
 
-    Takes the journal or the run file that it belongs to. The journal of a run that did not
-    complete stays, so that the run can be resumed. JournalError when there is nothing to do.
+    Takes the journal or the run file that it belongs to. The journal of a run that did not complete
+    stays, so that the run can be resumed. Raises JournalError when there is nothing to do.
     """
     return compile_run(_journal_of(Path(file), "recover"), retire=True)
 
@@ -24,8 +24,8 @@ def recover(file: Path | str) -> Path:
 def interrupted(file: Path | str) -> JournalContents:
     """Return the journal of an interrupted run, from itself or its run file, to be continued.
 
-    JournalError for a run that is complete, for a journal that is damaged before its end, and for
-    whatever else the file is.
+    Raises JournalError for a run that is complete, for a journal that is damaged before its end,
+    and for whatever else the file is.
     """
     contents = read_journal(_journal_of(Path(file), "resume"))
     if contents.complete:

@@ -34,7 +34,8 @@ class PointTable:
         return np.asarray(self.columns[name], np.float64)
 
     def order(self, axes: tuple[str, ...]) -> NDArray[np.intp]:
-        """Return row indices sorted by the axes in turn; NaN last, equal rows stay in order."""
+        """Return the row indices (n,) sorted by the axes in turn; NaN comes last, equal rows stay
+        in order."""
         import numpy as np
 
         if not axes:

@@ -76,6 +76,9 @@ class SlicedStepper:
         largest_force_N: float = LARGEST_FORCE_N,
         beyond: bool = False,
     ):
+        """Begin without contact, with the object at `position_mm`. The slices cover the contact of
+        `largest_force_N`; a larger force is refused unless it is allowed `beyond`. Raises
+        ValueError where that contact would be wider than the skin."""
         self.skin = skin
         self.settings = settings
         self.body = body
@@ -149,6 +152,8 @@ class SlicedStepper:
         tangential_control: Control = "position",
     ) -> ContactBlock:
         """Advance like ``ContactStepper.advance``. An approach is converted to F_n by Hertz's law.
+        Raises ValueError for a tangential force in place of a position, and for a normal force
+        above the largest one.
 
         The statuses of the result are those of the middle slice; forces and dissipation are sums,
         stresses means over the width. If one slice finds no solution, all remain as they were

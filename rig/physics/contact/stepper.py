@@ -126,6 +126,8 @@ class ContactStepper:
         watched_ridge: int = 2,
         keep_forces: bool = False,
     ):
+        """Begin without contact, with the object at `position_mm`. Stresses are those of the ridge
+        `watched_ridge`, counted from 0. Raises ValueError for a ridge that the skin lacks."""
         if not 0 <= watched_ridge < skin.settings.ridges:
             raise ValueError(
                 f"watched_ridge {watched_ridge} must lie between 0 and {skin.settings.ridges - 1}: "

@@ -113,8 +113,8 @@ class SkinSettings(Settings):
         return tuple(self.axis_x_mm + (i - middle) * self.pitch_mm for i in range(self.ridges))
 
     def gap_at(self, x_mm: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the distance in mm of points on the ridge tops to a flat plate that touches the
-        highest one."""
+        """Return the distance in mm, (n,), of the points `x_mm` (n,) on the ridge tops to a flat
+        plate that touches the highest of them."""
         axes = np.asarray(self.ridge_axes_mm())
         to_axis = np.abs(x_mm[:, None] - axes[None, :]).min(axis=1)
         over_all = (x_mm - self.axis_x_mm) ** 2 / (2 * self.finger_radius_mm)

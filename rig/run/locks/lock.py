@@ -65,10 +65,10 @@ class BenchLock:
     """The locks on all instruments of a bench; a context manager that releases them at its end.
 
     `only_reads` says that the program sets nothing on the bench: `rig make-safe` ends it. Raises
-    BenchInUseError if another program holds one of the locks, ConfigurationError if a lock file
-    cannot be made.
-    Where a run has died its guard holds them while it makes the bench safe: with `wait` that is
-    waited for, whatever it takes, else for `GUARD_S`.
+    BenchInUseError if another program holds one of the locks, or runs on the bench although its
+    lock file was removed, and ConfigurationError if a lock file cannot be made. Where a run has
+    died its guard holds them while it makes the bench safe: with `wait` that is waited for,
+    whatever it takes, else for `GUARD_S`.
     """
 
     def __init__(self, plan: BenchPlan, only_reads: bool = False, wait: GuardWait | None = None):

@@ -42,8 +42,8 @@ class LockHolder:
 
 
 def locked_inodes() -> dict[int, list[int]]:
-    """Return the inode numbers that carry an exclusive ``flock``, with the processes that took
-    it. Empty where the kernel has no such table."""
+    """Return the inode numbers that carry an exclusive ``flock``, with the processes that took it.
+    The dict is empty where the kernel has no such table."""
     found: dict[int, list[int]] = {}
     try:
         lines = LOCKS.read_text().splitlines()

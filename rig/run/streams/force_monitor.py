@@ -65,8 +65,8 @@ class ForceMonitor:
     # --- used by the procedure ----------------------------------------------------------------
 
     def start(self, rate_S_s: float) -> float:
-        """Begin to stream and to watch, without a limit yet. Returns the actual rate (see the
-        property `rate_S_s`), which may differ from the one asked for."""
+        """Begin to stream and to watch, without a limit yet. Returns the actual rate in frames/s
+        (see the property `rate_S_s`), which may differ from the one asked for."""
         self._unfollow = self._clock.follow_stream("force_sensor", self)
         self._delay.begin(self._clock.now())
         # Noted first: frames may come although the answer to the start command is lost.
@@ -104,8 +104,8 @@ class ForceMonitor:
     def mean_N(  # noqa: N802 - the unit keeps its capital
         self, seconds: float
     ) -> npt.NDArray[np.float64]:
-        """Return the mean force (3,) over the latest `seconds`. Raises InstrumentError if no frame
-        has come."""
+        """Return the mean force in N along x, y, z, (3,), over the latest `seconds`. Raises
+        InstrumentError if no frame has come."""
         latest = self.latest_N(seconds)
         mean: npt.NDArray[np.float64] = np.add.reduce(latest) / len(latest)
         return mean
@@ -113,8 +113,8 @@ class ForceMonitor:
     def latest_N(  # noqa: N802 - the unit keeps its capital
         self, seconds: float
     ) -> npt.NDArray[np.float64]:
-        """Return the forces (n, 3) of the latest `seconds`. Raises InstrumentError if no frame has
-        come."""
+        """Return the forces in N along x, y, z, (n, 3), of the latest `seconds`. Raises
+        InstrumentError if no frame has come."""
         return np.concatenate([f.force_N[-n:] for f, n in self._latest(seconds)])
 
     def frames_since(self, index: int) -> ForceFrames | None:

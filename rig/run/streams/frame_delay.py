@@ -28,7 +28,8 @@ class FrameDelay:
         self._usual = behind
 
     def beyond_usual(self, behind: float) -> float:
-        """Return how many more frames than usual are overdue."""
+        """Return by how many frames more than usual the sensor is behind, where `behind` are
+        overdue."""
         return behind - self._usual
 
     def missing_for_s(self, now_s: float, behind: float, rate_S_s: float) -> float | None:
