@@ -72,7 +72,7 @@ class PathTrialSettings(GripSettings):
 
     @property
     def path(self) -> Course:
-        """Path of x, in mm from the start."""
+        """Path of x: positions in mm from the start at times in s; empty where x rests."""
         return Course(self.path_times_s, self.path_positions_mm)
 
     @property

@@ -129,8 +129,8 @@ class PressingStage(PolledStage):
         self, position_mm: float, speed_mm_s: float, sent: SentMove | None = None
     ) -> None:
         """Ask for a move to a position that the stage's limits allow, LimitError else; the speed is
-        brought within the stage's limits. TripError for a position below the latest contact. What
-        becomes of the move is noted in `sent`."""
+        brought within the stage's limits. Raises TripError for a position below the latest contact.
+        What becomes of the move is noted in `sent`."""
         refuse_deeper(position_mm, self._deepest_mm)
         reach = self.stage.reach()
         require("position under the force", position_mm, reach["position"])

@@ -138,7 +138,7 @@ class ForceHold:
 
         Nothing is asked of a link that is not done with what it was asked before: a target that
         waits there would come later than the servo takes for granted, and the force would ring.
-        InstrumentError where z has not answered for longer than `SILENT_S`.
+        Raises InstrumentError where z has not answered for longer than `SILENT_S`.
         """
         self._refuse_silent()
         force = self._force
@@ -160,8 +160,8 @@ class ForceHold:
     def rest(self, force_N: float) -> None:
         """Leave z where it is in this tick, and read the force all the same.
 
-        InstrumentError where z has not answered for longer than `SILENT_S`, and where the force is
-        lost: the next `step` would press on.
+        Raises InstrumentError where z has not answered for longer than `SILENT_S`, and where the
+        force is lost: the next `step` would press on.
         """
         self._refuse_silent()
         self._refuse_lost(force_N)

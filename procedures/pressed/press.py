@@ -89,8 +89,8 @@ class Press:
         return stiffness_N_mm
 
     def tap(self, stiffness_N_mm: float) -> float:
-        """Let go a little and press on again; return when z is at rest after it, on the run's
-        clock.
+        """Let go a little and press on again; return the time in s at which z is at rest after it,
+        on the run's clock.
 
         A force that only rises would not show how far the clocks of force sensor and DAQ are apart.
         """

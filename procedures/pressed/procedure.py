@@ -182,7 +182,7 @@ class PressedProcedure(TrialProcedure):
         return (self.settings.normal_force_N,)
 
     def values_in_title(self) -> tuple[float, ...]:
-        """Return the forces of `normal_forces_N`."""
+        """Return the forces of `normal_forces_N`, in N."""
         return self._forces()
 
     # --- what the base class does with them -----------------------------------------------------
@@ -372,8 +372,8 @@ def _require_columns(procedure: type[PressedProcedure]) -> None:
 
 def layout_of(procedure: type[PressedProcedure]) -> Layout:
     """Return the layout of a procedure: the columns of every trial and its own, a plot over the
-    trials for each of its numbers, and signals, forces and positions over time. ValueError for a
-    column that every trial has already."""
+    trials for each of its numbers, and signals, forces and positions over time. Raises ValueError
+    for a column that every trial has already."""
     grip = GRIP if issubclass(procedure.Settings, GripSettings) else ()
     common = (*ASKED, *HELD, *TOUCHED, *CALIBRATED, *grip, *MOTION, *RECORDED)
     names = {column.name for column in common}

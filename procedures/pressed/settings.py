@@ -161,12 +161,12 @@ class PressedSettings(BaseSettings):
 
     @property
     def usual_block_s(self) -> float:
-        """Length of a DAQ read block where none is asked for."""
+        """Length of a DAQ read block in s where none is asked for."""
         return 0.02
 
     @property
     def read_block_s(self) -> float:
-        """Length of a DAQ read block."""
+        """Length of a DAQ read block, in s."""
         return self.usual_block_s if self.block_s is None else self.block_s
 
     @property

@@ -169,8 +169,8 @@ class PressedTrial:
         relax, and no error of the force is judged. What holds the force afterwards brings it back
         to the set point.
 
-        InstrumentError where the force falls below half of the set point, as in a hold: a sensor
-        that has died cannot be distinguished from it, and z would press on afterwards.
+        Raises InstrumentError where the force falls below half of the set point, as in a hold: a
+        sensor that has died cannot be distinguished from it, and z would press on afterwards.
         """
 
         def rest(tick: Tick) -> bool:
@@ -200,7 +200,7 @@ class PressedTrial:
     def move_x(self, to_mm: float, speed_mm_s: float) -> None:
         """Move x to a position at a speed, under the held normal force, and wait until it is there.
 
-        LimitError, before x moves, for a position or a speed outside the stage's limits;
+        Raises LimitError, before x moves, for a position or a speed outside the stage's limits, and
         InstrumentError where x has not arrived in more time than it needs.
         """
         reach, x = self.x.stage.reach(), self.x
@@ -288,9 +288,9 @@ class PressedTrial:
         """Change the normal force that is held, from the next tick on; what the grip has added
         stays added.
 
-        ValueError for a force that is not above 0 N and below `largest_force_N`, and LimitError
-        where z cannot go slowly enough to brake within what is left to that limit. The reading's
-        errors of the force are those from the set point of their time.
+        Raises ValueError for a force that is not above 0 N and below `largest_force_N`, and
+        LimitError where z cannot go slowly enough to brake within what is left to that limit. The
+        reading's errors of the force are those from the set point of their time.
         """
         force_N += self._squeezed_N
         if not 0 < force_N < self.settings.largest_force_N:

@@ -81,8 +81,8 @@ class TrialProcedure(Procedure):
 
     def import_ahead(self) -> None:
         """Import what a trial needs and try its detector, which takes a minute on the first use on
-        a computer: never while something is switched on. RigError for a detector that cannot be
-        used."""
+        a computer: never while something is switched on. Raises RigError for a detector that cannot
+        be used."""
         from procedures.pressed.record.detection import try_detector
 
         import_what_a_trial_needs()

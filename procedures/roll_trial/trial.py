@@ -145,7 +145,8 @@ class HeadTrial(PressedTrial):
         self.rotary.poll()
 
     def how_fast(self, speed_deg_s: float, acceleration_deg_s2: float) -> tuple[float, float]:
-        """Return this speed and acceleration, or the largest of a rotary stage that allows less."""
+        """Return this speed in deg/s and acceleration in deg/s^2, or the nearest that the rotary
+        stage allows."""
         reach = self.rotary.stage.reach()
         speed, acceleration = reach["speed"], reach["acceleration"]
         return speed.nearest(speed_deg_s), acceleration.nearest(acceleration_deg_s2)

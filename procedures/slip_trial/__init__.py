@@ -127,8 +127,8 @@ class SlipTrial(TrialProcedure):
     # --- afterwards -----------------------------------------------------------------------------
 
     def summarise(self, readings: Sequence[Reading]) -> Mapping[str, Any]:
-        """Friction and servo: means and standard deviations of the valid trials, how many are
-        valid, and why trials have no friction coefficients."""
+        """Return the summary of the series, friction and servo: means and standard deviations of
+        the valid trials, how many are valid, and why trials have no friction coefficients."""
         found = dict(super().summarise(readings))
         reasons = [str(why) for r in readings if (why := r.get("no_friction"))]
         if reasons:

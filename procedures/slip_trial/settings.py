@@ -112,7 +112,7 @@ class SlipTrialSettings(GripSettings):
 
     @property
     def along(self) -> int:
-        """Sign of the slide."""
+        """Sign of the slide along x: 1 or -1."""
         return 1 if self.direction == "+x" else -1
 
     @property

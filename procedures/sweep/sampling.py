@@ -64,7 +64,7 @@ class FittedRecord:
 
     @property
     def duration_s(self) -> float:
-        """Length of the record."""
+        """Length of the record, in s."""
         return self.load.n / self.load.rate_Hz
 
 
@@ -335,7 +335,7 @@ def _only_noise(tone: SineFit, device: str, what: str, unit: str, remedy: str) -
 
 
 def refuse_overload(run: Run, load: SineFit) -> None:
-    """Raise LimitError for a load above the limit of film and load cell."""
+    """Raise TripError for a load above the limit of the load cell."""
     limit = run.bench.load_cell.max_load_N
     if load.amplitude > limit:
         raise TripError(

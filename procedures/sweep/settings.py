@@ -162,10 +162,10 @@ class SweepSettings(Settings):
 
     @property
     def bounds(self) -> Bounds:
-        """Bounds of the verdicts."""
+        """Bounds of the verdicts on the slope in dB a decade and on the gain in dB."""
         return Bounds(self.slope_bound_dB_decade, self.gain_bound_dB)
 
     @property
     def levels_N(self) -> tuple[float, ...]:  # noqa: N802 - the unit keeps its capital
-        """Loads at each frequency."""
+        """Peak loads in N that are applied at each frequency."""
         return self.loads_N or (self.load_N,)

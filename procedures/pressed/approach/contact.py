@@ -158,8 +158,8 @@ def park(run: Run, name: str, way_back: Callable[[float], None]) -> None:
     `way_back` is armed as `name` once it has somewhere to go: a stage without a reference can only
     be stopped, and has pressed nothing yet. It is given the position in mm that z leaves here.
 
-    A way down is slow and watched, since z has not been there in this run: InstrumentError where
-    something is felt on it.
+    A way down is slow and watched, since z has not been there in this run. Raises InstrumentError
+    where something is felt on it.
     """
     stage = run.bench.stage_z
     arm_from_where_it_stands(run, name, way_back)  # again, to end before what was armed since
@@ -212,7 +212,8 @@ def stream_force(run: Run, least_S_s: float, what: str) -> None:
     """Begin to stream and to watch the force, at `FORCE_RATE_S_S` or the nearest rate that the
     sensor has: `run.force.rate_S_s` from now on.
 
-    LimitError where that is less than `least_S_s`, which `what` needs; call it before any motion.
+    Raises LimitError where that is less than `least_S_s`, which `what` needs; call it before any
+    motion.
     """
     rates = run.bench.force_sensor.reach()["rate"]
     rate_S_s = run.stream_force(min(max(FORCE_RATE_S_S, rates.low), rates.high)).rate_S_s
@@ -224,7 +225,8 @@ def stream_force(run: Run, least_S_s: float, what: str) -> None:
 
 
 def tare_in_free_air(run: Run) -> ForceZero:
-    """Zero the force sensor once what has moved is at rest; where its zero was found.
+    """Zero the force sensor once what has moved is at rest, and return the reading in free air that
+    is the zero, in N.
 
     What pushes for a moment is waited for. Raises InstrumentError for a zero that drifts, and where
     the force does not come to rest.
@@ -315,8 +317,8 @@ def felt_N(run: Run, window_s: float) -> float:  # noqa: N802 - the unit keeps i
 
 
 def refuse_early_contact(run: Run, force_N: float, contact_N: float) -> None:
-    """Stop, and InstrumentError, where a force of either sign means contact before there can be
-    any."""
+    """Stop z and raise InstrumentError where `force_N`, of either sign, is larger than `contact_N`:
+    that means contact before there can be any."""
     if abs(force_N) <= contact_N:
         return
     stage = run.bench.stage_z

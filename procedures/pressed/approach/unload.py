@@ -50,11 +50,12 @@ def unload(run: Run, pressed: str, came_from_mm: float) -> None:
 
     Where a watcher stops z on the way, the reason is recorded and the way continues, once. So does
     it where one answer was lost or spoilt, and where the drive has stopped by its own communication
-    time-out: that fault is acknowledged over a new connection; UnsafeError where z cannot be moved
-    even then. A drive that has another fault, has lost its place or does not act stands where it
-    is, and the run has failed (exit 3; UnsafeError where the force is over the limit that was
-    watched). What the stop itself raises is raised: then the bench is not safe. A force that
-    remains afterwards fails the run; UnsafeError where it is over the limit that was watched.
+    time-out: that fault is acknowledged over a new connection. A drive that cannot be moved even
+    then raises UnsafeError. A drive that has another fault, has lost its place or does not act
+    stands where it is, and the run has failed (exit 3), or UnsafeError is raised where the force is
+    over the limit that was watched. What the stop itself raises is raised: then the bench is not
+    safe. A force that remains afterwards fails the run; one over the limit that was watched raises
+    UnsafeError.
     """
     stage = run.bench.stage_z
     say_if_lost(run)
@@ -119,7 +120,8 @@ def _where(run: Run) -> str:
 
 
 def stop_z(run: Run) -> None:
-    """Stop z; one answer that is lost or spoilt is asked for again.
+    """Stop z; one answer that is lost or spoilt is asked for again. Raises InstrumentError where z
+    has not answered the second time.
 
     Where it does not answer in time, or not twice, that is said at once, with where it was last
     seen and what is pressed: nothing says more until the guard has tried in vain, seconds later.

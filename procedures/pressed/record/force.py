@@ -33,12 +33,12 @@ class ForceTiming:
 
     @property
     def window_s(self) -> float:
-        """Stretch of force that a tick takes the mean of: whole frames, one at least."""
+        """Stretch of force in s that a tick takes the mean of: whole frames, one at least."""
         return max(1, round(FORCE_WINDOW_S * self.rate_S_s)) / self.rate_S_s
 
     @property
     def block_frames(self) -> int:
-        """Frames of a block of the record."""
+        """Number of frames in a block of the record, one at least."""
         return max(1, round(BLOCK_S * self.rate_S_s))
 
     @property
@@ -77,7 +77,8 @@ class TrialForce:
         """Number of the record's first frame, and frames since then when the tick began."""
 
     def update(self) -> float:
-        """Take the mean of the latest frames, and return it along z: what presses is positive."""
+        """Take the mean of the latest frames, and return the force along z in N: what presses is
+        positive."""
         self.older_s = self._run.force.older_s
         self.measured_s = self._run.clock.now() - self.timing.age_s - self.older_s
         force_N = self._run.force.mean_N(self.timing.window_s)

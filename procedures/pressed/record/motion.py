@@ -93,8 +93,8 @@ def motion_record(record: TrialRecord) -> MotionRecord:
 def plain(own: Mapping[str, Any], declared: Set[str], name: str) -> Reading:
     """Return what `reading` of a procedure returned with numpy's numbers as Python's.
 
-    TypeError where it is not a mapping, and ValueError for a key that is not one of the procedure's
-    columns: a column of every trial must not be replaced.
+    Raises TypeError where it is not a mapping, and ValueError for a key that is not one of the
+    procedure's columns: a column of every trial must not be replaced.
     """
     if not isinstance(own, Mapping):
         raise TypeError(f"reading() of {name} returned {type(own).__name__}, not a dict")
