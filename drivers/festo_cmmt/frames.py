@@ -161,7 +161,7 @@ class Outputs:
 
     @classmethod
     def from_registers(cls, registers: Sequence[int]) -> Outputs:
-        """Return the image in at least 11 registers; ValueError for fewer."""
+        """Return the image in at least 11 registers; raises ValueError for fewer."""
         stw1, pos_stw1, pos_stw2, stw2, *numbers = _OUTPUTS.unpack(
             _to_bytes(registers, _OUTPUTS.size)
         )
@@ -201,7 +201,7 @@ class Inputs:
 
     @classmethod
     def from_registers(cls, registers: Sequence[int]) -> Inputs:
-        """Return the image in at least 11 registers; ValueError for fewer."""
+        """Return the image in at least 11 registers; raises ValueError for fewer."""
         zsw1, pos_zsw1, pos_zsw2, *numbers = _INPUTS.unpack(_to_bytes(registers, _INPUTS.size))
         return cls(Zsw1(zsw1), PosZsw1(pos_zsw1), PosZsw2(pos_zsw2), *numbers)
 

@@ -74,8 +74,9 @@ class CmmtLink:
         """The communication time-out that every new connection sets; 0 leaves the drive's."""
 
     def identification(self) -> dict[int, str]:
-        """Device identification objects 0 to 5: vendor, product code, revision, URL, product
-        name, model (function 43/14, read codes 1 and 2, as the vendor's client asks).
+        """Return the device identification objects 0 to 5 by their numbers: vendor, product code,
+        revision, URL, product name, model (function 43/14, read codes 1 and 2, as the vendor's
+        client asks).
 
         Raises InstrumentError if an object is missing.
         """
@@ -148,7 +149,7 @@ class CmmtLink:
         self._ask("set the communication time-out", self._watch)
 
     def parameter(self, number: int, elements: int = 1) -> bytes:
-        """Return the raw little-endian bytes of a drive parameter (PNU); InstrumentError if
+        """Return the raw little-endian bytes of a drive parameter (PNU); raises InstrumentError if
         refused."""
         self._mailbox(number, elements)
         self._execute(_READ, f"read parameter {number}")

@@ -125,5 +125,5 @@ def read_rated_torque(link: CmmtLink) -> float | None:
 
 
 def real(raw: bytes) -> float:
-    """Return the value of a REAL parameter; NaN where it is none."""
+    """Return the value of a REAL parameter from its four bytes; NaN for another number of bytes."""
     return float(struct.unpack("<f", raw)[0]) if len(raw) == 4 else math.nan

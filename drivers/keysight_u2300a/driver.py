@@ -237,8 +237,8 @@ class U2300ADaq:
         return self._scaling_now()
 
     def read(self) -> Record | None:
-        """Return the next block, None where none is complete, InstrumentError where data were
-        lost."""
+        """Return the next block of raw counts with the scaling to volts, or None while no block is
+        complete. Raises InstrumentError where data were lost."""
         with self._exchange:
             return self._read()
 

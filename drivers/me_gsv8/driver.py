@@ -149,7 +149,8 @@ class ForceAmplifier:
         }
 
     def start(self, rate_S_s: float) -> float:
-        """Begin to stream at the nearest rate that the amplifier has; that rate in frames/s."""
+        """Begin to stream at the nearest rate that the amplifier has; return that rate in
+        frames/s."""
         self._set_rate(rate_S_s)
         self._link.discard()
         self._link.expect(self._layout)

@@ -315,7 +315,7 @@ _CRC16_LIST: list[int] = _CRC16.tolist()
 
 
 def crc8(data: bytes) -> int:
-    """CRC-8 of requests and responses: polynomial 07, start 0."""
+    """Return the CRC-8 of requests and responses: polynomial 07, start 0."""
     crc = 0
     for byte in data:
         crc = _CRC8[crc ^ byte]

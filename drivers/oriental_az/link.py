@@ -527,7 +527,7 @@ class AzRefusalError(InstrumentError):
 
 
 def signed(value: int) -> int:
-    """32 bits as a signed number."""
+    """Return 32 bits, given as a number from 0, as a signed number."""
     return value - (1 << 32) if value >> 31 else value
 
 

@@ -139,7 +139,7 @@ class OrientalAzSettings(Settings):
 
     @property
     def current_percent(self) -> float:
-        """Operating current of every motion."""
+        """Operating current of every motion, in percent: the torque limit, or 100 without one."""
         return 100.0 if self.torque_limit_percent is None else self.torque_limit_percent
 
     @property

@@ -178,8 +178,8 @@ class StageInterlock:
     def answers_all(self, stop: StopUnderWay) -> bool:
         """Return whether the stage will be armed when `stop` has seen it at rest.
 
-        False where it has been made safe since the stop began: a stop input that the drive holds
-        must then be left standing.
+        It will not be where it has been made safe since the stop began: a stop input that the drive
+        holds must then be left standing.
         """
         with self._changed:
             return self._made_safe == max(self._answered, stop.answers)

@@ -53,7 +53,7 @@ class VisaLink:
         """Held for one message and its answer."""
 
     def identify(self) -> Identity:
-        """Ask ``*IDN?``; InstrumentError where the answer has not four fields."""
+        """Ask ``*IDN?``; raises InstrumentError where the answer has not four fields."""
         reply = self.query("*IDN?")
         fields = [field.strip() for field in reply.split(",")]
         if len(fields) != 4:
@@ -98,7 +98,7 @@ class VisaLink:
         return answers[:-1]
 
     def number(self, query: str, reply: str) -> float:
-        """Return the number in a reply, or InstrumentError that shows what came instead."""
+        """Return the number in a reply. Raises InstrumentError, which shows what came instead."""
         try:
             return float(reply)
         except ValueError:

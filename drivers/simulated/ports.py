@@ -126,7 +126,7 @@ class AxisPort(DrivePort, Protocol):
     """The World's side of a drive with a linear axis: something may push against its carriage."""
 
     def load_N(self, axis: str, position_mm: float, t_us: int) -> float:  # noqa: N802
-        """Force in N along the axis's positive direction on its carriage, standing at
+        """Return the force in N along the axis's positive direction on its carriage, standing at
         `position_mm` at a World time that is not in the future."""
         ...
 

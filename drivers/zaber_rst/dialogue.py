@@ -60,7 +60,8 @@ class ZaberDialogue:
         return self._accepted(words, self.link.ask(self._settings.axis, words, charge, permit))
 
     def number(self, name: str, axis: int | None = None) -> float:
-        """Return a setting of the axis, or of the device."""
+        """Return a setting of the stage's axis as a number, or of another `axis`: 0 is the device.
+        Raises InstrumentError where the stage refuses, or its answer is not a number."""
         words = f"get {name}"
         reply = self.link.ask(self._settings.axis if axis is None else axis, words)
         return self._as_number(words, self._accepted(words, reply).data)

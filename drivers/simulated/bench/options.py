@@ -62,8 +62,8 @@ class Options:
 
 
 def check_replaced(replace: Mapping[str, str]) -> None:
-    """ConfigurationError for a role whose instrument cannot be replaced, and for a simulator that
-    is not installed, is broken or has another role."""
+    """Raise ConfigurationError for a role whose instrument cannot be replaced, and for a simulator
+    that is not installed, is broken or has another role."""
     for role, driver in replace.items():
         if role not in REPLACEABLE:
             raise ConfigurationError(
@@ -81,8 +81,8 @@ def check_replaced(replace: Mapping[str, str]) -> None:
 
 
 def simulator_of(role: str, driver: str) -> type[InstrumentCore]:
-    """Return the class of the simulator that is registered for a driver. ConfigurationError where
-    it cannot play the role."""
+    """Return the class of the simulator that is registered for a driver. Raises ConfigurationError
+    where it cannot play the role."""
     from drivers.simulated.instruments.core import InstrumentCore
 
     def find_fault(found: Any) -> str | None:

@@ -72,7 +72,8 @@ async def serve(
 ) -> None:
     """Run a bench until it is stopped; `ready` gets ``control_port``, ``bench_toml``,
     ``recorded_toml`` and the ``models`` of its instruments by role. `show_line` shows a line to who
-    runs a bench in real time."""
+    runs a bench in real time. Raises ConfigurationError for options that the bench does not have,
+    and InstrumentError at the end where its contact found no solution."""
     for asked, known in ((options.fixture, Fixture), (options.stages, Stages)):
         if asked not in get_args(known):
             raise ConfigurationError(

@@ -41,7 +41,8 @@ class StartedBench:
     """A bench that was started as a process of its own, and how to drive it."""
 
     def __init__(self, options: Options):
-        """ConfigurationError for a fault plan that is wrong; no process is started then."""
+        """Start the process of a bench with these options. Raises ConfigurationError for a fault
+        plan that is wrong; no process is started then."""
         self._disk = _faulty_disk(options)
         self.drivers = driver_names(options)
         """Names of the drivers in its bench file."""
@@ -112,8 +113,9 @@ def variants() -> tuple[str, ...]:
 def start(options: dict[str, Any]) -> StartedBench:
     """Start a slaved bench; `options` are fields of `Options`.
 
-    A fault plan's disk is this process's, until the bench has been waited for. ConfigurationError
-    for a fault plan that is wrong."""
+    A fault plan's disk is this process's, until the bench has been waited for. Raises
+    ConfigurationError for a fault plan that is wrong.
+    """
     return StartedBench(Options(**{**options, "slaved": True}))
 
 

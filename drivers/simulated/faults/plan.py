@@ -413,7 +413,7 @@ DEVICES_BY_FAULT: dict[str, tuple[str, ...]] = {
 
 
 def devices_by_fault(on_a_line: Sequence[str]) -> dict[str, tuple[str, ...]]:
-    """`DEVICES_BY_FAULT` where the stages `on_a_line` are on a serial line."""
+    """Return `DEVICES_BY_FAULT` for a bench whose stages `on_a_line` are on a serial line."""
     return {
         **DEVICES_BY_FAULT,
         "checksum": (*DEVICES_BY_FAULT["checksum"], *on_a_line),

@@ -57,7 +57,8 @@ class CmmtMotion:
     # --- what happens by itself ---------------------------------------------------------------
 
     def settle(self, t_us: int) -> None:
-        """See the end of a motion, if it has come to rest by then."""
+        """Note and log the end of a motion, if the axis has come to rest by the World time
+        `t_us`."""
         if not self._moving or not self.axis.finished(t_us):
             return
         self._moving = False

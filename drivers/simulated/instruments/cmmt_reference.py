@@ -21,7 +21,8 @@ class CmmtReference:
         self._zero_mm = -settings.unhomed_offset_mm
 
     def found(self, position_mm: float) -> None:
-        """Homing has ended at this position of the World."""
+        """Take this position of the World as the one at which homing has ended; the drive is then
+        homed."""
         self.homed = True
         self._zero_mm = position_mm - self._settings.home_mm
 

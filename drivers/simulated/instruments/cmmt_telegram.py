@@ -35,7 +35,7 @@ class OutputImage:
 
     @property
     def target(self) -> int:
-        """The target in units of position."""
+        """The target position, in the drive's units of position, with its sign."""
         low, high = self.words[5:7]
         value = low | high << 16
         return value - (1 << 32) if value >> 31 else value
@@ -47,7 +47,7 @@ class OutputImage:
 
     @property
     def speed(self) -> float:
-        """The requested speed in units, override included."""
+        """The requested speed in the drive's units of speed, override included."""
         return (self.words[7] | self.words[8] << 16) * min(self.words[4] / FULL_SCALE, 1.0)
 
     @property

@@ -32,7 +32,7 @@ BRIDGE_RANGES_MV_V = (INPUT_RANGE_MV_V, 7.0, 14.0)
 
 
 def input_range(input_type: int) -> float:
-    """Return the input range in mV/V."""
+    """Return the input range in mV/V of an input type, 0 to 2. Raises IndexError for one above."""
     return BRIDGE_RANGES_MV_V[input_type]
 
 

@@ -150,7 +150,7 @@ class AzDrive(SimulatedDrive[MoveFault]):
         self._heard_us = self._port.now_us
 
     def read(self, address: int, count: int, by: str) -> Sequence[int]:
-        """Return `count` successive registers; ModbusError if one of them does not exist."""
+        """Return `count` successive registers; raises ModbusError if one of them does not exist."""
         return [self._register(one) for one in range(address, address + count)]
 
     def write(self, address: int, values: Sequence[int], by: str) -> None:

@@ -70,7 +70,8 @@ MODELS: dict[str, SimulatedDaqModel] = {
 def codes_of_volts(
     volts: npt.NDArray[np.float64], range_V: float, polarity: str, bits: int
 ) -> npt.NDArray[np.int16]:
-    """Return the volts, quantised and clipped at the rails, as the words that a unit sends.
+    """Return the volts, quantised and clipped at the rails, as the words that a unit sends, in the
+    same shape.
 
     The module's docstring has the formulas.
     """
@@ -85,7 +86,8 @@ def codes_of_volts(
 def volts_of_codes(
     words: npt.NDArray[np.int16], range_V: float, polarity: str, bits: int
 ) -> npt.NDArray[np.float64]:
-    """Return the volts that a client computes from the words: the inverse of `codes_of_volts`."""
+    """Return the volts that a client computes from the words, in the same shape: the inverse of
+    `codes_of_volts`."""
     steps = 2**bits - 1 if bits == 12 else 2**bits
     span = 2 * range_V if polarity == "BIP" else range_V
     middle = 0.0 if polarity == "BIP" else range_V / 2

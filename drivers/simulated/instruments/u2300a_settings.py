@@ -82,7 +82,7 @@ class ScanSettings:
         self.reset()
 
     def reset(self) -> None:
-        """Scan channel 101, 500 times, at 1 kS/s."""
+        """Set the defaults of the unit: channel 101, 500 times, at 1 kS/s."""
         self.channels: tuple[int, ...] = (FIRST_CHANNEL,)
         self.rate_S_s = DEFAULT_RATE_S_s
         self.points = DEFAULT_POINTS

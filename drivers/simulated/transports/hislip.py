@@ -264,7 +264,7 @@ class HislipServerProtocol:
     # --- locks (IVI-6.1, 6.5) ----------------------------------------------------------------
 
     def locked_out(self, session: Session) -> bool:
-        """Another session holds the exclusive lock."""
+        """Return whether another session holds the exclusive lock."""
         return self.exclusive is not None and self.exclusive is not session
 
     def acquire(self, session: Session, name: str) -> int:

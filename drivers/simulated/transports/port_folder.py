@@ -21,8 +21,8 @@ class PortFolder:
     """A new folder in the temporary folder, locked until `remove`."""
 
     def __init__(self) -> None:
-        """Make the folder, after those of simulators that were killed have been removed. OSError
-        if it cannot be made."""
+        """Make the folder, after those of simulators that were killed have been removed. Raises
+        OSError if it cannot be made."""
         remove_leftovers()
         while True:
             # Another start may remove the folder at any time before it is locked.

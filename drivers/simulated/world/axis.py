@@ -97,14 +97,15 @@ class Stretch:
     acceleration_mm_s2: float
 
     def at(self, t_s: float) -> tuple[float, float]:
-        """Return the position and velocity."""
+        """Return the position in mm and the velocity in mm/s at a time in s."""
         dt = t_s - self.start_s
         velocity = self.velocity_mm_s + self.acceleration_mm_s2 * dt
         return self.position_mm + (self.velocity_mm_s + velocity) / 2 * dt, velocity
 
     def positions(self, times_s: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-        """Return positions at several times, none of them before `start_s` but where nothing else
-        is known; to the bit those of `at`."""
+        """Return the positions in mm at several times in s, in the same shape. Where a time lies
+        before `start_s`, nothing else is known, and the position is that of the start; all are to
+        the bit those of `at`."""
         if self.velocity_mm_s == 0 and self.acceleration_mm_s2 == 0:
             return np.full(times_s.shape, self.position_mm)
         dt = np.maximum(times_s, self.start_s) - self.start_s
@@ -124,7 +125,8 @@ class Stretch:
 
 
 def stopping_distance(velocity_mm_s: float, deceleration_mm_s2: float) -> float:
-    """Signed distance covered by a controlled stop: v |v| / 2a."""
+    """Return the distance in mm of a controlled stop, v |v| / 2a; it has the sign of the
+    velocity."""
     return velocity_mm_s * abs(velocity_mm_s) / (2 * deceleration_mm_s2)
 
 
@@ -181,7 +183,8 @@ class MotionPath:
         return self._starts[-1]
 
     def at(self, t_s: float) -> tuple[float, float]:
-        """Return the position and velocity; before the recorded history, its first state."""
+        """Return the position in mm and the velocity in mm/s at a time in s; before the recorded
+        history, its first state."""
         index = max(bisect_right(self._starts, t_s) - 1, 0)
         stretch = self._stretches[index]
         return stretch.at(max(t_s, stretch.start_s))

@@ -54,7 +54,8 @@ class ClampedFilm:
         return force
 
     def push_N(self, position_mm: float, t_us: int) -> float:  # noqa: N802
-        """Force of the film on a carriage that stands at a position, positive against it."""
+        """Return the force in N of the film on a carriage that stands at `position_mm` at the World
+        time `t_us`, positive against it."""
         self._catch_up(t_us - GRID_us)
         return push_after(self.settings, self._fading_N, self._at_mm, position_mm, GRID_us * 1e-6)
 

@@ -32,7 +32,8 @@ class Schedule(Generic[F]):
         self._coming.sort(key=lambda one: one[0])
 
     def due(self, now_us: int) -> int | None:
-        """World time in us at which the first fault was due; None if none is due by `now_us`."""
+        """Return the World time in us at which the first fault was due; None if none is due by
+        `now_us`."""
         return self._coming[0][0] if self._coming and self._coming[0][0] <= now_us else None
 
     def take(self) -> F:

@@ -118,8 +118,8 @@ class SkinContact:
     # --- what the World asks ------------------------------------------------------------------
 
     def force_N(self, times_s: Reals) -> Reals:  # noqa: N802
-        """Force on the plate along x, y, z at ascending World times, none in the future: (n,) to
-        (n, 3)."""
+        """Return the force in N on the plate along x, y, z, (n, 3), at ascending World times in s,
+        (n,), none in the future."""
         force = np.zeros((len(times_s), 3))
         force[:, 0], force[:, 2] = self._at((TANGENTIAL_N, NORMAL_N), times_s)
         return force
@@ -134,7 +134,7 @@ class SkinContact:
         return volts * (1 + half if strip == 1 else 1 - half)
 
     def push_N(self, t_us: int) -> tuple[float, float]:  # noqa: N802
-        """F_t and F_n that the stages' positions at a World time lead to."""
+        """Return F_t and F_n in N that the stages' positions at a World time lead to."""
         self.catch_up(t_us)
         column = max(t_us // self.step_us + 1 - self._oldest, 0)
         tangential, normal = self._results[:2, column].tolist()

@@ -83,7 +83,8 @@ class SlipRecord:
         self._waiting.append((status, plate_mm))
 
     def judge(self) -> None:
-        """Search what was added since the last call; log what is found."""
+        """Look for touch-downs, lift-offs and slips in what was added since the last call, and log
+        what is found."""
         if not self._waiting:
             return
         status, plate_mm = (np.concatenate(part) for part in zip(*self._waiting, strict=True))
@@ -109,8 +110,8 @@ class SlipRecord:
         self._ridge_touching = bool(touching[-1])
 
     def truth(self) -> dict[str, Any]:
-        """Everything known since the point was announced, as JSON: times in us of World time,
-        null where it did not happen; lists by ridge, the first ridge first."""
+        """Return everything known since the point was announced, as JSON: times in us of World
+        time, null where it did not happen; lists by ridge, the first ridge first."""
         self.judge()
         slide, never = self._slide, [None] * (int(self._ridge_of_node.max()) + 1)
         seen = None if slide is None else slide.watch.truth()

@@ -229,7 +229,8 @@ class World:
         }
 
     def load_N(self, axis: str, position_mm: float, t_us: int) -> float:  # noqa: N802
-        """Force along an axis on its carriage: the film, or the plate, pushes back."""
+        """Return the force in N along an axis on its carriage, on which the film or the plate
+        pushes back."""
         if self._skin is not None:  # the carriage stands where the skin will ask for it
             tangential_N, normal_N = self._skin.push_N(t_us)
             return {STAGE_Z: -normal_N, STAGE_X: -tangential_N}.get(axis, 0.0)
@@ -240,8 +241,8 @@ class World:
     def force_N(  # noqa: N802
         self, times_s: npt.NDArray[np.float64]
     ) -> npt.NDArray[np.float64]:
-        """Force that the sensor under film or plate senses, (n,) to (n, 3): weights, pushes and
-        contact, as far as its faults let them through."""
+        """Return the force in N that the sensor under film or plate senses, (n, 3), at World times
+        in s, (n,): weights, pushes and contact, as far as its faults let them through."""
         self._apply_due_faults()  # in real time frames come more often than `settle`
         weight_N = self._weight_N if np.count_nonzero(self._weight_N) else 0.0
         force = self.pressed_N(times_s) + weight_N
