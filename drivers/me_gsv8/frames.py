@@ -71,7 +71,7 @@ class FrameLayout:
 
 @dataclass(frozen=True)
 class GsvResponse:
-    """The answer to a request."""
+    """The amplifier's answer to a request."""
 
     code: int
     """0 done, 1 done with another value changed, else an error."""

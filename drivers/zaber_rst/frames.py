@@ -31,7 +31,7 @@ class ZaberFrameError(ValueError):
 
 @dataclass(frozen=True)
 class Reply:
-    """The answer of a stage."""
+    """The answer of a stage to a command."""
 
     device: int
     axis: int

@@ -40,7 +40,7 @@ class Course:
 
 @dataclass(frozen=True)
 class PathMove:
-    """One command to the stage."""
+    """A move of a stage along a course: when it is due, to where and how fast."""
 
     at_s: float
     """Time at which it is due."""

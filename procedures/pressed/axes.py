@@ -39,7 +39,7 @@ class Look:
 
 @dataclass(frozen=True)
 class StagePoll(Look):
-    """A stage's answer to where it is."""
+    """A stage's answer to where it is, with the position in mm that was commanded then."""
 
     position_mm: float = math.nan
     commanded_mm: float = 0.0

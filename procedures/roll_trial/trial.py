@@ -101,7 +101,7 @@ class PolledRotary:
         self._links.ask(self.role, "turn", partial(self.stage.start_turn, to_deg, *speeds))
 
     def row(self) -> tuple[Look, tuple[float, float]]:
-        """Return the latest look with its angle and commanded angle, for the record."""
+        """Return the latest look with its angle and commanded angle in deg, for the record."""
         look = self.latest
         return look, (look.angle_deg, look.commanded_deg)
 

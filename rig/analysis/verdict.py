@@ -39,7 +39,7 @@ class Bounds:
 
 @dataclass(frozen=True)
 class Verdict:
-    """An answer with its reason."""
+    """The answer to a statement about a film, with its reason."""
 
     answer: Answer
     reason: str

@@ -45,7 +45,7 @@ class Claim:
 
 @dataclass(frozen=True)
 class AttemptResult:
-    """Outcome of an attempt."""
+    """How an attempt of a batch at a run ended, and how far it came."""
 
     ending: Ending
     kind: str = ""
@@ -79,7 +79,7 @@ class RemainingWork:
 
 @dataclass(frozen=True)
 class RunRow:
-    """One run and its state."""
+    """A run of the queue with its state, and what its attempts have come to."""
 
     number: int
     condition: str

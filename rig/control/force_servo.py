@@ -138,7 +138,7 @@ def settings_from(
 
 @dataclass(frozen=True)
 class ServoStep:
-    """The command of one tick."""
+    """The move of z that the servo commands in a tick."""
 
     increment_mm: float
     """Distance into the skin from the previously commanded position, in mm."""

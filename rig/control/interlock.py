@@ -29,7 +29,7 @@ UNREAD_S = 0.5
 
 
 class InterlockState(Enum):
-    """The state of a contact."""
+    """The state of an interlock's contact, latching included."""
 
     CLOSED = "closed"
     """All is well."""

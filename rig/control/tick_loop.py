@@ -35,7 +35,7 @@ period."""
 
 @dataclass(frozen=True)
 class Tick:
-    """One turn of the loop."""
+    """One turn of the control loop, with the times at which it was due and began."""
 
     number: int
     """Number of the tick, from 0."""

@@ -23,7 +23,7 @@ _DECIMAL_COMMA = re.compile(r"^([-+]?[0-9]*),([0-9]+)$")
 
 
 class ListRow(NamedTuple):
-    """A row of a list."""
+    """A row of a list in CSV, with its place in the file."""
 
     line: int
     """Its line in the file, from 1; the last one, if a cell holds line breaks."""

@@ -72,7 +72,8 @@ class CheckedDetector(Detector):
 
     @property
     def low_pass(self) -> LowPass:
-        """The filter of the predictive signal."""
+        """The filter of the predictive signal. Raises DetectorError where the detector fails to
+        give it."""
         return self._ask("low_pass", lambda: self._inner.low_pass)
 
     def predictive(self, v_d: Reals) -> Reals:

@@ -74,7 +74,7 @@ NAMED_LOW_PASSES: dict[str, LowPassSettings] = {
 
 @dataclass(frozen=True)
 class LowPass:
-    """A designed filter."""
+    """A low-pass filter as it was designed, for rows at `rate_Hz`."""
 
     settings: LowPassSettings
     """Specification that it was designed from."""

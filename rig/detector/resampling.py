@@ -49,7 +49,7 @@ class Ratio:
 
     @property
     def factor(self) -> float:
-        """Rate out over rate in."""
+        """Ratio of the rate out to the rate in."""
         return self.up / self.down
 
     def row_of(self, output: int) -> int:

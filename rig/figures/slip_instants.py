@@ -65,7 +65,8 @@ class RidgeSlip:
 
 @dataclass(frozen=True)
 class TrueSlips:
-    """The World's account of a trial."""
+    """When the ridges slipped in a simulated trial, as the World states it; times in s of the
+    record."""
 
     watched: int
     """Number of the ridge with the strips."""

@@ -15,7 +15,7 @@ from rig.instruments.roles import (
 
 
 class RoleInterface(NamedTuple):
-    """What an instrument needs for a role."""
+    """What an instrument has to offer to be used in a role."""
 
     protocol: type
     quantities: frozenset[str]

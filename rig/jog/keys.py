@@ -34,7 +34,7 @@ THERE = 0.01
 
 
 class Key(Enum):
-    """The meaning of a key."""
+    """What a key means to hand control, whichever key of the keyboard it is."""
 
     LESS = -1
     MORE = 1

@@ -83,7 +83,7 @@ class JogOperator(Protocol):
 
 @dataclass
 class JogOutcome:
-    """The outcome of a session."""
+    """How a session of hand control ended: its exit code, and what failed."""
 
     code: ExitCode = ExitCode.DONE
     failures: list[RigError] = field(default_factory=list)

@@ -19,7 +19,7 @@ clock's step have one time, and some file systems count it in steps of 2 s."""
 
 @dataclass(frozen=True)
 class FoundFile:
-    """A journal or run file."""
+    """A journal or run file in the folder of results."""
 
     path: Path
     mtime_ns: int

@@ -23,7 +23,7 @@ LATE_SHARE = 0.005
 
 @dataclass
 class Cursor:
-    """What a viewer has been sent."""
+    """What a viewer of the page has been sent already, so that only what is new follows."""
 
     generation: int = -1
     keys: dict[str, int] = field(default_factory=dict)

@@ -23,7 +23,7 @@ synchronises its journal every 0.25 s."""
 
 @dataclass(frozen=True)
 class StopSigns:
-    """What is seen since the press."""
+    """What has been seen of a run since STOP was pressed on the page."""
 
     since_s: float
     """Time since the press."""
@@ -53,7 +53,7 @@ class StopSigns:
 
 @dataclass(frozen=True)
 class StopCourse:
-    """What a page says of a stop."""
+    """What a page says of a stop: how far it has come, and whether the bench is safe."""
 
     phase: StopPhase
     text: str

@@ -40,7 +40,7 @@ MOST_BYTES_A_POLL = 16 << 20
 
 
 class Stop:
-    """A stop that was asked for."""
+    """A stop that was asked for on the page, and what the process has done since."""
 
     def __init__(self, holder: LockHolder, journal: Path | None, *, run_only: bool = False):
         self.holder, self.journal, self.run_only = holder, journal, run_only

@@ -42,7 +42,7 @@ class MapSettings(Settings):
     """Height of a strip."""
 
     def places(self) -> list[tuple[float, float]]:
-        """Return every (offset, bottom) that is tried."""
+        """Return every (offset, bottom) in mm that is tried."""
         return [(offset, bottom) for bottom in self.bottoms_mm for offset in self.offsets_mm]
 
 

@@ -128,7 +128,7 @@ class Armed:
 
 @dataclass(frozen=True)
 class ShutdownFailure:
-    """A shutdown action that failed."""
+    """A shutdown action that failed, with the reason."""
 
     name: str
     reason: str

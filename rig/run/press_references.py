@@ -47,7 +47,7 @@ class TouchGain(BaseModel):
 
 
 class PressReference(BaseModel):
-    """What one press has shown."""
+    """What one press has shown of the contact, to compare later runs with."""
 
     model_config = ConfigDict(frozen=True)
 

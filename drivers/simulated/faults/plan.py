@@ -355,7 +355,7 @@ class ClockJump(Placed):
 
 
 class DiskFault(Settings):
-    """The file system takes no more."""
+    """A file system that takes no more: it is full or can only be read."""
 
     device: str
     kind: Literal["disk-full", "read-only"]

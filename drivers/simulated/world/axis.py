@@ -72,7 +72,7 @@ class AxisEvent(Enum):
 
 @dataclass(frozen=True)
 class Happening:
-    """An event, when and where."""
+    """An event of an axis, with its World time and the position at which it happened."""
 
     event: AxisEvent
     t_us: int
@@ -190,7 +190,8 @@ class MotionPath:
         return stretch.at(max(t_s, stretch.start_s))
 
     def positions(self, times_s: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-        """Return positions at ascending times, to the bit those of `at`; shape of `times_s`."""
+        """Return the positions in mm at ascending times in s, in the same shape; they are to the
+        bit those of `at`."""
         if not times_s.size:
             return np.empty(0)
         first = max(bisect_right(self._starts, float(times_s[0])) - 1, 0)
@@ -249,7 +250,7 @@ class MotionPath:
 
 @dataclass(frozen=True)
 class AxisCommand:
-    """The move that was asked for last."""
+    """The move that an axis was asked for last."""
 
     target_mm: float
     speed_mm_s: float

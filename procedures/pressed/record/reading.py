@@ -161,8 +161,8 @@ class TrialRecord:
         return np.concatenate(self.force)
 
     def looks_at_x(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-        """Return times and positions of x, (n,) each: one for every look, at the look's own
-        time."""
+        """Return the times in s and the positions of x in mm, (n,) each: one for every look, at the
+        look's own time."""
         rows, ages_s = np.array(self.position), np.array(self.ages_s)
         times_s, first = np.unique(rows[:, 0] - ages_s[:, 1], return_index=True)
         return times_s, rows[first, 2]

@@ -52,7 +52,7 @@ _PROFILE_STEPS = 12
 
 @dataclass(frozen=True, eq=False)
 class DropEstimate:
-    """A notch with its intervals."""
+    """A notch of a film's gain as it was fitted: each number with its interval."""
 
     frequency: Estimate
     """Frequency at which it is deepest, in Hz."""

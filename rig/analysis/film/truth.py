@@ -16,7 +16,8 @@ NEAR = 1.05
 
 @dataclass(frozen=True)
 class FilmTruth:
-    """The film of a simulated bench."""
+    """The true values of the film of a simulated bench, for comparison with what an analysis
+    finds."""
 
     level_dB: float
     """Level b, in dB re 1 V/N at 1 Hz, at the nominal preload."""

@@ -37,7 +37,7 @@ class AxisOffsetError(RigError):
 
 @dataclass(frozen=True)
 class NudgeForce:
-    """Tangential force after a nudge."""
+    """The tangential force that was measured after a nudge of the stage or of the object."""
 
     by: float
     """Distance of the nudge from the middle: mm for the stage, rad for the object."""

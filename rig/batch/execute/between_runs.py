@@ -50,7 +50,7 @@ UNSUPERVISED = (
 
 @dataclass(frozen=True)
 class SelfEnding:
-    """What ends a hold without a person."""
+    """A condition that ends a hold without a person."""
 
     is_over: Callable[[], bool]
     words: str

@@ -50,7 +50,7 @@ class DeferredWrites:
         return len(self._waiting)
 
     def add(self, write: Callable[[], object]) -> None:
-        """Write this after what waits, at once if possible."""
+        """Do this write after those that wait for the disk, at once if possible."""
         self._waiting.append(write)
         self.flush()
 

@@ -55,7 +55,7 @@ LONGEST_QUOTE = 300
 
 @dataclass(frozen=True)
 class PostprocessJob:
-    """A run whose files are to be made."""
+    """A finished run whose run file, detector's results and figures are to be made."""
 
     journal: Path
     """Journal of the run; if it has been compiled, the path that it had."""
@@ -65,7 +65,7 @@ class PostprocessJob:
 
 @dataclass(frozen=True)
 class PostprocessResult:
-    """The files that were made of a run."""
+    """The files that were made of a run, and what went wrong with them."""
 
     journal: Path
     file: Path | None = None
@@ -124,7 +124,7 @@ class PostprocessQueue:
 
     @property
     def pid(self) -> int | None:
-        """The process at work, if there is one."""
+        """Process id of the process at work; None while none works."""
         return None if self._child is None else self._child.pid
 
     def add(self, job: PostprocessJob) -> None:

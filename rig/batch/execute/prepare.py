@@ -41,7 +41,7 @@ from rig.run.bench_selector import (
 
 @dataclass(frozen=True)
 class PreparedBatch:
-    """A batch that may begin."""
+    """A batch that has been checked and may begin."""
 
     batch: BatchFile
     plan: BatchPlan

@@ -27,7 +27,7 @@ class BatchCondition:
 
 @dataclass(frozen=True)
 class PlannedRun:
-    """One run of the queue."""
+    """A run of the queue: which condition it executes, and as which of its repeats."""
 
     number: int
     """Place in the queue, from 1; keys its file, and the noise of a simulated bench."""
@@ -38,7 +38,8 @@ class PlannedRun:
 
 @dataclass(frozen=True)
 class BatchPlan:
-    """The expanded batch."""
+    """The batch file, expanded: its conditions by their ids, and its runs in the order of the
+    queue."""
 
     conditions: Mapping[str, BatchCondition]
     runs: tuple[PlannedRun, ...]

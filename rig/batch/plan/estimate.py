@@ -80,7 +80,7 @@ class ExpiringRecord:
 
 @dataclass(frozen=True)
 class Forecast:
-    """Forecast of a whole batch."""
+    """When a whole batch is expected to end, how large its files become, and what does not fit."""
 
     begins: datetime
     duration_s: float

@@ -15,7 +15,7 @@ KeyPath = tuple[str | int, ...]
 
 @dataclass(frozen=True)
 class PlanFinding:
-    """One thing that is wrong."""
+    """A fault of a batch file: where it is, what is wrong and how to correct it."""
 
     where: KeyPath
     message: str

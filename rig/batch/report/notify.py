@@ -41,7 +41,7 @@ log = logging.getLogger("rig")
 
 @dataclass(frozen=True)
 class Notification:
-    """A message to people."""
+    """A message to people about a batch."""
 
     occasion: Occasion
     title: str

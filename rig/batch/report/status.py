@@ -28,7 +28,7 @@ LATEST = 5
 
 @dataclass(frozen=True)
 class BatchStatus:
-    """Progress of a batch."""
+    """The progress of a batch, as `rig batch status` shows it."""
 
     folder: BatchFolder
     name: str

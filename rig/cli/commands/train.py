@@ -182,7 +182,7 @@ def train(
 
 @dataclass(frozen=True)
 class Sources:
-    """What is learnt from."""
+    """The trials and files that a network learns from."""
 
     seeds: SeedRange | None
     """Trials of the skin model."""

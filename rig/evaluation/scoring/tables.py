@@ -52,7 +52,7 @@ Score = dict[str, ScoredNumber]
 
 @dataclass(frozen=True)
 class Group:
-    """Outcomes whose trait lies in a bin."""
+    """The outcomes of the trials whose trait lies in a bin."""
 
     trait: str
     """Name of the trait."""

@@ -50,7 +50,7 @@ HOLD_S = 2.0
 
 @dataclass(frozen=True)
 class Weight:
-    """What became of one weight."""
+    """The trial of a weight on the contact: what was asked of the grip, and what became of it."""
 
     seed: int
     share: float

@@ -91,7 +91,8 @@ class Combination:
         return words.removeprefix(" + ").lstrip()
 
     def values(self, table: Mapping[int, NDArray[np.float64]]) -> NDArray[np.float64]:
-        """Return its samples (rows x samples,) from columns by their index."""
+        """Return its samples (rows x samples,) in the unit of the file, from columns by their
+        index."""
         import numpy as np
 
         total = sum(
