@@ -130,7 +130,8 @@ def test_a_folder_of_somebody_else_in_the_temporary_folder_is_not_trusted(
     (tmp_path / f"tactile-rig-cache-{os.getuid()}").chmod(0o777)
     for name in ("RIG_CACHE", "XDG_CACHE_HOME"):
         monkeypatch.delenv(name, raising=False)
-    monkeypatch.setenv("HOME", "/nonexistent")
+    (tmp_path / "file").touch()  # below which even root can make no folder
+    monkeypatch.setenv("HOME", str(tmp_path / "file" / "home"))
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     assert user_cache().folder != tmp_path / f"tactile-rig-cache-{os.getuid()}"
     assert user_cache().folder.parent == tmp_path
