@@ -38,7 +38,8 @@ from typing import Any
 LONGEST_MESSAGE = 1 << 16
 MODULES = (
     *("h5py", "numpy", "pymodbus.client", "pyvisa_py.highlevel", "serial"),
-    *("rig.cli.commands.procedures", "rig.cli.commands.files", "rig.cli.report"),
+    *("rig.cli.commands.procedures", "rig.cli.commands.files", "rig.cli.commands.show"),
+    *("rig.cli.commands.analyse", "rig.cli.commands.resume", "rig.cli.report"),
     *("rig.files.runfile.compile", "rig.run.execute", "rig.figures.drawing"),
     *("rig.analysis.film.gain_curve", "scipy.special"),
     *("scipy.ndimage", "procedures.sweep", "procedures.slip_trial.trial"),

@@ -30,9 +30,9 @@ from rig.core.errors import ConfigurationError, RigError
 from rig.core.text import printable
 
 COMMANDS: dict[str, tuple[str, str]] = {
-    "resume": ("rig.cli.commands.files", "resume"),
-    "show": ("rig.cli.commands.files", "show"),
-    "analyse": ("rig.cli.commands.files", "analyse"),
+    "resume": ("rig.cli.commands.resume", "resume"),
+    "show": ("rig.cli.commands.show", "show"),
+    "analyse": ("rig.cli.commands.analyse", "analyse"),
     "verify": ("rig.cli.commands.files", "verify"),
     "recover": ("rig.cli.commands.files", "recover"),
     "import": ("rig.cli.commands.imports", "import_"),

@@ -15,7 +15,7 @@ import pytest
 import typer
 from benches import declare_soft_contact
 
-from rig.cli.commands import files
+from rig.cli.commands import show
 from rig.files.runfile.reader import RunFile
 from rig.files.verify import verify
 
@@ -151,9 +151,9 @@ def test_a_file_that_the_computer_refuses_does_not_hide_the_others(
         print(path)
         return True, ""
 
-    monkeypatch.setattr(files, "_show_file", shown)
+    monkeypatch.setattr(show, "_show_file", shown)
     with pytest.raises(typer.Exit) as ended:
-        files.show([Path("locked"), Path("b.h5")])
+        show.show([Path("locked"), Path("b.h5")])
     assert ended.value.exit_code == 2
     said = capsys.readouterr()
     assert said.out == "b.h5\n"

@@ -20,8 +20,8 @@ import recorded_run
 
 from procedures.slip_trial import SlipTrial
 from procedures.slip_trial.settings import SlipTrialSettings
-from rig.cli.commands.files import _recomputed
 from rig.cli.show.digest import _brief
+from rig.cli.show.results import recomputed
 from rig.cli.show.screen import Section, on_a_screen
 from rig.core.validated import stored_settings
 from rig.files.journal.writer import JournalWriter
@@ -72,7 +72,7 @@ def test_results_are_in_brief_where_the_package_of_the_detector_is_not_installed
     with pytest.raises(ValueError, match="is not a detector"):
         SlipTrialSettings(detector="of-another-laboratory")
     assert stored_settings(SlipTrialSettings, settings).detector == "of-another-laboratory"
-    found = _recomputed(header, readings)
+    found = recomputed(header, readings)
     assert found is not None
     assert _brief(header, SlipTrial, found)[0].startswith("valid: 2 of 2 trials")
 

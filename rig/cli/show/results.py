@@ -1,18 +1,25 @@
 """Results as `rig show` shows them: as they are stored, and beside them what this program finds
-otherwise."""
+otherwise; and the values of the installed analyses."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rig.analysis.estimate import Estimate
+from rig.cli.outcome import say, say_all
+from rig.core.errors import ConfigurationError, RigError, is_stop
 from rig.core.units import counted
 from rig.files.journal.values import Program, Results
 from rig.files.runfile.result_fields import ESTIMATE
-from rig.run.results import Difference, differences
+from rig.run.results import Difference, differences, results_of
+
+if TYPE_CHECKING:
+    from rig.files.journal.values import RunHeader
+    from rig.processing.analyses import Analyses
+    from rig.run.points import Reading
 
 COMMIT_LETTERS = 10
 
@@ -74,6 +81,51 @@ def computed_by(stored: Results | None, now: Results | None) -> str:
     same = "the same in other words" if found else "the same"
     finds = f"{counted(len(numbers), 'value')} otherwise" if numbers else same
     return f"{said}; this is {_named(now.program, full=True)}, which finds {finds}"
+
+
+def recomputed(header: RunHeader, readings: Sequence[Reading]) -> Results | None:
+    """Return what the procedure computes from the readings now, where it is installed and still
+    takes them; one that is broken costs a line, not the command."""
+    from pydantic import ValidationError
+
+    from rig.core.entry_points import PROCEDURES, names
+    from rig.core.validated import stored_settings
+    from rig.run.checked_procedure import internal
+    from rig.run.load_procedure import load_procedure
+
+    if header.procedure not in names(PROCEDURES) or not readings:
+        return None
+    try:
+        procedure = load_procedure(header.procedure)
+    except ConfigurationError as error:
+        say(f"warning: no summary: {error.one_line()}")
+        return None
+    try:
+        settings = stored_settings(procedure.Settings, header.settings)
+    except ValidationError:  # written by another version of the procedure
+        return None
+    try:
+        return results_of(procedure(settings), readings, bool(header.simulated))
+    except RigError as error:
+        if not isinstance(error.__cause__, KeyError):  # then another version has written the file
+            say(f"warning: no summary: {error.one_line()}")
+    except Exception as error:
+        if is_stop(error):
+            raise
+        say(f"warning: no summary: {internal(error).one_line()}")
+    return None
+
+
+def analysed(analyses: Analyses, debug: bool) -> dict[str, Any]:
+    """Return the values of a run file's analyses by what computed them; one that has failed costs
+    a line, not the command. `debug` shows its traceback."""
+    for warning in analyses.warnings:
+        say(f"warning: {warning}")
+    for trace in analyses.tracebacks if debug else ():
+        say_all(trace)
+    return {
+        f"{one.name} ({one.package} {one.package_version})": one.values for one in analyses.found
+    }
 
 
 def _in_other_words(one: Difference) -> bool:
