@@ -7,23 +7,16 @@ from typing import Annotated
 
 import typer
 
+from rig.cli.options.shared import Debug, ProcessedFolder
 from rig.cli.outcome import reported, say_failure
 from rig.cli.show.words import value_lines
 from rig.core.errors import ConfigurationError, ExitCode
 from rig.core.text import printable
 
-Debug = Annotated[bool, typer.Option("--debug", help="Show tracebacks.")]
-
 
 def analyse(
     files: Annotated[list[Path], typer.Argument(help="Run files (.h5).", metavar="FILE")],
-    to: Annotated[
-        Path | None,
-        typer.Option(
-            help="Folder for the results.  [default: processed/ next to each file]",
-            metavar="FOLDER",
-        ),
-    ] = None,
+    to: ProcessedFolder = None,
     debug: Debug = False,
 ) -> None:
     """Compute the values of the installed analyses and save them.

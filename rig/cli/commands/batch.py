@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from rig.cli.commands import batch_plan
+from rig.cli.options.shared import RESULTS, AsJson, BatchBench, BatchPath, Debug
 from rig.cli.outcome import print_json, reported, say, start_log
 from rig.core.errors import ConfigurationError, RigError
 
@@ -29,7 +30,6 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 
-BatchPath = Annotated[Path, typer.Argument(help="Batch file (TOML).", metavar="FILE")]
 Folder = Annotated[
     Path | None,
     typer.Argument(
@@ -56,15 +56,6 @@ FolderToRebuild = Annotated[
 Results = Annotated[
     Path, typer.Option(help="Folder in which the batch is found.", metavar="FOLDER")
 ]
-BenchPath = Annotated[
-    Path | None,
-    typer.Option(
-        help="Bench file; without one, the batch file's, ./bench.toml or simulated.", metavar="FILE"
-    ),
-]
-Debug = Annotated[bool, typer.Option("--debug", help="Show tracebacks.")]
-AsJson = Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")]
-RESULTS = Path("results")
 WATCH_S = 1.0
 UNHEARD_S, UNHEARD_NOW_S, HEARD_CHECK_S = 5.0, 1.0, 0.05
 """Time in s after which a supervisor, which looks for requests every 0.1 s, is taken to be stopped
@@ -78,7 +69,7 @@ app.command()(batch_plan.schema)
 
 @app.command()
 def run(
-    file: BatchPath, bench: BenchPath = None, as_json: AsJson = False, debug: Debug = False
+    file: BatchPath, bench: BatchBench = None, as_json: AsJson = False, debug: Debug = False
 ) -> None:
     """Run a batch. Ctrl-C stops it safely."""
     with reported(debug, as_json):
@@ -183,7 +174,7 @@ def rebuild(
         Path | None,
         typer.Option(help="The batch file, if it is no longer where it was.", metavar="FILE"),
     ] = None,
-    bench: BenchPath = None,
+    bench: BatchBench = None,
     results: Results = RESULTS,
     debug: Debug = False,
 ) -> None:

@@ -6,10 +6,9 @@ import json
 import shutil
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
-import typer
-
+from rig.cli.options.shared import AsJson, BatchBench, BatchPath, Debug
 from rig.cli.outcome import print_json, reported, say
 from rig.core.units import counted, time_span
 
@@ -21,16 +20,10 @@ if TYPE_CHECKING:
 
 
 def plan(
-    file: Annotated[Path, typer.Argument(help="Batch file (TOML).", metavar="FILE")],
-    bench: Annotated[
-        Path | None,
-        typer.Option(
-            help="Bench file; without one, the batch file's, ./bench.toml or simulated.",
-            metavar="FILE",
-        ),
-    ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")] = False,
-    debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
+    file: BatchPath,
+    bench: BatchBench = None,
+    as_json: AsJson = False,
+    debug: Debug = False,
 ) -> None:
     """Check a batch file and list its runs.
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Self
 import typer
 
 from rig.cli.options.numbers import whole_number
+from rig.cli.options.shared import AsJson, Debug, ProcessedFolder
 from rig.cli.outcome import print_json, reported, say, say_failure
 from rig.core.errors import ExitCode, RigError
 from rig.core.text import printable
@@ -46,13 +47,7 @@ def detect(
         Path | None,
         typer.Option(help="TOML file that overrides parameters of the detector.", metavar="FILE"),
     ] = None,
-    to: Annotated[
-        Path | None,
-        typer.Option(
-            help="Folder for the results.  [default: processed/ next to each file]",
-            metavar="FOLDER",
-        ),
-    ] = None,
+    to: ProcessedFolder = None,
     jobs: Annotated[
         int | None,
         typer.Option(
@@ -68,8 +63,8 @@ def detect(
             metavar="ADDRESS",
         ),
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")] = False,
-    debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
+    as_json: AsJson = False,
+    debug: Debug = False,
 ) -> None:
     """Find incipient slips in run files and write the results to processed files."""
     with reported(debug, as_json):

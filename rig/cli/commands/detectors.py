@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
-import typer
-
+from rig.cli.options.shared import AsJson, Debug
 from rig.cli.outcome import print_json, reported, say
 from rig.core.errors import RigError
 from rig.core.text import printable
@@ -16,8 +15,8 @@ if TYPE_CHECKING:
 
 
 def detectors(
-    as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")] = False,
-    debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
+    as_json: AsJson = False,
+    debug: Debug = False,
 ) -> None:
     """List the detectors of incipient slip that are installed."""
     with reported(debug, as_json):

@@ -7,25 +7,18 @@ from typing import Annotated
 
 import typer
 
+from rig.cli.options.shared import AnyFiles, Debug
 from rig.cli.outcome import reported, say
 from rig.core.errors import ExitCode, FoundWrongError, RigError
 from rig.core.text import printable
 
-Files = Annotated[
-    list[Path],
-    typer.Argument(
-        help="Run files, processed files, files of rig skin (.h5) or journals (.rigj).",
-        metavar="FILE",
-    ),
-]
 ToRecover = Annotated[
     list[Path],
     typer.Argument(help="Journals (.rigj), or run files of interrupted runs.", metavar="FILE"),
 ]
-Debug = Annotated[bool, typer.Option("--debug", help="Show tracebacks.")]
 
 
-def verify(files: Files, debug: Debug = False) -> None:
+def verify(files: AnyFiles, debug: Debug = False) -> None:
     """Check run files, processed files and journals; exit 8 if something is wrong.
 
     Checks checksums, structure and completeness.

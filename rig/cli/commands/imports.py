@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from rig.cli.options.numbers import whole_number
+from rig.cli.options.shared import RESULTS, AsJson, Debug, Notes, RunFolder
 from rig.cli.outcome import log, print_json, reported, say, say_failure, start_log
 from rig.core.errors import ConfigurationError, ExitCode, RigError
 
@@ -92,7 +93,7 @@ def import_(
     user: Annotated[
         str, typer.Option(help="Name of the person who recorded it.", metavar="NAME")
     ] = "",
-    notes: Annotated[str, typer.Option(help="Remarks.", metavar="TEXT")] = "",
+    notes: Notes = "",
     start_time: Annotated[
         str | None,
         typer.Option(
@@ -100,10 +101,8 @@ def import_(
             metavar="2026-11-22T09:30:00+01:00",
         ),
     ] = None,
-    results: Annotated[Path, typer.Option(help="Folder for run files.", metavar="FOLDER")] = Path(
-        "results"
-    ),
-    as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")] = False,
+    results: RunFolder = RESULTS,
+    as_json: AsJson = False,
     labels: Annotated[
         Path | None,
         typer.Option(
@@ -113,7 +112,7 @@ def import_(
         ),
     ] = None,
     figures: Annotated[bool, typer.Option(help="Draw the figure of the recording.")] = True,
-    debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
+    debug: Debug = False,
 ) -> None:
     """Make a run file of another program's recording: text in columns, LVM, MATLAB, NumPy npz."""
     texts = {

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from rig.cli.options.groups import Debug
+from rig.cli.options.shared import BENCH_TOML, BenchToml, Debug
 from rig.cli.outcome import reported, say
 from rig.core.errors import ConfigurationError
 
@@ -23,8 +23,6 @@ if TYPE_CHECKING:
     from rig.run.interlocks.store import InterlockStore
     from rig.run.interlocks.watch import InterlockWatch
 
-BENCH_FILE = Path("bench.toml")
-BenchToml = Annotated[Path, typer.Option(help="Bench file.", metavar="FILE")]
 SameBench = Annotated[
     Path | None, typer.Option(help="Bench file.  [default: bench.toml]", metavar="FILE")
 ]
@@ -45,7 +43,7 @@ app = typer.Typer(
 
 
 @app.callback()
-def show(context: typer.Context, bench: BenchToml = BENCH_FILE, debug: Debug = False) -> None:
+def show(context: typer.Context, bench: BenchToml = BENCH_TOML, debug: Debug = False) -> None:
     """Show the interlock contacts of a bench, reset them after an opening, test that they work.
 
     Without a subcommand it shows each contact: level, latch, last proof test.

@@ -11,17 +11,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from rig.bench.settings import Fixture
-from rig.cli.options.groups import (
-    BenchFile,
-    Debug,
-    Fault,
-    Seed,
-    World,
-    WorldLog,
-    option_group,
-    with_option_groups,
-)
+from rig.cli.options.groups import option_group, with_option_groups
 from rig.cli.options.settings import SimulatedStages
+from rig.cli.options.shared import RESULTS, BenchFile, Debug, Fault, Seed, World, WorldLog
 from rig.cli.outcome import log, reported, say, say_failure, start_log
 from rig.core.errors import STOPPED_BY_SIGNAL, ConfigurationError, RigError
 from rig.run.bench_selector import BenchRequest, bench_file
@@ -93,9 +85,7 @@ class JogBench(BenchRequest):
     """The options of hand control that select its bench."""
 
     bench: BenchFile = None
-    results: Annotated[Path, typer.Option(help="Folder for the log.", metavar="FOLDER")] = Path(
-        "results"
-    )
+    results: Annotated[Path, typer.Option(help="Folder for the log.", metavar="FOLDER")] = RESULTS
     stages: SimulatedStages = None
     seed: Seed = 0
     world: World = None

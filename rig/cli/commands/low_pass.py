@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from rig.cli.options.shared import RESULTS
 from rig.cli.outcome import print_json, reported
 from rig.core.errors import ConfigurationError
 
@@ -72,7 +73,7 @@ def filter_(
     results: Annotated[
         Path,
         typer.Option(help="Folder for the figure and its data.", file_okay=False, metavar="FOLDER"),
-    ] = Path("results"),
+    ] = RESULTS,
     figures: Annotated[
         bool, typer.Option(help="Draw the figure (PNG and SVG) and write its data (CSV).")
     ] = True,

@@ -6,10 +6,9 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
-import typer
-
+from rig.cli.options.shared import BENCH_TOML, BenchToml, Debug
 from rig.cli.outcome import reported, say_all, say_failure
 from rig.cli.streams import say_at_once
 from rig.core.entry_points import cause
@@ -20,12 +19,9 @@ if TYPE_CHECKING:
     from rig.run.locks.bench_users import StopRequests
 
 
-BENCH_FILE = Path("bench.toml")
-
-
 def make_safe(
-    bench: Annotated[Path, typer.Option(help="Bench file.", metavar="FILE")] = BENCH_FILE,
-    debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
+    bench: BenchToml = BENCH_TOML,
+    debug: Debug = False,
 ) -> None:
     """Put every instrument of a bench into its safe state: motion stopped, outputs off.
 
@@ -45,7 +41,7 @@ def make_safe(
 
         if not bench.exists():
             raise ConfigurationError(
-                f"no {bench} here" if bench == BENCH_FILE else f"bench file {bench} not found",
+                f"no {bench} here" if bench == BENCH_TOML else f"bench file {bench} not found",
                 "name the bench file with --bench (a simulated bench that a command starts for "
                 "itself makes itself safe)",
             )

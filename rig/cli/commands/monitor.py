@@ -12,15 +12,14 @@ from typing import Annotated
 import typer
 
 from rig.cli.options.numbers import real_number
+from rig.cli.options.shared import RESULTS, Debug, WatchedFolder
 from rig.cli.outcome import reported, say
 from rig.core.errors import ExitCode
 from rig.run.bench_selector import existing_bench_file
 
 
 def monitor(
-    results: Annotated[
-        Path, typer.Option(help="Folder of results to watch.", metavar="FOLDER")
-    ] = Path("results"),
+    results: WatchedFolder = RESULTS,
     bench: Annotated[
         Path | None,
         typer.Option(
@@ -33,7 +32,7 @@ def monitor(
             help="End after this time.  [default: at Ctrl-C]", metavar="s", parser=real_number(0)
         ),
     ] = None,
-    debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
+    debug: Debug = False,
 ) -> None:
     """Show forces, strips, positions and state in the terminal; nothing moves.
 

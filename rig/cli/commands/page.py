@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from rig.cli.options.numbers import real_number, whole_number
+from rig.cli.options.shared import RESULTS, Debug, WatchedFolder
 from rig.cli.outcome import reported, say, start_log
 from rig.core.errors import ConfigurationError
 from rig.run.bench_selector import existing_bench_file
@@ -16,9 +17,7 @@ PORT = 8470
 
 
 def page(
-    results: Annotated[
-        Path, typer.Option(help="Folder of results to watch.", metavar="FOLDER")
-    ] = Path("results"),
+    results: WatchedFolder = RESULTS,
     bench: Annotated[
         Path | None,
         typer.Option(help="Bench file, for making the bench safe without a run.", metavar="FILE"),
@@ -40,7 +39,7 @@ def page(
     read_only: Annotated[
         bool, typer.Option("--read-only", help="View only: nothing can be stopped from the page.")
     ] = False,
-    debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
+    debug: Debug = False,
 ) -> None:
     """Show the running bench in a browser, with STOP.
 

@@ -13,18 +13,20 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from rig.cli.options.groups import (
+from rig.cli.options.groups import group_parameters, option_group
+from rig.cli.options.settings import SimulatedStages, parameters, settings_from, texts_of
+from rig.cli.options.shared import (
+    RESULTS,
     AsJson,
     BenchFile,
     Debug,
     Fault,
+    Notes,
+    RunFolder,
     Seed,
     World,
     WorldLog,
-    group_parameters,
-    option_group,
 )
-from rig.cli.options.settings import SimulatedStages, parameters, settings_from, texts_of
 from rig.cli.outcome import reported, say, start_log, turning
 from rig.run.bench_selector import BenchRequest, BenchSelector, bench_file, refuse_seed
 
@@ -38,9 +40,7 @@ class ProcedureRequest(BenchRequest):
     """Options that every procedure has."""
 
     bench: BenchFile = None
-    results: Annotated[Path, typer.Option(help="Folder for run files.", metavar="FOLDER")] = Path(
-        "results"
-    )
+    results: RunFolder = RESULTS
     seed: Seed = 0
     dry_run: Annotated[
         bool,
@@ -56,7 +56,7 @@ class ProcedureRequest(BenchRequest):
     as_json: AsJson = False
     user: Annotated[str, typer.Option(help="Name of the person who runs it.", metavar="NAME")] = ""
     sample: Annotated[str, typer.Option(help="Sample on the bench.", metavar="NAME")] = ""
-    notes: Annotated[str, typer.Option(help="Remarks.", metavar="TEXT")] = ""
+    notes: Notes = ""
     accept: Annotated[
         str,
         typer.Option(

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from rig.cli.options.shared import AsJson, Debug
 from rig.cli.outcome import print_json, reported, say
 from rig.core.errors import ConfigurationError
 from rig.detector import DEFAULT_DETECTOR
@@ -45,8 +46,8 @@ def regrip_study(
     tuning: Annotated[
         bool, typer.Option("--tuning", help="Use seeds reserved for tuning; the table is marked.")
     ] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")] = False,
-    debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
+    as_json: AsJson = False,
+    debug: Debug = False,
 ) -> None:
     """Drop weights with and without a grip that answers alarms, in pairs at the same seeds.
 

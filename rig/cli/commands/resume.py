@@ -11,21 +11,18 @@ from typing import Annotated
 
 import typer
 
+from rig.cli.options.shared import AsJson, Debug, WorldLog
 from rig.cli.outcome import reported
 from rig.core.errors import ConfigurationError, finding
-
-Debug = Annotated[bool, typer.Option("--debug", help="Show tracebacks.")]
 
 
 def resume(
     file: Annotated[
         Path, typer.Argument(help="Journal or run file of the interrupted run.", metavar="FILE")
     ],
-    as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")] = False,
+    as_json: AsJson = False,
     figures: Annotated[bool, typer.Option(help="Draw the figure of the run.")] = True,
-    world_log: Annotated[
-        Path | None, typer.Option(help="File for a simulated bench's own log.", metavar="FILE")
-    ] = None,
+    world_log: WorldLog = None,
     debug: Debug = False,
 ) -> None:
     """Resume an interrupted run at the point where it was interrupted."""

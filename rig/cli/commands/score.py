@@ -17,6 +17,7 @@ import typer
 from rig.cli.commands.model_errors import model_errors
 from rig.cli.commands.score_report import report, write
 from rig.cli.options.numbers import whole_number
+from rig.cli.options.shared import Jobs
 from rig.cli.outcome import reported, say
 from rig.core.errors import ConfigurationError
 from rig.core.toml_files import MAX_JSON_BYTES, read_text
@@ -149,12 +150,6 @@ Speed = Annotated[
 ]
 SwappedGains = Annotated[
     bool, typer.Option("--swapped-gains", help="Exchange the amplifiers of the two channels.")
-]
-Jobs = Annotated[
-    int,
-    typer.Option(
-        help="Number of parallel processes, 1 to 64.", parser=whole_number(1, 64), metavar="COUNT"
-    ),
 ]
 Out = Annotated[
     Path, typer.Option(help="New folder for tables and figures.", file_okay=False, metavar="FOLDER")

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
+from rig.cli.options.shared import AnyFiles, Debug
 from rig.cli.outcome import of_the_computer, print_json, reported, say, say_all, say_failure
 from rig.cli.show.words import contents_in_words, value_lines, with_results_in_words
 from rig.core.errors import ConfigurationError, ExitCode, RigError
@@ -26,18 +27,9 @@ if TYPE_CHECKING:
 _How = Literal["brief", "all", "json"]
 """What `rig show` prints: what fits a screen, everything, or one object."""
 
-Files = Annotated[
-    list[Path],
-    typer.Argument(
-        help="Run files, processed files, files of rig skin (.h5) or journals (.rigj).",
-        metavar="FILE",
-    ),
-]
-Debug = Annotated[bool, typer.Option("--debug", help="Show tracebacks.")]
-
 
 def show(
-    files: Files,
+    files: AnyFiles,
     all_settings: Annotated[
         bool,
         typer.Option(

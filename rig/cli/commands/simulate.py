@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from rig.bench.settings import Fixture
-from rig.cli.options.groups import World
 from rig.cli.options.numbers import LARGEST_SEED, whole_number
 from rig.cli.options.settings import SimulatedStages
+from rig.cli.options.shared import Debug, World
 from rig.cli.outcome import reported, say
 from rig.core.atomic import write_text
 from rig.core.errors import ConfigurationError
@@ -49,7 +49,7 @@ def simulate(
         Path | None,
         typer.Option(help="Write the bench file here instead of to stdout.", metavar="FILE"),
     ] = None,
-    debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
+    debug: Debug = False,
 ) -> None:
     """Serve the simulated bench in real time and print the bench file that drives it."""
     with reported(debug):

@@ -20,8 +20,9 @@ from rig.cli.commands.skin_files import (
     quantities_of_trial,
     save_model,
 )
-from rig.cli.options.groups import Debug, option_group, with_option_groups
+from rig.cli.options.groups import option_group, with_option_groups
 from rig.cli.options.numbers import whole_number
+from rig.cli.options.shared import RESULTS, Debug
 from rig.cli.outcome import print_json, reported
 from rig.core.errors import ConfigurationError
 from rig.core.toml_files import MAX_JSON_BYTES, read_text
@@ -62,7 +63,7 @@ class OutputOptions:
 
     results: Annotated[
         Path, typer.Option(help="Folder for data and figures.", file_okay=False, metavar="FOLDER")
-    ] = Path("results")
+    ] = RESULTS
     settings: Annotated[
         Path | None,
         typer.Option(

@@ -18,6 +18,7 @@ import typer
 
 from rig.cli.commands.model_errors import model_errors
 from rig.cli.options.numbers import LARGEST_SEED, whole_number
+from rig.cli.options.shared import Jobs
 from rig.cli.outcome import reported, say
 from rig.core.atomic import write_text
 from rig.core.errors import ConfigurationError
@@ -116,14 +117,7 @@ def train(
             metavar="NUMBER",
         ),
     ] = 0,
-    jobs: Annotated[
-        int,
-        typer.Option(
-            help="Number of parallel processes, 1 to 64.",
-            parser=whole_number(1, 64),
-            metavar="COUNT",
-        ),
-    ] = 1,
+    jobs: Jobs = 1,
     debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks of errors.")] = False,
 ) -> None:
     """Train the network of the detector `rig` on trials whose truth is known."""

@@ -13,8 +13,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from rig.cli.options.groups import AsJson, BenchFile, Debug, Seed, World, WorldLog, option_group
+from rig.cli.options.groups import option_group
 from rig.cli.options.numbers import real_number
+from rig.cli.options.shared import RESULTS, AsJson, BenchFile, Debug, Notes, Seed, World, WorldLog
 from rig.core.errors import ConfigurationError
 from rig.core.text import printable
 
@@ -63,7 +64,7 @@ class RecordOptions:
     temperature: Annotated[
         float | None, typer.Option(help="Ambient temperature in degrees Celsius.", metavar="degC")
     ] = None
-    notes: Annotated[str, typer.Option(help="Remarks.", metavar="TEXT")] = ""
+    notes: Notes = ""
     as_json: AsJson = False
     debug: Debug = False
 
@@ -117,7 +118,7 @@ class WeighingOptions:
     ] = False
     results: Annotated[
         Path, typer.Option(help="Folder with the guard's report.", metavar="FOLDER")
-    ] = Path("results")
+    ] = RESULTS
     seed: Seed = 0
     world: World = None
     world_log: WorldLog = None

@@ -1,4 +1,4 @@
-"""Options that several commands share: single ones by name, and groups as dataclasses.
+"""Groups of options that several commands share, as dataclasses.
 
 A group is a dataclass that is marked with `option_group`. Each field whose type is `Annotated` is
 an option. A command that is marked with `with_option_groups` and has a parameter of that class gets
@@ -11,43 +11,7 @@ import functools
 import inspect
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields
-from pathlib import Path
 from typing import Annotated, Any, TypeVar, dataclass_transform, get_origin, get_type_hints
-
-import typer
-
-from rig.cli.options.numbers import LARGEST_SEED, whole_number
-
-BenchFile = Annotated[
-    Path | None,
-    typer.Option(
-        help="Bench file; without one, ./bench.toml or the simulated bench.", metavar="FILE"
-    ),
-]
-AsJson = Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")]
-Debug = Annotated[bool, typer.Option("--debug", help="Show tracebacks.")]
-Seed = Annotated[
-    int,
-    typer.Option(
-        help="Seed of the simulated bench, at least 0.",
-        parser=whole_number(0, LARGEST_SEED),
-        metavar="NUMBER",
-    ),
-]
-World = Annotated[
-    Path | None,
-    typer.Option(
-        metavar="FILE|population",
-        help="Physical parameters of the simulated bench (TOML), or `population`: skin, friction, "
-        "strips and head drawn by --seed.",
-    ),
-]
-Fault = Annotated[
-    Path | None, typer.Option(help="Fault plan (TOML) of a simulated bench.", metavar="FILE")
-]
-WorldLog = Annotated[
-    Path | None, typer.Option(help="File for a simulated bench's own log.", metavar="FILE")
-]
 
 _MARK = "__option_group__"
 Group = TypeVar("Group")
