@@ -55,7 +55,7 @@ def regrip_study(
     interrupted study continues where it was.
     """
     with reported(debug, as_json):
-        from rig.cli.commands.score import WireProgress
+        from rig.cli.progress import WireProgress
         from rig.core.cache import user_cache
         from rig.evaluation.scoring.seeds import check_use, seed_range
         from rig.evaluation.wire.regrip_study import RegripStudy, as_object, table

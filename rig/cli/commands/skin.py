@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -21,11 +21,11 @@ from rig.cli.commands.skin_files import (
     save_model,
 )
 from rig.cli.options.groups import option_group, with_option_groups
-from rig.cli.options.numbers import whole_number
+from rig.cli.options.numbers import number_in, whole_number
+from rig.cli.options.settings_file import read_settings
 from rig.cli.options.shared import RESULTS, Debug
 from rig.cli.outcome import print_json, reported
 from rig.core.errors import ConfigurationError
-from rig.core.toml_files import MAX_JSON_BYTES, read_text
 
 if TYPE_CHECKING:
     import numpy as np
@@ -36,10 +36,6 @@ if TYPE_CHECKING:
     from rig.physics.skin.elasticity import ElasticSkin
     from rig.physics.skin.settings import SkinSettings
     from rig.physics.trials import SkinTrial
-
-    Kind = TypeVar("Kind", bound=Settings)
-else:
-    Kind = TypeVar("Kind")
 
 
 app = typer.Typer(
@@ -104,14 +100,14 @@ class SkinOptions:
 
     def normal_newtons(self) -> float:
         """Return the normal force in N; raises ConfigurationError if the text is not a force."""
-        return _number(self.normal_force, "N", "--normal-force")
+        return number_in(self.normal_force, "N", "--normal-force")
 
     def skin_settings(self) -> SkinSettings:
         """Return the settings of the skin. Raises ConfigurationError, which names the file, for one
         that is not valid."""
         from rig.physics.skin.settings import SkinSettings
 
-        return _settings(SkinSettings, self.skin, SkinSettings(elements_per_ridge=self.elements))
+        return read_settings(SkinSettings(elements_per_ridge=self.elements), self.skin)
 
 
 LABELS = {
@@ -155,9 +151,9 @@ def slide(
     with reported(output.debug, output.as_json), model_errors():
         default = SlideSettings(
             press=PressSettings(normal_force_N=pressed.normal_newtons()),
-            speed_mm_s=_number(speed, "mm/s", "--speed"),
+            speed_mm_s=number_in(speed, "mm/s", "--speed"),
         )
-        chosen = _settings(SlideSettings, output.settings, default)
+        chosen = read_settings(default, output.settings)
         if chosen.speed_mm_s == 0:
             raise ConfigurationError(
                 "speed 0 mm/s: the plate does not slide",
@@ -198,11 +194,11 @@ def roll(
             {
                 "body": {"shape": shape},
                 "press": {"normal_force_N": pressed.normal_newtons()},
-                "start_x_mm": _number(start, "mm", "--start"),
+                "start_x_mm": number_in(start, "mm", "--start"),
             }
         )
         instants = _times(at)
-        chosen = _settings(RollSettings, output.settings, default)
+        chosen = read_settings(default, output.settings)
         if _shown(output, pressed, chosen):
             return
         elastic, skin = _skin(pressed.skin_settings())
@@ -239,7 +235,7 @@ def history(
     with reported(output.debug, output.as_json), model_errors():
         if relief not in RELIEFS:
             raise ConfigurationError(f"--relief {relief}: must be one of {', '.join(RELIEFS)}")
-        chosen = _settings(HistorySettings, output.settings, HistorySettings(loads=RELIEFS[relief]))
+        chosen = read_settings(HistorySettings(loads=RELIEFS[relief]), output.settings)
         if output.show_settings:
             _show(chosen)
             return
@@ -288,7 +284,7 @@ def map_(
     from rig.physics.design_map import MapSettings, design_map
 
     with reported(output.debug, output.as_json), model_errors():
-        chosen = _settings(MapSettings, output.settings, MapSettings())
+        chosen = read_settings(MapSettings(), output.settings)
         if output.show_settings:
             _show(chosen)
             return
@@ -389,17 +385,7 @@ def _within(at: list[float], first: float, last: float, unit: str) -> None:
 
 
 def _times(at: list[str] | None) -> list[float] | None:
-    return [_number(text, "s", "--at") for text in at] if at else None
-
-
-def _number(text: str, unit: str, option: str) -> float:
-    """Return the number in an option's text, with or without its unit."""
-    from rig.core.units import quantity
-
-    try:
-        return quantity(text, unit)
-    except ValueError as error:
-        raise ConfigurationError(f"{option} {text}: {error}", f"write it in {unit}") from error
+    return [number_in(text, "s", "--at") for text in at] if at else None
 
 
 def _skin(settings: SkinSettings) -> tuple[ElasticSkin, CondensedSkin]:
@@ -408,18 +394,6 @@ def _skin(settings: SkinSettings) -> tuple[ElasticSkin, CondensedSkin]:
     from rig.physics.skin.elasticity import ElasticSkin
 
     return ElasticSkin(settings), build_skin(settings, user_cache())
-
-
-def _settings(kind: type[Kind], file: Path | None, default: Kind) -> Kind:
-    from pydantic import ValidationError
-
-    if file is None:
-        return default
-    text = read_text(file, "file of settings", MAX_JSON_BYTES)
-    try:
-        return kind.model_validate_json(text)
-    except ValidationError as error:
-        raise ConfigurationError.from_validation(error, str(file)) from error
 
 
 def _shown(output: OutputOptions, pressed: SkinOptions, settings: Settings) -> bool:

@@ -18,8 +18,10 @@ import typer
 
 from rig.cli.commands.model_errors import model_errors
 from rig.cli.options.numbers import LARGEST_SEED, whole_number
+from rig.cli.options.settings_file import read_settings
 from rig.cli.options.shared import Jobs
 from rig.cli.outcome import reported, say
+from rig.cli.progress import TenthsProgress, WireProgress
 from rig.core.atomic import write_text
 from rig.core.errors import ConfigurationError
 from rig.core.units import counted
@@ -122,7 +124,6 @@ def train(
 ) -> None:
     """Train the network of the detector `rig` on trials whose truth is known."""
     with reported(debug), model_errors("omit its seed"):
-        from rig.cli.commands.score import read_settings
         from rig.evaluation.lessons import LESSON_FRONT_END, LESSON_POPULATION
 
         if out.exists():
@@ -243,15 +244,11 @@ class Sources:
         def heard(trial: LabelledTrial, _: Floats, __: Traits) -> list[Lesson]:
             return list(model_lessons(trial, self.front_end, HEARINGS))
 
-        def done(number: int) -> None:
-            if number * 10 // total != (number - 1) * 10 // total:
-                say(f"train: {number} of {total} trials of the skin model")
-
+        done = TenthsProgress("train", "trials of the skin model", total)
         for lessons in each_trial(population, heard, self.jobs, done):
             yield from lessons
 
     def _of_the_bench(self) -> Iterator[Lesson]:
-        from rig.cli.commands.score import WireProgress
         from rig.core.cache import user_cache
         from rig.evaluation.lessons import LESSON_WIRE_KINDS, bench_lessons
         from rig.evaluation.wire.making import make_trials

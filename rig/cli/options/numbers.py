@@ -7,6 +7,8 @@ from collections.abc import Callable
 
 import typer
 
+from rig.core.errors import ConfigurationError
+
 LARGEST_SEED = 2**63 - 1
 """Largest seed that a journal holds."""
 
@@ -39,6 +41,19 @@ def real_number(least: float, most: float | None = None) -> Callable[[object], f
         return value
 
     return parse
+
+
+def number_in(text: str, unit: str, option: str) -> float:
+    """Return the number in an option's text, with or without its unit, in that unit.
+
+    Raises ConfigurationError for any other text.
+    """
+    from rig.core.units import quantity
+
+    try:
+        return quantity(text, unit)
+    except ValueError as error:
+        raise ConfigurationError(f"{option} {text}: {error}", f"write it in {unit}") from error
 
 
 def _refused(given: object, what: str, least: float, most: float | None) -> typer.BadParameter:
