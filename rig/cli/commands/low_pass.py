@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from rig.cli.options.shared import RESULTS
+from rig.cli.options.shared import RESULTS, AsJson, Debug
 from rig.cli.outcome import print_json, reported
 from rig.core.errors import ConfigurationError
 
@@ -77,8 +77,8 @@ def filter_(
     figures: Annotated[
         bool, typer.Option(help="Draw the figure (PNG and SVG) and write its data (CSV).")
     ] = True,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
-    debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks of errors.")] = False,
+    as_json: AsJson = False,
+    debug: Debug = False,
 ) -> None:
     """Design the low-pass filter of the predictive signal and draw its curves (Figure 14)."""
     texts = dict(zip(OPTIONS, (half_power, attenuation, lag, lag_at, stop_from), strict=True))

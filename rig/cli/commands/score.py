@@ -16,7 +16,7 @@ from rig.cli.commands.model_errors import model_errors
 from rig.cli.commands.score_report import report, write
 from rig.cli.options import scoring
 from rig.cli.options.settings_file import read_settings
-from rig.cli.options.shared import Jobs
+from rig.cli.options.shared import AsJson, Debug, Jobs
 from rig.cli.outcome import reported, say
 from rig.cli.progress import TenthsProgress, WireProgress
 from rig.core.errors import ConfigurationError
@@ -55,8 +55,8 @@ def score(
     swapped_gains: scoring.SwappedGains = False,
     jobs: Jobs = 1,
     out: scoring.Out = Path("results/score"),
-    as_json: scoring.AsJson = False,
-    debug: scoring.Debug = False,
+    as_json: AsJson = False,
+    debug: Debug = False,
 ) -> None:
     """Score detectors on trials whose truth is known: slips found, false alarms, delays."""
     with reported(debug, as_json), model_errors("omit its seed"):

@@ -19,7 +19,7 @@ import typer
 from rig.cli.commands.model_errors import model_errors
 from rig.cli.options.numbers import LARGEST_SEED, whole_number
 from rig.cli.options.settings_file import read_settings
-from rig.cli.options.shared import Jobs
+from rig.cli.options.shared import Debug, Jobs
 from rig.cli.outcome import reported, say
 from rig.cli.progress import TenthsProgress, WireProgress
 from rig.core.atomic import write_text
@@ -120,7 +120,7 @@ def train(
         ),
     ] = 0,
     jobs: Jobs = 1,
-    debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks of errors.")] = False,
+    debug: Debug = False,
 ) -> None:
     """Train the network of the detector `rig` on trials whose truth is known."""
     with reported(debug), model_errors("omit its seed"):

@@ -134,8 +134,6 @@ SwappedGains = Annotated[
 Out = Annotated[
     Path, typer.Option(help="New folder for tables and figures.", file_okay=False, metavar="FOLDER")
 ]
-AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
-Debug = Annotated[bool, typer.Option("--debug", help="Show tracebacks of errors.")]
 
 
 def kinds_named(kinds: str | None, known: tuple[Word, ...]) -> tuple[Word, ...]:
