@@ -290,8 +290,8 @@ class CmmtLink:
         return self._client
 
     def _watch(self, client: Any) -> Any:
-        """Return the drive's last reply, which may be a refusal; InstrumentError where it reads
-        back another time-out."""
+        """Set the communication time-out and return the drive's last reply, which may be a refusal.
+        Raises InstrumentError where another time-out is read back."""
         wanted = self._watchdog_ms
         reply = client.write_registers(COMMUNICATION_TIMEOUT, [wanted, 0], device_id=self._unit_id)
         if reply.isError():

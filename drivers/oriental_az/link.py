@@ -527,7 +527,7 @@ class AzRefusalError(InstrumentError):
 
 
 def signed(value: int) -> int:
-    """Return 32 bits, given as a number from 0, as a signed number."""
+    """Return the signed number that an unsigned one of 32 bits stands for (two's complement)."""
     return value - (1 << 32) if value >> 31 else value
 
 

@@ -20,7 +20,7 @@ class Port(Protocol):
     """Serial port or TCP connection that the bytes go through."""
 
     def write(self, data: bytes) -> None:
-        """Send it; raises OSError where that fails."""
+        """Send the bytes. Raises OSError where that fails."""
         ...
 
     def read(self) -> bytes:

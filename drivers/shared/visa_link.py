@@ -53,7 +53,7 @@ class VisaLink:
         """Held for one message and its answer."""
 
     def identify(self) -> Identity:
-        """Ask ``*IDN?``; raises InstrumentError where the answer has not four fields."""
+        """Return the answer to ``*IDN?``. Raises InstrumentError where it has not four fields."""
         reply = self.query("*IDN?")
         fields = [field.strip() for field in reply.split(",")]
         if len(fields) != 4:

@@ -22,8 +22,8 @@ class Course:
         return self.times_s[-1] if self.times_s else 0.0
 
     def at(self, time_s: float, otherwise: float) -> float:
-        """Return the value at a time in s, in the course's unit: before the begin that of the
-        begin, after the end that of the end; `otherwise` for a course without values.
+        """Return the value at a time in s, in the course's unit: the first one before the course,
+        the last one after it; `otherwise` for a course without values.
 
         >>> Course((0.0, 1.0, 2.0), (1.0, 3.0, 3.0)).at(0.5, 0.0)
         2.0

@@ -128,9 +128,9 @@ class PressingStage(PolledStage):
     def start_move(
         self, position_mm: float, speed_mm_s: float, sent: SentMove | None = None
     ) -> None:
-        """Ask for a move to a position that the stage's limits allow, LimitError else; the speed is
-        brought within the stage's limits. Raises TripError for a position below the latest contact.
-        What becomes of the move is noted in `sent`."""
+        """Ask for a move to a position; the speed is brought within the stage's limits. What
+        becomes of the move is noted in `sent`. Raises TripError for a position below the latest
+        contact, and LimitError for one outside the stage's limits."""
         refuse_deeper(position_mm, self._deepest_mm)
         reach = self.stage.reach()
         require("position under the force", position_mm, reach["position"])

@@ -138,7 +138,8 @@ class ForceHold:
 
         Nothing is asked of a link that is not done with what it was asked before: a target that
         waits there would come later than the servo takes for granted, and the force would ring.
-        Raises InstrumentError where z has not answered for longer than `SILENT_S`.
+        Raises InstrumentError where z has not answered for longer than `SILENT_S`, and where the
+        force is lost, has not followed the set point or contradicts the torque.
         """
         self._refuse_silent()
         force = self._force

@@ -102,7 +102,8 @@ class PressedProcedure(TrialProcedure):
     def __init_subclass__(cls, **keywords: Any):
         """Check the class where it is defined, and derive its layout and summary.
 
-        TypeError for a method with the wrong arguments, ValueError for columns that cannot be.
+        Raises TypeError for a method with the wrong arguments, and ValueError for columns that
+        cannot be.
         """
         super().__init_subclass__(**keywords)
         _require_columns(cls)
@@ -357,7 +358,7 @@ class PressedProcedure(TrialProcedure):
 
 
 def _require_columns(procedure: type[PressedProcedure]) -> None:
-    """Raise TypeError where the columns are not a tuple of columns, ValueError for two of one
+    """Raise TypeError where the columns are not a tuple of columns, and ValueError for two of one
     name."""
     columns: Any = procedure.columns
     if not (isinstance(columns, (tuple, list)) and all(isinstance(c, Column) for c in columns)):

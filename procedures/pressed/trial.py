@@ -169,7 +169,7 @@ class PressedTrial:
         relax, and no error of the force is judged. What holds the force afterwards brings it back
         to the set point.
 
-        Raises InstrumentError where the force falls below half of the set point, as in a hold: a
+        Raises InstrumentError where the force falls below half of what was held, as in a hold: a
         sensor that has died cannot be distinguished from it, and z would press on afterwards.
         """
 
@@ -201,7 +201,7 @@ class PressedTrial:
         """Move x to a position at a speed, under the held normal force, and wait until it is there.
 
         Raises LimitError, before x moves, for a position or a speed outside the stage's limits, and
-        InstrumentError where x has not arrived in more time than it needs.
+        InstrumentError where x has not arrived when it should have been there for some time.
         """
         reach, x = self.x.stage.reach(), self.x
         require("stage_x position", to_mm, reach["position"])
@@ -316,8 +316,8 @@ class PressedTrial:
         return sent
 
     def _fastest_mm_s(self, force_N: float) -> float:
-        """Return the largest speed of z that holds this force. LimitError where z cannot go so
-        slowly that it would brake within what is left to the force limit."""
+        """Return the largest speed in mm/s of z that holds this force. Raises LimitError where z
+        cannot go so slowly that it would brake within what is left to the force limit."""
         bound = held_speed_bound(self.run.bench, self.settings.largest_force_N, force_N)
         speeds = self.z.stage.reach()["speed"]
         bound.require("stage_z", speeds.low)

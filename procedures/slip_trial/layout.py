@@ -23,7 +23,7 @@ RAMP = (
 WEIGHT = (
     Column("outcome", "", "What became of a weight: held, averted or lost", "text"),
     Column("load", "N", "Weight that the contact had to hold"),
-    Column("slid", "mm", "Largest travel of the weight since first alarm or end of the ramp"),
+    Column("slid", "mm", "Largest travel of the weight since its force followed the ramp"),
     Column("force_used", "N", "Mean normal force at the end of the motion"),
     Column("least_force", "N", "Least that holds the weight, by the largest F_t/F_n shown"),
     Column("least_force_true", "N", "SIMULATED truth: the same by the static coefficient"),

@@ -33,12 +33,12 @@ class SlipTrialRecord(TrialRecord):
     """The data of a slip trial so far; its motion is the slide or the ramp."""
 
     ramp_to_s: float | None = None
-    """Time until which the tangential force followed its ramp, if there was one."""
+    """Latest time at which the tangential force followed its ramp, if there was one."""
     slid_from_mm: float = 0.0
-    """Way along x at which a weight's way begins: of the latest moment at which the force followed
-    its ramp."""
+    """Travel in mm at which the way of a weight begins: that of the latest moment at which the
+    force followed its ramp."""
     slid_mm: float = 0.0
-    """Largest way of a weight from there."""
+    """Largest way of a weight so far, in mm, from where it began at the time."""
     lost: bool = False
     """Whether a weight has gone further than `lost_mm`, or x to the end of its way."""
     weight_rested: bool = False
@@ -100,7 +100,7 @@ def _ramp(
     t: npt.NDArray[np.float64],
     force: npt.NDArray[np.float64],
 ) -> Reading:
-    """Return how well the tangential force followed its ramp until the skin slipped."""
+    """Return how well the tangential force followed its ramp, from its start until it last did."""
     if record.ramp_to_s is None:
         return without_values(RAMP)
     since = t - record.motion_from_s

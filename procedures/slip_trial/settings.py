@@ -50,7 +50,7 @@ class SlipTrialSettings(GripSettings):
     hold_for_s: float = Field(default=1.0, gt=0, le=60, json_schema_extra=WEIGHTS_ONLY)
     """Time for which the weight of --hold-at has to rest on the contact to be held."""
     lost_mm: float = Field(default=0.5, gt=0, json_schema_extra=WEIGHTS_ONLY)
-    """Travel of the skin, from the first alarm or else from the end of the ramp, beyond which the
+    """Travel of the skin, from where the tangential force last followed the ramp, beyond which the
     weight of --hold-at is lost; one that never comes to rest is lost, too."""
     direction: Literal["+x", "-x"] = "+x"
     """Direction of the slide."""

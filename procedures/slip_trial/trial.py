@@ -170,10 +170,10 @@ class SlipTrialRun(PressedTrial):
                 if abs(speed_mm_s) < SLOWEST_mm_s:
                     to_mm = x.latest.position_mm
                 x.start_move(to_mm, speeds.nearest(max(abs(speed_mm_s), SLOWEST_mm_s)))
-            # The way begins where the force last followed the ramp, with or without an alarm: a
-            # late alarm gives the weight no slack, and shear after an early one is no way. A fast
-            # ramp passes as followed with much of the weight missing: from its end on, what still
-            # moves is the weight's way.
+            # The weight's way begins where the force last followed the ramp, whether or not there
+            # was an alarm: a late alarm must not excuse what has slid before it, and the shear of
+            # a contact that still sticks after an early one must not count. A fast ramp passes as
+            # followed although much of the weight is missing: from its end on all travel counts.
             if ramp.follows and ramp.wanted_N(since_s) < load_N:
                 record.ramp_to_s, record.slid_from_mm = self.since_s(), travel_mm
             record.slid_mm = max(record.slid_mm, travel_mm - record.slid_from_mm)

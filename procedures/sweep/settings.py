@@ -162,7 +162,7 @@ class SweepSettings(Settings):
 
     @property
     def bounds(self) -> Bounds:
-        """Bounds of the verdicts on the slope in dB a decade and on the gain in dB."""
+        """Bounds of the verdicts on the slope in dB per decade and on the gain in dB."""
         return Bounds(self.slope_bound_dB_decade, self.gain_bound_dB)
 
     @property

@@ -15,7 +15,7 @@ from rig.core.errors import is_stop
 
 _unreadable: dict[str, str] = {}
 _tolerant: list[property] = []
-"""What look-ups were replaced by, so that none is replaced twice."""
+"""The look-ups that replace those of a module, so that none is replaced twice."""
 
 
 def tolerate() -> None:
@@ -26,8 +26,8 @@ def tolerate() -> None:
 
 
 def tolerate_in_backport() -> None:
-    """Do the same for ``importlib_metadata``, from which newer releases of libraries take what
-    older versions of Python lack, if it is installed."""
+    """Do the same for ``importlib_metadata``, if it is installed: some libraries look there, where
+    an older version of Python lacks what they need of ``importlib.metadata``."""
     try:
         backport = importlib.import_module("importlib_metadata")
     except ImportError:

@@ -201,7 +201,7 @@ class Detector(ABC):
         return events
 
     def _judged(self, volts: Reals) -> list[SlipEvent]:
-        """Return what `judge` does. TypeError where that is None: it lacks a return."""
+        """Return what `judge` does. Raises TypeError where that is None: it lacks a return."""
         found = self.judge(volts)
         if found is None:
             raise TypeError("judge returned None where a list of events is expected")

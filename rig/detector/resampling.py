@@ -63,7 +63,7 @@ class Ratio:
 
 def ratio_of(rate_Hz: float, wanted_Hz: float) -> Ratio:
     """Return the ratio with the smallest terms that is right to `RATE_ERROR`. Raises ValueError
-    where one would need terms of `LARGEST_TERM` or more.
+    where `up` would have to be `LARGEST_TERM` or more.
 
     >>> ratio_of(25_600.0, 1000.0), ratio_of(44_100.0, 1000.0)
     (Ratio(up=5, down=128), Ratio(up=10, down=441))

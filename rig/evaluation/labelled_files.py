@@ -117,8 +117,8 @@ def judge_files(
     sweep: bool,
     done: Callable[[int, int], None],
 ) -> ListedTrials:
-    """Score all trials of a list. Raises ConfigurationError where a line cannot be used, and names
-    the line.
+    """Score all trials of a list. Raises ConfigurationError, which names the line, where one cannot
+    be used.
 
     `sweep` runs the detectors at all thresholds of a ROC. `done` is called after each trial with
     its number and the number of all.
@@ -142,8 +142,8 @@ def judge_files(
 
 
 def listed_trials(listing: Path) -> Iterator[tuple[ListedTrial, int]]:
-    """Yield every trial of a list, with the number of all. Raises ConfigurationError where a line
-    cannot be used, and names the line."""
+    """Yield every trial of a list, with the number of all. Raises ConfigurationError, which names
+    the line, where one cannot be used."""
     rows = _rows(listing)
     for line, row in rows:
         where = f"{listing}, line {line}"

@@ -257,8 +257,8 @@ def _open(file: Path, stack: ExitStack) -> tuple[Any, str, bool]:
 
 def figures_by(registered: RegisteredFigure, opened: Any) -> dict[str, Figure]:
     """Return the figures that the registered function draws of an open file, or of several, by the
-    suffix of each file name. Raises whatever the function raises, TypeError for
-    what is not a figure, ValueError for what is not a suffix."""
+    suffix of each file name. Raises whatever the function raises, TypeError for what is not a
+    figure, and ValueError for what is not a suffix."""
     from matplotlib.figure import Figure
 
     given = registered.load()(opened)

@@ -111,7 +111,7 @@ def _opened(path: Path, stack: ExitStack) -> RunFile:
 
 
 def _kind_of(runs: Sequence[RunFile]) -> str:
-    """Return the procedure of all runs. ConfigurationError where there are several."""
+    """Return the procedure of all runs. Raises ConfigurationError where there are several."""
     kinds = {run.header.procedure: run.path.name for run in runs}
     if len(kinds) > 1:
         each = ", ".join(f"{name} is a {kind}" for kind, name in kinds.items())

@@ -370,9 +370,9 @@ def require_valid(
     """Check that a record may be used for `sensor` at the time `now` on this bench; return
     warnings.
 
-    ConfigurationError, naming file, sensor, dates and remedy, for a record of another sensor, for
-    one of a simulated bench on a real one, for one of weights whose constants do not fit its own
-    readings, and for one that has expired unless `allow_expired`.
+    Raises ConfigurationError, which names file, sensor, dates and remedy, for a record of another
+    sensor, for one of a simulated bench on a real one, for one of weights whose constants do not
+    fit its own readings, and for one that has expired unless `allow_expired`.
     """
     remedy = f"calibrate with `{COMMANDS[record.kind]}`"
     if record.sensor != sensor:

@@ -93,7 +93,7 @@ class BenchWatch:
         self._tail: JournalTail | None = None
         self._problem = ""
         self._unsound: str | None = None
-        """What the viewers were warned of: bytes of the journal that are not a record."""
+        """The problem that viewers were warned of: bytes of the journal that are not a record."""
         self._grew_s = time.monotonic()
         self._looked_s = -LOOK_EVERY_S
 

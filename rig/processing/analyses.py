@@ -136,8 +136,8 @@ def keep(run: RunFile, analyses: Analyses, folder: Path | None = None) -> Path:
 
 
 def _analysis(registered: FileEntry, run: RunFile) -> Analysis:
-    """Return what one analysis found. TypeError where that is not a mapping of names to values;
-    whatever its package raises."""
+    """Return what one analysis found. Raises TypeError where that is not a mapping of names to
+    values, and whatever its package raises."""
     from rig.files.runfile.reader import RunFile
 
     with RunFile.open(run.path) as its_own:  # it may close it, as `with run:` does

@@ -209,9 +209,8 @@ def _refuse_damaged(run_file: Path) -> list[str]:
 def _already_there(
     target: Path, source: ProcessedSource, made_by: str, warnings: list[str]
 ) -> list[DetectedTrial] | None:
-    """Return the result that exists, where it is sound, of just this file and made by this code; of
-    a run that has gone on since, or damaged, it is written again. RunFileError where it is another
-    run's."""
+    """Return the result that exists, if it is sound, of just this run file and made by this code;
+    None if it has to be written (again). Raises RunFileError where it is another run's."""
     if not target.exists():
         return None
     if doubts := list(checksum_findings(target)):

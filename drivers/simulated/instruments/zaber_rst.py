@@ -124,8 +124,8 @@ class SimulatedRotaryStage(SimulatedDrive[RotaryFault]):
         return ChainLine(self)
 
     def answer(self, message: bytes, by: str) -> Exchange | None:
-        """Obey one command, given without its end, and return it with the reply as bytes of the
-        wire; None where it is not for this stage or its check sum is wrong."""
+        """Obey one command, given without its line end, and return it with the reply to send;
+        return None where it is for another stage or its checksum is wrong."""
         body, colon, given = message.rpartition(b":")
         if colon and given != b"%02X" % _check(body):
             return None

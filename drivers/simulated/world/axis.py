@@ -103,9 +103,8 @@ class Stretch:
         return self.position_mm + (self.velocity_mm_s + velocity) / 2 * dt, velocity
 
     def positions(self, times_s: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-        """Return the positions in mm at several times in s, in the same shape. Where a time lies
-        before `start_s`, nothing else is known, and the position is that of the start; all are to
-        the bit those of `at`."""
+        """Return the positions in mm at several times in s, in the same shape: to the bit those of
+        `at`, except that a time before `start_s` has the position of the start."""
         if self.velocity_mm_s == 0 and self.acceleration_mm_s2 == 0:
             return np.full(times_s.shape, self.position_mm)
         dt = np.maximum(times_s, self.start_s) - self.start_s

@@ -206,9 +206,9 @@ class ApproachWatch:
 
 @contextlib.contextmanager
 def naming_the_sensor(run: Run, contact_N: float) -> Iterator[None]:
-    """Add what the force sensor reads to an InstrumentError of z from the block, where z may press:
-    one for a torque limit that was reached, for instance. Where the sensor reads no more than
-    `contact_N`, the hint names it as the suspect."""
+    """Add what the force sensor reads to an InstrumentError that z raises in the block where it may
+    press, for instance at its torque limit. Where the sensor reads no more than `contact_N`, the
+    hint names it as the suspect."""
     try:
         yield
     except InstrumentError as error:

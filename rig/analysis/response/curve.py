@@ -176,8 +176,8 @@ class ResponseCurve:
         return relative - self._amounts(relative) @ self.unknown_effects
 
     def preload_effect(self, relative: Complexes) -> float:
-        """Return the relative change of the gain in 1/N of preload that explains most of `relative`
-        (n,), beside an effect of the load where there may be one."""
+        """Return the relative change of the gain per newton of preload, in 1/N, that explains most
+        of `relative` (n,), beside an effect of the load where there may be one."""
         assert self.preload_excess is not None, "the preloads are not known"
         return float(self._amounts(relative)[0])
 

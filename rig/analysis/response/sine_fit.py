@@ -295,9 +295,9 @@ def record_length(
 
 
 def inflation(frequency: float, rate: float, n: int, interference: Sequence[float]) -> float:
-    """Return the ratio of the variance of a tone's phasor with the lines of `interference` fitted,
-    those below half the rate, to that without. All frequencies are in Hz, `n` is the number of
-    samples at the `rate`."""
+    """Return the variance of a tone's phasor where the lines of `interference` below half the rate
+    are fitted as well, as a multiple of that without them. All frequencies are in Hz, `n` is the
+    number of samples at the `rate`."""
     lines = [line for line in interference if 0 < line < rate / 2]
     normal = _normal_equations([frequency, *lines], rate, n)
     return _tone_variance(normal, range(1 + len(lines))) / _tone_variance(normal, [0])

@@ -47,8 +47,6 @@ class Decimator:
     `add` returned lies at input row ``k * factor`` and shows what happened `delay_s` earlier. The
     filter starts as if the first row had been present forever.
 
-    Raises ValueError for a rate that is not a whole multiple of 1000 Hz between 10 and 50 kHz.
-
     >>> decimator = Decimator(rate_Hz=10_000.0, channels=2)
     >>> decimator.add(np.zeros((25, 2))).shape
     (3, 2)
@@ -57,9 +55,8 @@ class Decimator:
     """
 
     def __init__(self, rate_Hz: float, channels: int = 2):
-        """Begin a record of so many channels at `rate_Hz`. Raises ValueError for a rate that is not
-        a whole multiple of `RATE_Hz` between `SLOWEST_Hz` and `FASTEST_Hz`, and for less than one
-        channel."""
+        """Begin a record. Raises ValueError for a rate that is not a whole multiple of `RATE_Hz`
+        between `SLOWEST_Hz` and `FASTEST_Hz`, and for fewer than one channel."""
         factor = round(rate_Hz / RATE_Hz)
         if not SLOWEST_Hz <= rate_Hz <= FASTEST_Hz or abs(factor * RATE_Hz - rate_Hz) > 1e-9:
             raise ValueError(

@@ -150,7 +150,7 @@ class BetweenRuns:
     def wait_for_the_queue(self, error: QueueWriteError) -> None:
         """Return when the disk has room again, and the batch's folder is in its place; between
         runs, with the bench safe. The queue tries its transaction again then, before anything else
-        happens. Raises EndOfBatchError, without waiting, where `on_hold` is to stop."""
+        happens. Raises EndOfBatchError, without waiting, where `on_hold` is "stop"."""
         if self._on_hold == "stop":
             self._queue.wait_for_disk = give_up
             raise EndOfBatchError(error.message, "rig batch resume", ExitCode.STOPPED_BY_CONDITION)

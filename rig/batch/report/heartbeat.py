@@ -92,7 +92,7 @@ class Heartbeat:
 
     def _replace(self, text: str) -> None:
         """Replace the file as a whole, or where the disk is full write over it: a block that it has
-        already is enough. OSError where neither is possible."""
+        already is enough. Raises OSError where neither is possible."""
         try:
             write_text(self._path, text, durable=False)
         except OSError as error:

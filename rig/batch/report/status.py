@@ -194,8 +194,8 @@ class BatchStatus:
 
 
 def status_of(folder: BatchFolder, running: bool | None = None) -> BatchStatus:
-    """Return the status of a batch; raises ConfigurationError where the folder holds none. Who
-    knows whether it is `running` says so: then its lock is not tried, not even for a moment."""
+    """Return the status of a batch. Raises ConfigurationError where the folder holds none. A caller
+    that knows whether it is `running` says so: then its lock is not tried, even for a moment."""
     if running is None:
         running = folder.is_held("supervisor")
     with QueueView.open(folder.queue) as queue:

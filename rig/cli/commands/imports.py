@@ -221,8 +221,8 @@ class _Importing:
     figures: bool
 
     def one(self, path: Path, about: RecordingNotes) -> dict[str, Any]:
-        """Import a file, say what it held, and return the same as a JSON object. RigError where it
-        cannot be imported; nothing of it is left then."""
+        """Import a file, say what it held, and return the same as a JSON object. Raises RigError
+        where it cannot be imported; nothing of it is left then."""
         from rig.figures.drawing import Drawn, draw
         from rig.files.imported.import_file import read_foreign, write_import
 

@@ -94,8 +94,8 @@ def show(
 
 def _show_file(path: Path, how: _How, debug: bool) -> tuple[bool, str]:
     """Show a file. Return whether its kind can be drawn, and why there may be no figure all the
-    same; the latter is empty for a file of rig skin, which has figures beside it. RigError if the
-    file cannot be read."""
+    same; the latter is empty for a file of rig skin, which has figures beside it. Raises
+    RigError if the file cannot be read."""
     from rig.files.checksum import checksum_findings
     from rig.files.describe import describe_contents, ending_of
     from rig.files.file_kind import kind_of, require_hdf5

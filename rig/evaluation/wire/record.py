@@ -47,8 +47,8 @@ class WireRecord:
 
 
 def read_record(path: Path) -> WireRecord:
-    """Return the record of the only trial of a run file. Raises ValueError for a file without
-    one."""
+    """Return the record of the only trial of a run file. Raises ValueError for any file but that of
+    one uninterrupted trial on a simulated bench."""
     with RunFile.open(path) as run:
         if run.outcome.simulated is not True:
             raise ValueError(f"{path.name} was not made on a simulated bench")

@@ -54,20 +54,20 @@ def checked(field: h5py.Dataset) -> h5py.Dataset:
 
 
 def whole(field: h5py.Dataset) -> Any:
-    """Return all values of a dataset, an array or a scalar. ValueError beyond MAX_BYTES."""
+    """Return all values of a dataset, an array or a scalar. Raises ValueError beyond MAX_BYTES."""
     if checked(field).nbytes > MAX_BYTES:
         raise ValueError(f"{field.name}: {field.nbytes} bytes in one piece")
     return field[()]
 
 
 def text_of(field: h5py.Dataset) -> str:
-    """Return the value of a text dataset. ValueError beyond MAX_BYTES."""
+    """Return the value of a text dataset. Raises ValueError beyond MAX_BYTES."""
     value = whole(field)
     return value.decode() if isinstance(value, bytes) else str(value)
 
 
 def texts_of(field: h5py.Dataset) -> list[str]:
-    """Return the values of a dataset of texts. ValueError beyond MAX_BYTES in all."""
+    """Return the values of a dataset of texts. Raises ValueError beyond MAX_BYTES in all."""
     rows = max(MAX_BYTES // field.file.id.get_filesize(), 1)  # each may be as long as the file
     texts: list[str] = []
     read = 0

@@ -123,7 +123,7 @@ def write_import(
 ) -> tuple[Path, Recording]:
     """Write the run file into today's folder below `results`; return its path and what it holds.
 
-    Raises ForeignFileError if the file does not agree with what was stated (nothing was begun),
+    Raises ForeignFileError if the file does not agree with what was stated (nothing was begun), and
     RecordingError where the run file cannot be written (nothing is left).
     """
     recording = recording_of(foreign.source, stated, foreign.name)

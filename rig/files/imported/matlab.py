@@ -204,7 +204,7 @@ class MatlabTable:
             )
 
     def _exact(self, variable: str, array: NDArray[Any]) -> NDArray[np.float64]:
-        """Return a variable as doubles; ForeignFileError where a whole number has none."""
+        """Return a variable as doubles. Raises ForeignFileError where a whole number has none."""
         import numpy as np
 
         kind, shape = self._variables[variable]

@@ -246,8 +246,8 @@ def _not_judged(rate_Hz: float, by_times: bool) -> list[str]:
 
 
 def _samples_a_row(made: Mapping[str, Combination], name: str) -> int:
-    """Return how many samples a row of the file holds of each signal. ForeignFileError where that
-    differs."""
+    """Return how many samples a row of the file holds of each signal. Raises ForeignFileError
+    where that differs."""
     counts = {
         channel: one.samples
         for channel, one in made.items()
@@ -346,8 +346,8 @@ def _check_rate(whose: str, rate_Hz: float, name: str) -> None:
 def uniform_rate(times_s: NDArray[np.float64], source: ImportSource, name: str) -> float:
     """Return the rate in 1/s of evenly spaced times (n,), the roundest that agrees with them.
 
-    Raises ForeignFileError, which names the row, where they are not even: STEP_TOLERANCE and
-    LINE_TOLERANCE.
+    Raises ForeignFileError where they are less even than STEP_TOLERANCE and LINE_TOLERANCE allow,
+    and names the row.
     """
     import numpy as np
 

@@ -42,7 +42,8 @@ UNITS = {
 def lines_of(content: bytes, name: str) -> list[str]:
     """Return the lines of a text, without their ends: UTF-8, UTF-16 with its mark, or Latin-1.
 
-    Raises ForeignFileError for what is empty, no text, or has lines beyond LONGEST_LINE.
+    Raises ForeignFileError for a file that is empty, is not text, or has lines longer than
+    LONGEST_LINE.
     """
     text = _decoded(content, name).replace("\r\n", "\n").replace("\r", "\n")
     if found := _CONTROL.search(text):
@@ -186,7 +187,8 @@ class TextTable:
         return table[:, [wanted.index(k) for k in columns]]
 
     def _examined(self, row: int, line: str, wanted: Sequence[int]) -> list[float]:
-        """Return the wanted numbers of an unusual line; ForeignFileError if it is not a row."""
+        """Return the wanted numbers of an unusual line. Raises ForeignFileError if it is not a
+        row."""
 
         def refuse(reason: str, hint: str) -> ForeignFileError:
             return ForeignFileError(self._file, reason, hint, self.place(row))
@@ -225,8 +227,8 @@ def read_text(
 ) -> TextTable:
     """Return the table in a text file. Arguments that are not given are recognised from the file.
 
-    Raises ForeignFileError where there are no rows of two numbers at least, or where a line above
-    them looks like a row with something wrong.
+    Raises ForeignFileError where there are no rows of at least two numbers, or more columns than
+    MOST_COLUMNS, or where a line above the rows looks like one with something wrong.
     """
     lines = lines_of(content, name)
     shape = recognised(lines[header_lines or 0 :], delimiter, decimal)

@@ -195,7 +195,8 @@ def _refuse_constant(name: str) -> None:
 
 
 def frame(payload: bytes) -> bytes:
-    """Return a payload as a record, with its length and checksum. ValueError beyond MAX_PAYLOAD."""
+    """Return a payload as a record, with its length and checksum. Raises ValueError beyond
+    MAX_PAYLOAD."""
     if len(payload) > MAX_PAYLOAD:
         raise ValueError(f"a record of {len(payload)} bytes; at most {MAX_PAYLOAD} are allowed")
     return PREFIX.pack(len(payload), zlib.crc32(payload)) + payload

@@ -140,7 +140,7 @@ class JournalEncoder:
 
 
 def _row_bytes(data: object, header: RunHeader, stream: int) -> memoryview:
-    """Return the rows' bytes; ValueError for an array of another type or shape than the
+    """Return the rows' bytes. Raises ValueError for an array of another type or shape than the
     stream's."""
     dtype = getattr(data, "dtype", None)
     if dtype is not None and 0 <= stream < len(header.streams):

@@ -106,7 +106,7 @@ def _write(
     made_by: str,
     trials: Sequence[DetectedTrial],
 ) -> None:
-    """Write it all and make it durable; OSError if the disk does not take it."""
+    """Write it all and make it durable. Raises OSError if the disk does not take it."""
     import h5py
 
     guarded = GuardedFile(path)

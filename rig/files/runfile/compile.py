@@ -106,7 +106,8 @@ def _publish(contents: JournalContents, target: Path) -> None:
 
 
 def _write(contents: JournalContents, path: Path, name: str) -> SampleWalk:
-    """Write the file; returns the walk over the journal's samples. OSError if the disk fails."""
+    """Write the file, and return the walk over the journal's samples. Raises OSError if the disk
+    fails."""
     import h5py
 
     table, walk = point_table(contents), SampleWalk(contents)

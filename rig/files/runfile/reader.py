@@ -68,7 +68,8 @@ class Waveform:
     """Unit of scale × count + offset."""
 
     def values(self, channel: str) -> NDArray[np.float64]:
-        """Return a channel in `units`, float64 of shape (n,). Raises KeyError for any other."""
+        """Return a channel in `units`, float64 of shape (n,). Raises KeyError for one
+        that the stream lacks."""
         if channel not in self.counts:
             there = ", ".join(self.counts)
             raise KeyError(f"no channel {channel!r} in the stream {self.stream!r}: it has {there}")

@@ -77,8 +77,8 @@ class SlicedStepper:
         beyond: bool = False,
     ):
         """Begin without contact, with the object at `position_mm`. The slices cover the contact of
-        `largest_force_N`; a larger force is refused unless it is allowed `beyond`. Raises
-        ValueError where that contact would be wider than the skin."""
+        `largest_force_N`; a larger force is refused unless `beyond` allows it. Raises ValueError
+        where that contact would be wider than the skin."""
         self.skin = skin
         self.settings = settings
         self.body = body

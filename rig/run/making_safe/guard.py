@@ -10,8 +10,8 @@ report of what was done. On a bench that others use it leaves a mark (`rig.run.l
 which the next command reports; that of an unsafe bench refuses it.
 
 This module is the program as well (``python -m rig.run.making_safe.guard``). At its start it
-imports its report's module and two of `rig.core`; it imports the rest of the project only when
-it has to act, so a guard costs a few milliseconds. The run's side of the pipe is
+imports its report's module and a few small ones of `rig.core`; it imports the rest of the project
+only when it has to act, so a guard costs a few milliseconds. The run's side of the pipe is
 `rig.run.making_safe.guard_link`, which the guard never imports.
 """
 
