@@ -16,16 +16,14 @@ from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from procedures.pressed.approach.contact import (
     HOMING_S,
-    TARE_S,
-    ZERO_LABEL,
     arm_from_where_it_stands,
     expected_contact_mm,
     first_ways_s,
-    force_zero_of,
     park,
     stream_force,
     travel_s,
 )
+from procedures.pressed.approach.tare import TARE_S, ZERO_LABEL, force_zero_of
 from procedures.pressed.approach.unload import SETTLED_S, say_if_lost, unload
 from rig.bench.settings import STRIPS, FixtureSettings
 from rig.core.errors import RigError

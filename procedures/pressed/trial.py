@@ -21,8 +21,9 @@ import math
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from procedures.pressed.approach.contact import come_close, tare_in_free_air
+from procedures.pressed.approach.contact import come_close
 from procedures.pressed.approach.earlier_runs import EarlierPress
+from procedures.pressed.approach.tare import tare_in_free_air
 from procedures.pressed.approach.torque_watch import TorqueWatch
 from procedures.pressed.approach.unload import SETTLED_S
 from procedures.pressed.approach.way_down import held_speed_bound, travel_mm_s

@@ -17,7 +17,7 @@ import random
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from procedures.pressed.approach import contact
+from procedures.pressed.approach import tare
 from procedures.pressed.approach.contact import contact_range_mm
 from procedures.pressed.approach.torque_limit import require_torque_limit
 from procedures.pressed.approach.way_down import speed_bound
@@ -67,7 +67,7 @@ class Sweep(Procedure):
     stated_in_title = "preload_N"
     summary_labels = {  # noqa: RUF012
         "model.level": "level b at 1 Hz, at the mean preload; the World's is at its nominal one",
-        "force_zero_N": contact.ZERO_LABEL,
+        "force_zero_N": tare.ZERO_LABEL,
         "points": "number of points",
         "median_gain_standard_error_dB": "standard error of the gain, median",
         "largest_gain_standard_error_dB": "standard error of the gain, largest",
@@ -198,7 +198,7 @@ class Sweep(Procedure):
         several = len(settings.levels_N) > 1
         return {
             **figures(readings),
-            **contact.force_zero_of(readings),
+            **tare.force_zero_of(readings),
             **model(readings, several, settings.bounds),
         }
 

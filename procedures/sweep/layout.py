@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-from procedures.pressed.approach.contact import ZERO_COLUMNS
+from procedures.pressed.approach.tare import ZERO_COLUMNS
 from rig.files.journal.layout import Column, Layout, Plot
 from rig.run.points import Reading
 

@@ -16,8 +16,6 @@ from typing import TYPE_CHECKING
 from procedures.pressed.approach.approach_watch import ApproachWatch, naming_the_sensor
 from procedures.pressed.approach.contact import (
     HOMING_S,
-    TARE_S,
-    ForceZero,
     arm_from_where_it_stands,
     come_close,
     contact_range_mm,
@@ -30,10 +28,10 @@ from procedures.pressed.approach.contact import (
     refuse_deeper,
     refuse_early_contact,
     stream_force,
-    tare_in_free_air,
     travel_s,
 )
 from procedures.pressed.approach.earlier_runs import EarlierPress
+from procedures.pressed.approach.tare import TARE_S, ForceZero, tare_in_free_air
 from procedures.pressed.approach.torque_watch import TorqueWatch
 from procedures.pressed.approach.unload import SETTLED_S, unload
 from procedures.pressed.approach.way_down import BOTTOM_mm

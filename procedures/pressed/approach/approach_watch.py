@@ -24,7 +24,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from procedures.pressed.approach.contact import SIGMAS, contact_range_mm, felt_N
+from procedures.pressed.approach.contact import contact_range_mm, felt_N
+from procedures.pressed.approach.tare import SIGMAS
 from procedures.pressed.approach.torque_watch import SUSPECT, TorqueWatch
 from rig.core.errors import InstrumentError
 

@@ -10,7 +10,7 @@ from procedures.pressed.approach.torque_watch import SUSPECT
 from rig.core.errors import InstrumentError
 
 if TYPE_CHECKING:
-    from procedures.pressed.approach.contact import ForceZero
+    from procedures.pressed.approach.tare import ForceZero
     from rig.run.context import Run
     from rig.run.press_references import TouchGain
 

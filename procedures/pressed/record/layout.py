@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from procedures.pressed.approach.contact import ZERO_COLUMNS
+from procedures.pressed.approach.tare import ZERO_COLUMNS
 from rig.files.journal.layout import Column
 from rig.run.procedure import StreamPlan
 

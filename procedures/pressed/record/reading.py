@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from procedures.pressed.approach.contact import ForceZero
 from procedures.pressed.approach.earlier_runs import EarlierPress
+from procedures.pressed.approach.tare import ForceZero
 from procedures.pressed.record.layout import TOUCHED
 from procedures.pressed.record.lost_frames import lost_frames
 from procedures.pressed.record.squeeze import Squeeze

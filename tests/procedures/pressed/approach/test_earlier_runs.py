@@ -7,8 +7,8 @@ from types import SimpleNamespace
 
 import pytest
 
-from procedures.pressed.approach.contact import ForceZero
 from procedures.pressed.approach.earlier_runs import EarlierPress
+from procedures.pressed.approach.tare import ForceZero
 from rig.bench.plan import parse_bench
 from rig.core.errors import ConfigurationError, InstrumentError, RigError
 from rig.run.press_references import FILE, PressReferences, TouchGain

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from procedures.pressed.approach.contact import tare_in_free_air
+from procedures.pressed.approach.tare import tare_in_free_air
 from rig.core.errors import InstrumentError
 
 RATE_S_s = 1000.0

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from procedures.pressed.approach.contact import ForceZero
+from procedures.pressed.approach.tare import ForceZero
 from procedures.pressed.record.force import TrialForce
 from rig.instruments.roles import ForceFrames
 
