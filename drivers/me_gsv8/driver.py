@@ -52,6 +52,7 @@ from drivers.me_gsv8.commands import (
 from drivers.me_gsv8.frames import FrameLayout
 from drivers.me_gsv8.link import DEVICE, GsvLink
 from drivers.me_gsv8.settings import MeGsv8Settings
+from drivers.shared.force_stream import ForceStream
 from rig.core.clock import Clock
 from rig.core.errors import InstrumentError
 from rig.instruments.roles import ForceFrames, Identity, Reach
@@ -78,7 +79,7 @@ Settings = MeGsv8Settings
 """The settings of a bench file, under the name by which the bench asks any driver for them."""
 
 
-class ForceAmplifier:
+class ForceAmplifier(ForceStream):
     """A GSV-8 with a three-axis sensor on its first three channels.
 
     One thread reads; other threads may call the other methods meanwhile.
@@ -88,17 +89,12 @@ class ForceAmplifier:
     """The axes that the sensor has: each is watched by itself."""
 
     def __init__(self, settings: MeGsv8Settings, clock: Clock):
+        super().__init__(clock, settings.matrix)
         self._settings = settings
-        self._clock = clock
         self._link = GsvLink(settings, clock)
         self._identity: Identity | None = None
-        self._matrix = np.array(settings.matrix)
-        self._zero = np.zeros(3)
         self._layout = FrameLayout(len(CHANNELS))
         self._rates = (0.0, 0.0)
-        self._rate = 0.0
-        self._started_s: float | None = None
-        self._next = 0
         self._broken: InstrumentError | None = None
         self._input_groups: set[int] = set()
         """Groups of digital lines that are known to be inputs."""
@@ -114,15 +110,6 @@ class ForceAmplifier:
         """Bytes taken off the link since it was opened, less those that `read` has not returned
         yet."""
         return self._link.bytes_consumed
-
-    @property
-    def frames_behind(self) -> float:
-        """Number of frames that are due since `start` by bench time and that `read` has not
-        returned. A few on the way are normal; a lost one remains. The amplifier's own clock makes
-        it drift by some 50 parts in a million. 0 while no stream runs."""
-        if self._started_s is None:
-            return 0.0
-        return (self._clock.now() - self._started_s) * self._rate - self._next
 
     def prepare(self) -> None:
         """End any stream, identify, and set what a stream of bridge outputs needs, read back."""
@@ -157,7 +144,7 @@ class ForceAmplifier:
         self._broken = None
         self._next = 0
         self._link.request(START_TRANSMISSION)
-        self._started_s = self._clock.now()
+        self._begun(self._rate)
         return self._rate
 
     def read(self) -> ForceFrames | None:
@@ -179,25 +166,13 @@ class ForceAmplifier:
         if len(runs) > 1:
             raw = np.concatenate([run.values for run in runs])
             status = np.concatenate([run.status for run in runs])
-        first, self._next = self._next, self._next + len(raw)
-        force = (raw.astype(np.float64) - self._zero) @ self._matrix.T
-        return ForceFrames(first, raw, force, status & gsv_frames.SATURATED != 0)
+        return self._frames(raw, status & gsv_frames.SATURATED != 0, "mV/V")
 
     def stop(self) -> None:
         """End the stream; frames that were not read are dropped."""
-        self._started_s = None
+        self._ended()
         self._link.request(STOP_TRANSMISSION)
         self._link.discard()
-
-    def calibrate(self, matrix_N_mV_V: Sequence[Sequence[float]]) -> None:
-        """Use this matrix, force in N by bridge output in mV/V, from the next `read` on."""
-        self._matrix = np.array(matrix_N_mV_V, dtype=np.float64)
-
-    def tare(self, zero_mV_V: tuple[float, float, float]) -> tuple[float, float, float]:
-        """Take this reading in mV/V as no force, from the next `read` on; what it is in N."""
-        self._zero = np.array(zero_mV_V, dtype=np.float64)
-        x, y, z = (float(force) for force in self._matrix @ self._zero)
-        return x, y, z
 
     def inputs_high(self, names: Sequence[str]) -> Mapping[str, bool]:
         """Return the levels of digital lines, such as "1.1": True for high. Each is one request;
@@ -218,7 +193,7 @@ class ForceAmplifier:
 
     def close(self) -> None:
         """Close the port; a stream continues unread until the next connect ends it."""
-        self._started_s = None
+        self._ended()
         self._link.close()
 
     # --- settings of the amplifier -----------------------------------------------------------
