@@ -1,6 +1,7 @@
 """A conversation in lines: a command is sent, and its answer is one line.
 
-For instruments that answer every command. What is sent and received, nothing about any instrument.
+For instruments that answer every command (`drivers.shared.line_stream` is for one that sends lines
+by itself as well). What is sent and received, nothing about any instrument.
 After a time-out, or a line that cannot be read, the connection is closed, and the next command
 opens it again. On TCP a late answer dies with its connection. On a serial line it may still come:
 `resync` is a query with an answer of its own form, which is asked again after a failure, and
@@ -14,10 +15,10 @@ import contextlib
 import re
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING
 
-from drivers.shared.ports import SOCKET, Port, open_port
+from drivers.shared.ports import SOCKET, USUAL_FORMAT, Port, open_port
 from rig.core.errors import InstrumentError, InstrumentTimeoutError, RigError
 
 if TYPE_CHECKING:
@@ -47,14 +48,19 @@ class LineLink:
         *,
         terminator: bytes = b"\n",
         baudrate: int = 9600,
+        serial_format: str = USUAL_FORMAT,
         resync: tuple[str, str] | None = None,
     ):
         self._device, self._place, self._timeout_s = device, place, timeout_s
-        self._clock, self._terminator, self._baudrate = clock, terminator, baudrate
+        self._clock, self._terminator = clock, terminator
+        self._baudrate, self._serial_format = baudrate, serial_format
         self._resync = None if resync is None else (resync[0], re.compile(resync[1]))
         self._lock = threading.RLock()
         self._port: Port | None = None
         self._input = bytearray()
+        """What has come and is not used yet."""
+        self._taken = 0
+        """Bytes that have come since the link was made."""
         self._charging = False
         self._failed = False
         self._used = False
@@ -80,18 +86,10 @@ class LineLink:
                 self._lock,
             ):
                 permit()
-                try:
+                with self._closing_what_fails(command):
                     return self._exchange(command, re.compile(answer))
-                except BaseException:
-                    self._failed = True
-                    self.close()
-                    raise
         except TimeoutError:
             raise self._timed_out(command, charge) from None
-        except RigError:
-            raise
-        except Exception as error:  # pyserial and termios raise what they like where it breaks
-            raise self.error(command, f"the connection failed ({error})") from error
 
     def close(self) -> None:
         """Close the port; the next command opens it again."""
@@ -105,21 +103,43 @@ class LineLink:
     def error(self, command: str, cause: str, hint: str = "") -> InstrumentError:
         """Return an error of this instrument; its hint names the port unless another is given."""
         usual = f"check that {self._place} is switched on and that nothing else talks to it"
-        return InstrumentError(self._device, command, cause, hint or usual)
+        return InstrumentError(self._device, _shown(command), cause, hint or usual)
+
+    @contextlib.contextmanager
+    def _closing_what_fails(self, command: str) -> Iterator[None]:
+        """Close the port where the block fails, and name the device and the command; a TimeoutError
+        stays one."""
+        try:
+            yield
+        except BaseException as error:
+            self._failed = True
+            self.close()
+            if isinstance(error, (TimeoutError, RigError)) or not isinstance(error, Exception):
+                raise
+            # Pyserial and termios raise what they like where it breaks.
+            raise self.error(command, f"the connection failed ({error})") from error
 
     # --- one exchange -------------------------------------------------------------------------
 
     def _exchange(self, command: str, answer: re.Pattern[str]) -> re.Match[str]:
         deadline = time.monotonic() + self._timeout_s
         if self._port is None:
-            self._port = open_port(self._place, self._baudrate, self._timeout_s)
+            self._port = open_port(
+                self._place, self._baudrate, self._timeout_s, self._serial_format
+            )
             if self._resync is not None and not self._place.startswith(SOCKET):
                 begins = not self._used and command == self._resync[0]
                 if self._failed or begins:
                     self._find_again(self._port, deadline)
         self._failed, self._used = False, True
         self._port.write(command.encode("ascii") + self._terminator)
-        line = self._line(self._port, deadline)
+        return self._answer(self._port, command, answer, deadline)
+
+    def _answer(
+        self, port: Port, command: str, answer: re.Pattern[str], deadline: float
+    ) -> re.Match[str]:
+        """Return the answer: the next line, which has to match."""
+        line = self._line(port, deadline)
         found = answer.fullmatch(line)
         if found is None:
             raise self._unexpected(command, line)
@@ -141,11 +161,30 @@ class LineLink:
             if line is None:
                 raise
             raise self._unexpected(query, line) from None
-        quiet_from_s = time.monotonic()
-        while time.monotonic() - quiet_from_s < QUIET_S:
-            if port.read():
-                quiet_from_s = time.monotonic()
+        self._fall_silent(port, query)
+
+    def _fall_silent(self, port: Port, command: str) -> None:
+        """Throw away what comes until nothing has come for `QUIET_S`. Raises InstrumentError where
+        that takes longer than the time-out."""
         self._input.clear()
+        heard_s = began_s = time.monotonic()
+        while True:
+            looks_s = time.monotonic()
+            if self._receive(port):
+                if looks_s - began_s > self._timeout_s:
+                    shown = self._input[-80:].decode("latin-1")
+                    raise self.error(command, f"the instrument continues to send: {shown!r}")
+                heard_s = time.monotonic()
+                self._input.clear()
+            elif looks_s - heard_s >= QUIET_S:  # not later: a busy computer may stand in between
+                return
+
+    def _receive(self, port: Port) -> int:
+        """Take what has come off the port, with a short wait; return the number of bytes."""
+        data = port.read()
+        self._input += data
+        self._taken += len(data)
+        return len(data)
 
     def _line(self, port: Port, deadline: float) -> str:
         """Return the next line; TimeoutError where none has come by the deadline."""
@@ -154,7 +193,7 @@ class LineLink:
                 raise ValueError(f"{len(self._input)} bytes without the end of a line")
             if time.monotonic() > deadline:
                 raise TimeoutError
-            self._input += port.read()
+            self._receive(port)
         line = bytes(self._input[:end])
         del self._input[: end + len(self._terminator)]
         return line.decode("latin-1")
@@ -170,7 +209,16 @@ class LineLink:
                 self._charging = False
         return InstrumentTimeoutError(
             self._device,
-            command,
-            f"no answer within {self._timeout_s:g} s",
+            _shown(command),
+            self._no_answer(),
             f"check that {self._place} is switched on and connected",
         )
+
+    def _no_answer(self) -> str:
+        """Return the cause of a time-out in words."""
+        return f"no answer within {self._timeout_s:g} s"
+
+
+def _shown(command: str) -> str:
+    """Return a command, or several lines that are sent as one, for a message of one line."""
+    return ", ".join(command.splitlines())

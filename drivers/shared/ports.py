@@ -14,6 +14,8 @@ READ_WAIT_S = 0.005
 """Longest wait for bytes in one read: by so much a time-out may be late."""
 SOCKET = "socket://"
 READ_BYTES = 4096
+USUAL_FORMAT = "8N1"
+"""Eight data bits, no parity, one stop bit."""
 
 
 class Port(Protocol):
@@ -35,11 +37,18 @@ class Port(Protocol):
 class SerialPort:
     """A serial port, opened exclusively; what waits in it is dropped."""
 
-    def __init__(self, path: str, baudrate: int, timeout_s: float):
+    def __init__(self, path: str, baudrate: int, timeout_s: float, serial_format: str):
         import serial
 
         self._port = serial.Serial(
-            path, baudrate, timeout=READ_WAIT_S, write_timeout=timeout_s, exclusive=True
+            path,
+            baudrate,
+            bytesize=int(serial_format[0]),
+            parity=serial_format[1],
+            stopbits=int(serial_format[2]),
+            timeout=READ_WAIT_S,
+            write_timeout=timeout_s,
+            exclusive=True,
         )
         self._port.reset_input_buffer()
 
@@ -86,9 +95,14 @@ class TcpPort:
         self._socket.close()
 
 
-def open_port(place: str, baudrate: int, timeout_s: float) -> Port:
-    """Open ``socket://host:port``, or the serial port at a path, exclusively. OSError or ValueError
-    where that fails (pyserial's exception is an OSError)."""
+def open_port(
+    place: str, baudrate: int, timeout_s: float, serial_format: str = USUAL_FORMAT
+) -> Port:
+    """Open ``socket://host:port``, or the serial port at a path, exclusively.
+
+    `serial_format` has the data bits, the parity (N, E or O) and the stop bits. Raises OSError or
+    ValueError where that fails (pyserial's exception is an OSError).
+    """
     if place.startswith(SOCKET):
         return TcpPort(place, timeout_s)
-    return SerialPort(place, baudrate, timeout_s)
+    return SerialPort(place, baudrate, timeout_s, serial_format)

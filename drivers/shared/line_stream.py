@@ -1,0 +1,90 @@
+"""A conversation in lines with an instrument that also sends lines by itself, such as frames.
+
+Commands and answers are those of `LineLink`. An answer is known by its form: lines of the stream
+may come before it and stay where they are, to be collected later.
+"""
+
+from __future__ import annotations
+
+import re
+import time
+
+from drivers.shared.line_link import LONGEST_LINE, LineLink
+from drivers.shared.ports import Port
+
+STREAM = "stream"
+"""The command that errors of what comes by itself are named after."""
+
+
+class LineStream(LineLink):
+    """The link to an instrument that streams lines; any thread may call any method.
+
+    `resync` is needed as with a `LineLink`; its query has to end the stream first.
+    """
+
+    _last_line = ""
+    """The last line that came in place of an answer."""
+
+    @property
+    def bytes_consumed(self) -> int:
+        """Bytes taken off the link since it was made, less those that `collect` has not
+        returned."""
+        taken = self._taken  # first: what comes between the two makes the result too small
+        return taken - len(self._input)
+
+    def collect(self) -> list[bytes]:
+        """Return the lines that have come since the last call, without their ends, oldest first;
+        waits for a few milliseconds if there are none.
+
+        Raises InstrumentError where the connection fails or is closed.
+        """
+        with self._lock, self._closing_what_fails(STREAM):
+            if self._port is None:
+                raise self.error(STREAM, "the port is closed")
+            if self._terminator not in self._input:
+                self._receive(self._port)
+            *lines, rest = bytes(self._input).split(self._terminator)
+            if len(rest) > LONGEST_LINE:
+                raise ValueError(f"{len(rest)} bytes without the end of a line")
+            self._input[:] = rest
+            return lines
+
+    def fall_silent(self, command: str) -> None:
+        """Drop what was not collected, and what comes until nothing has come for 20 ms: `command`
+        has ended the stream.
+
+        Raises InstrumentError where the instrument continues to send for the time-out.
+        """
+        with self._lock, self._closing_what_fails(command):
+            if self._port is not None:
+                self._fall_silent(self._port, command)
+
+    def _answer(
+        self, port: Port, command: str, answer: re.Pattern[str], deadline: float
+    ) -> re.Match[str]:
+        """Return the answer: the first line that matches. Those before it are left in place."""
+        begin, self._last_line = 0, ""
+        while True:
+            end = self._input.find(self._terminator, begin)
+            if end < 0:
+                if len(self._input) - begin > LONGEST_LINE:
+                    raise ValueError(f"{len(self._input) - begin} bytes without the end of a line")
+                if time.monotonic() > deadline:
+                    raise TimeoutError
+                self._receive(port)
+                continue
+            after = end + len(self._terminator)
+            line = self._input[begin:end].decode("latin-1")
+            if (found := answer.fullmatch(line)) is not None:
+                del self._input[begin:after]
+                return found
+            begin, self._last_line = after, line
+
+    def _no_answer(self) -> str:
+        """See `LineLink`."""
+        if not self._last_line:
+            return super()._no_answer()
+        return (
+            f"no answer of the expected form within {self._timeout_s:g} s; the last line that came "
+            f"is {self._last_line[:80]!r}"
+        )
