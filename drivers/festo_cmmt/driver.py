@@ -83,7 +83,7 @@ from drivers.shared.stage import (
     stop_and_close,
 )
 from rig.core.clock import Clock, WallClock
-from rig.instruments.roles import Identity, LastSeen, Reach
+from rig.instruments.roles import Identity, LastSeen, Limits
 
 ROLES = ("stage_z", "stage_x")
 """The roles this driver can play; which one, its settings say."""
@@ -137,14 +137,14 @@ class FestoAxis:
         assert self._identity is not None, "connect() identifies before anything else"
         return self._identity
 
-    def reach(self) -> Mapping[str, Reach]:
+    def limits(self) -> Mapping[str, Limits]:
         """Return the position and speed that the bench file allows; how often there may be a new
         target."""
-        own, owner = self._settings, f"{self._device} {self.identity.model}"
+        own, limited_by = self._settings, f"{self._device} {self.identity.model}"
         return {
-            "position": Reach(own.low_limit_mm, own.high_limit_mm, "mm", owner),
-            "speed": Reach(own.speed_unit_mm_s, own.max_speed_mm_s, "mm/s", owner),
-            "update_rate": Reach(0.0, UPDATES_Hz, "Hz", owner),
+            "position": Limits(own.low_limit_mm, own.high_limit_mm, "mm", limited_by),
+            "speed": Limits(own.speed_unit_mm_s, own.max_speed_mm_s, "mm/s", limited_by),
+            "update_rate": Limits(0.0, UPDATES_Hz, "Hz", limited_by),
         }
 
     @property
@@ -199,7 +199,7 @@ class FestoAxis:
 
         A running task is changed by one read and one write. The read ends a motion that met a
         fault, the torque limit or another client's stop; what was read less than 10 ms before is
-        not read again (`CmmtWatch.require_task`). Raises LimitError outside `reach`, and
+        not read again (`CmmtWatch.require_task`). Raises LimitError outside `limits`, and
         InstrumentError with nothing sent where another thread stops the axis or makes it safe
         meanwhile.
         """
@@ -208,9 +208,9 @@ class FestoAxis:
     def _start(self, position_mm: float, speed_mm_s: float) -> Ticket:
         """Do what `start_move` does, and return the ticket of the motion."""
         own, ticket = self._settings, self._interlock.ticket()
-        reach = self.reach()
-        reach["position"].require(self._device, "position", position_mm)
-        reach["speed"].require(self._device, "speed", speed_mm_s)
+        limits = self.limits()
+        limits["position"].require(self._device, "position", position_mm)
+        limits["speed"].require(self._device, "speed", speed_mm_s)
         fresh = self._watch.motion is None or not self._watch.acknowledged
         if fresh:
             self._prepare_task(ticket)

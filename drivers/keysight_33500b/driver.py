@@ -19,7 +19,7 @@ from rig.core.clock import Clock, WallClock
 from rig.core.errors import InstrumentError
 from rig.core.settings import Address, Wiring
 from rig.core.settings import Settings as BaseSettings
-from rig.instruments.roles import Identity, Reach
+from rig.instruments.roles import Identity, Limits
 
 ROLES = ("generator",)
 """The roles this driver can play."""
@@ -91,12 +91,14 @@ class Generator33500B:
         self._set(f"{self._source}:VOLT:LIM:LOW", f"{-highest:.6G}", -highest)
         self._set(f"{self._source}:VOLT:LIM:STAT", "1", 1)
 
-    def reach(self) -> Mapping[str, Reach]:
+    def limits(self) -> Mapping[str, Limits]:
         """Return the frequency and peak amplitude that instrument and bench file allow."""
-        owner = f"generator {self.identity.model}"
+        limited_by = f"generator {self.identity.model}"
         return {
-            "frequency": Reach(LOWEST_FREQUENCY_HZ, HIGHEST_FREQUENCY_HZ, "Hz", owner),
-            "amplitude": Reach(LOWEST_AMPLITUDE_V, self._settings.max_amplitude_V, "V", owner),
+            "frequency": Limits(LOWEST_FREQUENCY_HZ, HIGHEST_FREQUENCY_HZ, "Hz", limited_by),
+            "amplitude": Limits(
+                LOWEST_AMPLITUDE_V, self._settings.max_amplitude_V, "V", limited_by
+            ),
         }
 
     def sine(self, frequency_Hz: float, amplitude_V: float) -> None:

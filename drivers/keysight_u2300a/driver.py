@@ -21,7 +21,7 @@ from rig.core.clock import Clock, WallClock
 from rig.core.errors import InstrumentError, LimitError
 from rig.core.settings import Address, Channels, Wiring
 from rig.core.settings import Settings as BaseSettings
-from rig.instruments.roles import Acquisition, Identity, InputChannel, Reach, Record, Scaling
+from rig.instruments.roles import Acquisition, Identity, InputChannel, Limits, Record, Scaling
 
 if TYPE_CHECKING:
     import numpy as np
@@ -150,10 +150,10 @@ class U2300ADaq:
                 )
         self._link.command("*CLS", "STOP")
 
-    def reach(self) -> Mapping[str, Reach]:
+    def limits(self) -> Mapping[str, Limits]:
         """Return the rate of one channel; `check` knows what the others cost."""
-        owner = f"daq {self.identity.model}"
-        return {"rate": Reach(LOWEST_RATE_S_S, self.model.total_rate_S_s, "S/s", owner)}
+        limited_by = f"daq {self.identity.model}"
+        return {"rate": Limits(LOWEST_RATE_S_S, self.model.total_rate_S_s, "S/s", limited_by)}
 
     def highest_rate(self, channels: int) -> float:
         """Return the highest rate per channel, in S/s, at which `channels` channels can be

@@ -55,7 +55,7 @@ from drivers.me_gsv8.settings import MeGsv8Settings
 from drivers.shared.force_stream import ForceStream
 from rig.core.clock import Clock
 from rig.core.errors import InstrumentError
-from rig.instruments.roles import ForceFrames, Identity, Reach
+from rig.instruments.roles import ForceFrames, Identity, Limits
 
 ROLES = ("force_sensor",)
 
@@ -125,14 +125,14 @@ class ForceAmplifier(ForceStream):
         self._prepare_values()
         self._rates = self._read_rate_range()
 
-    def reach(self) -> Mapping[str, Reach]:
+    def limits(self) -> Mapping[str, Limits]:
         """Return the frame rates of the amplifier, and the force that the bench file allows on an
         axis."""
-        owner = f"{DEVICE} {self.identity.model}"
+        limited_by = f"{DEVICE} {self.identity.model}"
         limit = self._settings.force_limit
         return {
-            "rate": Reach(*self._rates, "1/s", owner),
-            "force": Reach(-limit, limit, "N", owner),
+            "rate": Limits(*self._rates, "1/s", limited_by),
+            "force": Limits(-limit, limit, "N", limited_by),
         }
 
     def start(self, rate_S_s: float) -> float:

@@ -68,7 +68,7 @@ from drivers.shared.stage import (
 )
 from rig.core.clock import Clock, WallClock
 from rig.core.errors import InstrumentError
-from rig.instruments.roles import Identity, LastSeen, Reach
+from rig.instruments.roles import Identity, LastSeen, Limits
 
 ROLES = ("stage_z", "stage_x")
 """The roles this driver can play; which one, its settings say."""
@@ -115,15 +115,15 @@ class AzAxis:
         number nor firmware."""
         return IDENTITY
 
-    def reach(self) -> Mapping[str, Reach]:
+    def limits(self) -> Mapping[str, Limits]:
         """Return the position and speed that the bench file allows; what the line has time for."""
-        own, owner = self._settings, f"{self._device} {self.identity.model}"
+        own, limited_by = self._settings, f"{self._device} {self.identity.model}"
         shortest_s = update_s(own, self._line)
-        line = f"{owner}: its line carries a poll and a new target in {shortest_s:.3g} s"
+        line = f"{limited_by}: its line carries a poll and a new target in {shortest_s:.3g} s"
         return {
-            "position": Reach(own.low_limit_mm, own.high_limit_mm, "mm", owner),
-            "speed": Reach(1 / own.steps_per_mm, own.max_speed_mm_s, "mm/s", owner),
-            "update_rate": Reach(0.0, 1 / shortest_s, "Hz", line),
+            "position": Limits(own.low_limit_mm, own.high_limit_mm, "mm", limited_by),
+            "speed": Limits(1 / own.steps_per_mm, own.max_speed_mm_s, "mm/s", limited_by),
+            "update_rate": Limits(0.0, 1 / shortest_s, "Hz", line),
         }
 
     @property
@@ -176,7 +176,7 @@ class AzAxis:
 
         A motion under way is changed by one write. What ended it meanwhile (an alarm, another
         client's stop) is read as often as keep-alives do; the drive itself refuses to start while
-        the stop stands. Raises LimitError outside `reach`, and InstrumentError with nothing sent
+        the stop stands. Raises LimitError outside `limits`, and InstrumentError with nothing sent
         where another thread stops the axis or makes it safe meanwhile.
         """
         self._start(position_mm, speed_mm_s)
@@ -184,9 +184,9 @@ class AzAxis:
     def _start(self, position_mm: float, speed_mm_s: float) -> Ticket:
         """Do what `start_move` does, and return the ticket of the motion."""
         ticket = self._interlock.ticket()
-        reach = self.reach()
-        reach["position"].require(self._device, "position", position_mm)
-        reach["speed"].require(self._device, "speed", speed_mm_s)
+        limits = self.limits()
+        limits["position"].require(self._device, "position", position_mm)
+        limits["speed"].require(self._device, "speed", speed_mm_s)
         fresh = self._watch.motion is None
         if fresh:
             ticket = self._prepare_motion(ticket)

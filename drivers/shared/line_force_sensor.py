@@ -37,7 +37,7 @@ from drivers.shared.line_stream import STREAM, LineStream
 from rig.core.clock import Clock
 from rig.core.errors import ConfigurationError, InstrumentError, RigError
 from rig.core.settings import Address, Settings, Wiring
-from rig.instruments.roles import ForceFrames, Identity, Reach
+from rig.instruments.roles import ForceFrames, Identity, Limits
 
 DEVICE = "force_sensor"
 NEWTONS: Mapping[str, float] = {
@@ -191,13 +191,13 @@ class LineForceSensor(ForceStream, ABC):
         """Bytes taken off the link, less those of lines that `read` has not taken yet."""
         return self._link.bytes_consumed
 
-    def reach(self) -> Mapping[str, Reach]:
+    def limits(self) -> Mapping[str, Limits]:
         """Return the frame rates of the sensor, and the force that the bench file allows on an
         axis."""
-        owner, limit = f"{DEVICE} {self.model}", self.settings.max_force_N
+        limited_by, limit = f"{DEVICE} {self.model}", self.settings.max_force_N
         return {
-            "rate": Reach(min(self.rates_S_s), max(self.rates_S_s), "1/s", owner),
-            "force": Reach(-limit, limit, "N", owner),
+            "rate": Limits(min(self.rates_S_s), max(self.rates_S_s), "1/s", limited_by),
+            "force": Limits(-limit, limit, "N", limited_by),
         }
 
     def start(self, rate_S_s: float) -> float:

@@ -345,12 +345,12 @@ class TravelBound:
         if before is None:
             return None
         was, was_s = before
-        reach = self._highest_speed * (now_s - was_s) + BEYOND
-        if abs(position - was) > reach:
+        farthest = self._highest_speed * (now_s - was_s) + BEYOND
+        if abs(position - was) > farthest:
             return (
                 f"reads {self._show(position)}, {1e3 * (now_s - was_s):.0f} ms after "
                 f"{self._show(was)}: at its highest speed of {self._highest_speed:g} "
-                f"{self._unit}/s it cannot have gone farther than {self._show(reach)}"
+                f"{self._unit}/s it cannot have gone farther than {self._show(farthest)}"
             )
         if self._inside(was) and not self._inside(position):
             return (

@@ -44,7 +44,7 @@ from drivers.zaber_rst.reader import ZaberReader
 from drivers.zaber_rst.settings import NOT_REFERENCED, NOTES, ZaberRstSettings
 from rig.core.clock import Clock, WallClock
 from rig.core.errors import InstrumentError
-from rig.instruments.roles import Identity, Reach
+from rig.instruments.roles import Identity, Limits
 
 ROLES = ("rotary",)
 """The roles this driver can play."""
@@ -108,14 +108,14 @@ class ZaberAxis:
         assert self._identity is not None, "connect() identifies before anything else"
         return self._identity
 
-    def reach(self) -> Mapping[str, Reach]:
+    def limits(self) -> Mapping[str, Limits]:
         """Return the angle, speed and acceleration that the bench file allows."""
-        own, owner = self._settings, f"{DEVICE} {self.identity.model}"
+        own, limited_by = self._settings, f"{DEVICE} {self.identity.model}"
         return {
-            "angle": Reach(own.low_limit_deg, own.high_limit_deg, "deg", owner),
-            "speed": Reach(own.lowest_speed_deg_s, own.max_speed_deg_s, "deg/s", owner),
-            "acceleration": Reach(
-                own.lowest_acceleration_deg_s2, own.max_acceleration_deg_s2, "deg/s^2", owner
+            "angle": Limits(own.low_limit_deg, own.high_limit_deg, "deg", limited_by),
+            "speed": Limits(own.lowest_speed_deg_s, own.max_speed_deg_s, "deg/s", limited_by),
+            "acceleration": Limits(
+                own.lowest_acceleration_deg_s2, own.max_acceleration_deg_s2, "deg/s^2", limited_by
             ),
         }
 
@@ -162,7 +162,7 @@ class ZaberAxis:
         return self._seen_deg
 
     def start_turn(self, angle_deg: float, speed_deg_s: float, acceleration_deg_s2: float) -> None:
-        """Begin to turn there, or change the turn under way; LimitError outside `reach`.
+        """Begin to turn there, or change the turn under way; LimitError outside `limits`.
 
         From rest the flags are read first. A turn under way is changed by one command, whose answer
         carries the gravest flag as well: one that disturbs stops the stage. What came and went
@@ -427,13 +427,13 @@ class ZaberAxis:
     def _require_reach(
         self, angle_deg: float, speed_deg_s: float, acceleration_deg_s2: float
     ) -> None:
-        reach = self.reach()
+        limits = self.limits()
         for what, value in (
             ("angle", angle_deg),
             ("speed", speed_deg_s),
             ("acceleration", acceleration_deg_s2),
         ):
-            reach[what].require(DEVICE, what, value)
+            limits[what].require(DEVICE, what, value)
 
 
 def connect(settings: ZaberRstSettings, clock: Clock) -> ZaberAxis:

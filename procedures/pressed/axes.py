@@ -132,10 +132,10 @@ class PressingStage(PolledStage):
         becomes of the move is noted in `sent`. Raises TripError for a position below the latest
         contact, and LimitError for one outside the stage's limits."""
         refuse_deeper(position_mm, self._deepest_mm)
-        reach = self.stage.reach()
-        require("position under the force", position_mm, reach["position"])
+        limits = self.stage.limits()
+        require("position under the force", position_mm, limits["position"])
         self.commanded_mm = position_mm
-        speed_mm_s = reach["speed"].nearest(max(speed_mm_s, SLOWEST_mm_s))
+        speed_mm_s = limits["speed"].nearest(max(speed_mm_s, SLOWEST_mm_s))
         asked_s = self.clock.now()
 
         def move() -> None:

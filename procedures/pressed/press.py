@@ -63,7 +63,7 @@ class Press:
         """Time in s from a command to the first force that shows it."""
         settings = self._settings
         bound = held_speed_bound(run.bench, settings.largest_force_N, self._force_N)
-        self._stage_mm_s = z.stage.reach()["speed"].high
+        self._stage_mm_s = z.stage.limits()["speed"].high
         """Largest speed of the stage."""
         self.fastest_mm_s = min(bound.speed_mm_s, self._stage_mm_s)
         """Largest speed of z from contact on."""

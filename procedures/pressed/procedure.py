@@ -229,7 +229,7 @@ class PressedProcedure(TrialProcedure):
         require_possible(bench, self.settings.largest_force_N, max(self._forces()))
         start_mm = self._start_mm(bench.settings.fixture)
         for offset_mm in self._offsets():
-            require("stage_x position", start_mm + offset_mm, bench.reach()["stage_x.position"])
+            require("stage_x position", start_mm + offset_mm, bench.limits()["stage_x.position"])
 
     def arm(self, run: Run) -> None:
         """Watch the force; register the end of everything before it begins; park."""

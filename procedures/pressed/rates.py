@@ -42,7 +42,7 @@ def rates_for(bench: Bench, settings: PressedSettings) -> ServoRates:
 
     Stages with slow links are polled less often than usual.
     """
-    z_Hz, x_Hz = (stage.reach()["update_rate"].high for stage in (bench.stage_z, bench.stage_x))
+    z_Hz, x_Hz = (stage.limits()["update_rate"].high for stage in (bench.stage_z, bench.stage_x))
     both_Hz = 1 / (1 / z_Hz + 1 / x_Hz)
     tick_Hz = settings.tick_Hz or min(TICK_Hz, z_Hz if settings.updates_a_tick == 1 else both_Hz)
     delay_s = DELAY_S + max(0.0, 1 / z_Hz - LINK_S) / 2

@@ -204,9 +204,9 @@ class PressedTrial:
         Raises LimitError, before x moves, for a position or a speed outside the stage's limits, and
         InstrumentError where x has not arrived when it should have been there for some time.
         """
-        reach, x = self.x.stage.reach(), self.x
-        require("stage_x position", to_mm, reach["position"])
-        require("stage_x speed", speed_mm_s, reach["speed"])
+        limits, x = self.x.stage.limits(), self.x
+        require("stage_x position", to_mm, limits["position"])
+        require("stage_x speed", speed_mm_s, limits["speed"])
         way_s = abs(to_mm - x.commanded_mm) / speed_mm_s
         longest_s = way_s + 2 * speed_mm_s / self.settings.acceleration_mm_s2 + LATE_ARRIVAL_S
         arrival = ArrivalWatch(x, self.series.rates.tick_Hz)
@@ -320,7 +320,7 @@ class PressedTrial:
         """Return the largest speed in mm/s of z that holds this force. Raises LimitError where z
         cannot go so slowly that it would brake within what is left to the force limit."""
         bound = held_speed_bound(self.run.bench, self.settings.largest_force_N, force_N)
-        speeds = self.z.stage.reach()["speed"]
+        speeds = self.z.stage.limits()["speed"]
         bound.require("stage_z", speeds.low)
         return min(bound.speed_mm_s, speeds.high)
 

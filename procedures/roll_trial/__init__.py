@@ -199,13 +199,13 @@ class RollTrial(TrialProcedure):
         and how the value was `reckoned` from it."""
         from rig.bench.limits import require
 
-        reach = bench.reach()[quantity]
+        limits = bench.limits()[quantity]
         try:
-            require(quantity.replace(".", " "), value, reach)
+            require(quantity.replace(".", " "), value, limits)
         except LimitError as error:
             raise LimitError(
-                f"{given} {value:g} {reach.unit} ({reckoned}); the {reach.owner} allows "
-                f"{reach.low:g} to {reach.high:g} {reach.unit}",
+                f"{given} {value:g} {limits.unit} ({reckoned}); the {limits.limited_by} allows "
+                f"{limits.low:g} to {limits.high:g} {limits.unit}",
                 remedy(error, bench),
             ) from None
 

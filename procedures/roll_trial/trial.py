@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from procedures.roll_trial.settings import RollTrialSettings
     from rig.analysis.estimate import Estimate
     from rig.control.tick_loop import Tick
-    from rig.instruments.roles import Reach
+    from rig.instruments.roles import Limits
     from rig.run.context import Run
     from rig.run.points import Reading
 
@@ -147,8 +147,8 @@ class HeadTrial(PressedTrial):
     def how_fast(self, speed_deg_s: float, acceleration_deg_s2: float) -> tuple[float, float]:
         """Return this speed in deg/s and acceleration in deg/s^2, or the nearest that the rotary
         stage allows."""
-        reach = self.rotary.stage.reach()
-        speed, acceleration = reach["speed"], reach["acceleration"]
+        limits = self.rotary.stage.limits()
+        speed, acceleration = limits["speed"], limits["acceleration"]
         return speed.nearest(speed_deg_s), acceleration.nearest(acceleration_deg_s2)
 
 
@@ -187,14 +187,14 @@ class AlignmentTrial(HeadTrial):
                 "have x compensate for it with --alignment compensate",
             )
         if compensated:
-            rates, reach = self.series.rates, self.x.stage.reach()
+            rates, limits = self.series.rates, self.x.stage.limits()
             profile = self.settings.profile_at(rates.tick_Hz)
-            require_way_of_x(offset.value, profile, rates.tick_s, self.start_mm, reach)
+            require_way_of_x(offset.value, profile, rates.tick_s, self.start_mm, limits)
         return offset
 
     def _nudge_x(self, from_mm: float, by_mm: float) -> NudgeForce:
         stage = self.x.stage
-        speed_mm_s = stage.reach()["speed"].nearest(NUDGE_mm_s)
+        speed_mm_s = stage.limits()["speed"].nearest(NUDGE_mm_s)
         stage.start_move(self.start_mm + by_mm, speed_mm_s)
         force_N = self._force_at_rest(NUDGE_mm / speed_mm_s)
         went_mm = stage.position_mm() - from_mm
@@ -231,25 +231,25 @@ def require_nudged(device: str, went: float, by: float, nudge: float, unit: str)
 
 
 def require_way_of_x(
-    offset_mm: float, profile: Profile, tick_s: float, start_mm: float, reach: Mapping[str, Reach]
+    offset_mm: float, profile: Profile, tick_s: float, start_mm: float, limits: Mapping[str, Limits]
 ) -> None:
-    """Raise LimitError where x, with this `reach`, cannot follow a roll to compensate for an offset
+    """Raise LimitError where x, with these limits, cannot follow a roll to compensate for an offset
     of the rotary axis: it would stop in the middle of the roll."""
     count = math.ceil(profile.duration_s / tick_s) + 1
     ways_mm = [shift_mm(offset_mm, profile.at_deg(tick * tick_s)) for tick in range(count)]
     fastest_mm_s = CATCH_UP * max(abs(b - a) for a, b in pairwise(ways_mm)) / tick_s
-    fastest_mm_s = max(fastest_mm_s, reach["speed"].low)  # x goes no slower, see _take_back
+    fastest_mm_s = max(fastest_mm_s, limits["speed"].low)  # x goes no slower, see _take_back
     for what, value in (
         ("position", start_mm + min(ways_mm)),
         ("position", start_mm + max(ways_mm)),
         ("speed", fastest_mm_s),
     ):
-        limit = reach[what]
+        limit = limits[what]
         if not limit.holds(value):
             raise LimitError(
                 f"stage_x: to compensate for the offset of the rotary axis, {offset_mm:.2f} mm, "
-                f"the roll needs a {what} of {value:.4g} {limit.unit}; the {limit.owner} allows "
-                f"{limit.low:g} to {limit.high:g} {limit.unit}",
+                f"the roll needs a {what} of {value:.4g} {limit.unit}; the {limit.limited_by} "
+                f"allows {limit.low:g} to {limit.high:g} {limit.unit}",
                 "choose a smaller angle, a slower turn or another --start, or mount the object "
                 "again, the top of its head on the axis of the rotary stage",
             )
@@ -269,7 +269,7 @@ class RollTrialRun(HeadTrial):
         """Offset of the rotary axis that x compensates for."""
         if series.offset is not None and self.settings.alignment == "compensate":
             self._offset_mm = series.offset.value
-        self._x_speeds = self.x.stage.reach()["speed"]
+        self._x_speeds = self.x.stage.limits()["speed"]
         self._profile = self.settings.profile_at(series.rates.tick_Hz)
         self._turns = list(self._profile.turns(series.rates.tick_s))
 

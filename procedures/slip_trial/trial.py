@@ -108,7 +108,7 @@ class SlipTrialRun(PressedTrial):
         ramp = ForceRamp(
             settings.ramp_N_s, settings.speed_mm_s, self.series.rates.tick_s, self.delay_s
         )
-        ask, speeds = self._asking(ramp), self.x.stage.reach()["speed"]
+        ask, speeds = self._asking(ramp), self.x.stage.limits()["speed"]
         slipped_mm = speed_mm_s = 0.0
 
         def pull(tick: Tick) -> bool:
@@ -156,7 +156,7 @@ class SlipTrialRun(PressedTrial):
             self.delay_s,
             holds_N=load_N,
         )
-        ask, speeds = self._asking(ramp), x.stage.reach()["speed"]
+        ask, speeds = self._asking(ramp), x.stage.limits()["speed"]
         weight = RestingWeight(load_N, settings.speed_mm_s)
         speed_mm_s = 0.0
 

@@ -137,7 +137,7 @@ class Sweep(Procedure):
         slow search would press too hard."""
         contact_range_mm(bench)
         require_torque_limit(bench)
-        limit_N = bench.force_sensor.reach()["force"].high
+        limit_N = bench.force_sensor.limits()["force"].high
         speed_bound(bench, limit_N).require("stage_z", preload.APPROACH_mm_s)
 
     # --- acting ---------------------------------------------------------------------------------

@@ -195,7 +195,7 @@ def press(run: Run, target_N: float) -> Preload:
 
     arm_from_where_it_stands(run, "preload", lift)
     stream_force(run, MIN_FORCE_RATE_S_S, "the control of the preload")
-    run.force.watch(bench.force_sensor.reach()["force"].high)
+    run.force.watch(bench.force_sensor.limits()["force"].high)
     park(run, "preload", lift)
     zero = tare_in_free_air(run)
     torque = TorqueWatch(run)
@@ -340,7 +340,7 @@ def _press_from(
             ahead_mm = AHEAD_S * speed_mm_s
             target_mm = here_mm + min(max(missing_N / stiffness, -ahead_mm), ahead_mm)
             refuse_deeper(target_mm, deepest_mm)
-            require("position for the preload", target_mm, stage.reach()["position"])
+            require("position for the preload", target_mm, stage.limits()["position"])
             stage.start_move(target_mm, speed_mm_s)
             watch.commanded(target_mm - here_mm, speed_mm_s)
         clock.sleep(TICK_S)
@@ -357,7 +357,7 @@ def _press_from(
 def _possible_mm_s(stage: LinearStage, wanted_mm_s: float) -> float:
     """Return the speed nearest to the wanted one that the stage has, but none above the speed of
     the approach, for which the bound on z's speed was checked."""
-    return min(stage.reach()["speed"].nearest(wanted_mm_s), APPROACH_mm_s)
+    return min(stage.limits()["speed"].nearest(wanted_mm_s), APPROACH_mm_s)
 
 
 def _speed(stiffness_N_mm: float, missing_N: float) -> float:

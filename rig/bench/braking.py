@@ -25,7 +25,7 @@ def braking_bound(bench: Bench, margin_N: float, reaction_s: float = WATCHED_S) 
     deceleration = deceleration_mm_s2(part.settings)
     if deceleration is None:
         deceleration = USUAL_DECELERATION_mm_s2
-    link_s = 1 / bench.stage_z.reach()["update_rate"].high
+    link_s = 1 / bench.stage_z.limits()["update_rate"].high
     if isinstance(bench.stage_z, ReadsTorque):
         link_s *= 1.5
     stiffest_N_mm = bench.settings.fixture.stiffest_N_mm

@@ -29,8 +29,8 @@ from rig.instruments.roles import (
     DataAcquisition,
     ForceSensor,
     Instrument,
+    Limits,
     LinearStage,
-    Reach,
     RotaryStage,
     SignalGenerator,
 )
@@ -114,16 +114,16 @@ class Bench:
         admitted = any(i.identity.simulated for i in self.instruments.values())
         return self.settings.simulation is not None or admitted
 
-    def reach(self) -> dict[str, Reach]:
+    def limits(self) -> dict[str, Limits]:
         """Return the limits of every instrument and of the load cell, by ``role.quantity``."""
         limits = {
-            f"{role}.{quantity}": reach
+            f"{role}.{quantity}": limits
             for role, instrument in self.instruments.items()
-            for quantity, reach in instrument.reach().items()
+            for quantity, limits in instrument.limits().items()
         }
         if self.settings.load_cell is not None:
             largest = self.settings.load_cell.max_load_N
-            limits["load_cell.load"] = Reach(0.0, largest, "N", "load cell")
+            limits["load_cell.load"] = Limits(0.0, largest, "N", "load cell")
         return limits
 
     def hand_over(self) -> None:

@@ -17,7 +17,7 @@ class _PlaceKind:
     key: str
     role: str
     quantity: str
-    """Quantity of the stage's limits, as in `Instrument.reach`."""
+    """Quantity of the stage's limits, as in `Instrument.limits`."""
 
 
 _PLACES = (
@@ -36,17 +36,17 @@ def out_of_reach(bench: Bench) -> Iterator[ConfigurationError]:
     table and key of the bench file, value, unit, and the limits with the stage that has them. A
     stage that the bench does not have limits nothing.
     """
-    limits = bench.reach()
+    limits = bench.limits()
     for index, fixture in enumerate(bench.settings.fixtures):
         table = "[fixture]" if index == 0 else f"[[also_mounted]] {fixture.mounted}"
         for place in _PLACES:
             value = _value(fixture, place.key)
-            reach = limits.get(f"{place.role}.{place.quantity}")
-            if value is None or reach is None or reach.holds(value):
+            own = limits.get(f"{place.role}.{place.quantity}")
+            if value is None or own is None or own.holds(value):
                 continue
             yield ConfigurationError(
-                f"{bench.plan.source}: {table} {place.key} = {value:g} {reach.unit} is outside "
-                f"{reach.low:g} to {reach.high:g} {reach.unit} of the {reach.owner}",
+                f"{bench.plan.source}: {table} {place.key} = {value:g} {own.unit} is outside "
+                f"{own.low:g} to {own.high:g} {own.unit} of the {own.limited_by}",
                 f"correct {place.key}, or the limits of [{place.role}] if the stage can go there",
             )
 

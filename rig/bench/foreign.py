@@ -35,7 +35,7 @@ from rig.instruments.roles import (
     ForceFrames,
     Identity,
     Instrument,
-    Reach,
+    Limits,
     Record,
     Scaling,
     axes_of,
@@ -119,21 +119,21 @@ def _fault(role: str, instrument: Any) -> str | None:
     for name, text in vars(identity).items():
         if not isinstance(text, str):
             return f"cannot be used: identity has {name} = {_shown(text)}, not a text"
-    limits = instrument.reach()
+    limits = instrument.limits()
     if not isinstance(limits, Mapping):
-        return f"cannot be used: reach() returned {_shown(limits)}, not a mapping"
+        return f"cannot be used: limits() returned {_shown(limits)}, not a mapping"
     for quantity, limit in limits.items():
-        if not isinstance(limit, Reach):
-            return f"cannot be used: reach() has {quantity} = {_shown(limit)}, not a Reach"
+        if not isinstance(limit, Limits):
+            return f"cannot be used: limits() has {quantity} = {_shown(limit)}, not a Limits"
         if (wrong := _wrong_limits(limit)) is not None:
-            return f"cannot be used: reach() has {quantity} with {wrong}"
+            return f"cannot be used: limits() has {quantity} with {wrong}"
     lacking = [quantity for quantity in sorted(interface.quantities) if quantity not in limits]
     if lacking:
-        return f"cannot be used: reach() lacks {', '.join(lacking)}"
+        return f"cannot be used: limits() lacks {', '.join(lacking)}"
     return None
 
 
-def _wrong_limits(limit: Reach) -> str | None:
+def _wrong_limits(limit: Limits) -> str | None:
     """Return what is wrong with the limits of a quantity; None if a value can be compared with
     them. One side may be infinite."""
     for name in ("low", "high"):
@@ -158,14 +158,14 @@ def _shown(value: Any) -> str:
 class CheckedStage:
     """A stage of another package, whose positions are checked; all else is the driver's own.
 
-    A position is a finite number, and within the limits of `reach` or `BEYOND` outside. An axis may
-    stand farther outside when it is connected, as after a change of limits, and come back: so
+    A position is a finite number, and within its `limits` or `BEYOND` outside. An axis may stand
+    farther outside when it is connected, as after a change of limits, and come back: so
     limits are judged once it has been seen inside, or has ended a motion.
     """
 
     def __init__(self, role: str, stage: Any, driver: str):
         self._role, self._stage, self._driver = role, stage, driver
-        limits = stage.reach()["angle" if role == "rotary" else "position"]
+        limits = stage.limits()["angle" if role == "rotary" else "position"]
         self._low, self._high, self._unit = limits.low - BEYOND, limits.high + BEYOND, limits.unit
         self._judged = False
         """True once the axis has to be within its limits."""

@@ -9,7 +9,7 @@ from rig.core.errors import (
 )
 from rig.instruments.roles import (
     Identity,
-    Reach,
+    Limits,
     SignalGenerator,
 )
 
@@ -25,13 +25,13 @@ class GuardedGenerator:
         """The generator's identity as read when it was connected."""
         return self._inner.identity
 
-    def reach(self) -> Mapping[str, Reach]:
+    def limits(self) -> Mapping[str, Limits]:
         """Return the generator's limits."""
-        return self._inner.reach()
+        return self._inner.limits()
 
     def sine(self, frequency_Hz: float, amplitude_V: float) -> None:
         """Set a sine. Raises LimitError for a value outside the limits, before anything is sent."""
-        limits = self._inner.reach()
+        limits = self._inner.limits()
         require("frequency", frequency_Hz, limits["frequency"])
         require("amplitude", amplitude_V, limits["amplitude"])
         self._inner.sine(frequency_Hz, amplitude_V)
@@ -53,14 +53,14 @@ class GuardedGenerator:
         self._inner.close()
 
 
-def require(what: str, value: float, reach: Reach, where: str = "") -> None:
-    """Raise LimitError, which names value, unit, limit, device and place, unless `reach` holds
+def require(what: str, value: float, limits: Limits, where: str = "") -> None:
+    """Raise LimitError, which names value, unit, limit, device and place, unless `limits` holds
     `value`."""
-    if reach.holds(value):
+    if limits.holds(value):
         return
     place = f"{where}: " if where else ""
     raise LimitError(
-        f"{place}{what} {value:g} {reach.unit} is outside {reach.low:g} to {reach.high:g} "
-        f"{reach.unit} of the {reach.owner}",
+        f"{place}{what} {value:g} {limits.unit} is outside {limits.low:g} to {limits.high:g} "
+        f"{limits.unit} of the {limits.limited_by}",
         "choose a value inside, or correct the bench file if the limit is wrong",
     )

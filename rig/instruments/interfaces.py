@@ -19,7 +19,7 @@ class RoleInterface(NamedTuple):
 
     protocol: type
     quantities: frozenset[str]
-    """Names of the quantities that `reach` must have."""
+    """Names of the quantities that `limits` must have."""
 
 
 _LINEAR = RoleInterface(LinearStage, frozenset({"position", "speed", "update_rate"}))

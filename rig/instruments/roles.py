@@ -42,13 +42,13 @@ class Identity:
 
 
 @dataclass(frozen=True)
-class Reach:
+class Limits:
     """Limits of a value: an interval in a unit, and the device that sets it."""
 
     low: float
     high: float
     unit: str
-    owner: str
+    limited_by: str
 
     def holds(self, value: float) -> bool:
         """Return whether `value` lies inside the limits; NaN does not."""
@@ -64,7 +64,7 @@ class Reach:
         if not self.holds(value):
             raise LimitError(
                 f"{device}: {what} {value:g} {self.unit} is outside {self.low:g} to {self.high:g} "
-                f"{self.unit} of the {self.owner}",
+                f"{self.unit} of the {self.limited_by}",
                 "choose a value inside, or correct the bench file if the limit is wrong",
             )
 
@@ -77,7 +77,7 @@ class Instrument(Protocol):
         """Vendor, model, serial number, firmware, as read at connect."""
         ...
 
-    def reach(self) -> Mapping[str, Reach]:
+    def limits(self) -> Mapping[str, Limits]:
         """Return the instrument's own limits by quantity name, for the check before the first
         motion."""
         ...
@@ -289,7 +289,7 @@ class DataAcquisition(Instrument, Protocol):
 class LinearStage(Instrument, Protocol):
     """One linear axis. Waiting happens on the bench clock; positions in mm, speeds in mm/s.
 
-    `reach` holds ``position``, ``speed`` and ``update_rate``: how often, in Hz, the link has time
+    `limits` holds ``position``, ``speed`` and ``update_rate``: how often, in Hz, the link has time
     to poll the axis and send a new target during a motion. An axis that has not been homed refuses
     to move.
     """
@@ -343,7 +343,7 @@ class LinearStage(Instrument, Protocol):
 class RotaryStage(Instrument, Protocol):
     """One rotary axis. Waiting happens on the bench clock; angles in deg, speeds in deg/s.
 
-    `reach` holds ``angle``, ``speed`` and ``acceleration``. A stage that has not been homed, or
+    `limits` holds ``angle``, ``speed`` and ``acceleration``. A stage that has not been homed, or
     that was turned by hand since, refuses to turn until it has been.
     """
 
@@ -481,7 +481,7 @@ class ForceSensor(Instrument, Protocol):
     """A force sensor with up to three axes that streams. One reader thread calls `read`; other
     threads may call the other methods at the same time.
 
-    `reach` holds ``rate`` in frames/s, with twice the same value where it is fixed, and ``force``
+    `limits` holds ``rate`` in frames/s, with twice the same value where it is fixed, and ``force``
     in N. The class of a sensor that lacks axes states those that it has, ``axes = "z"``; one that
     states none has all three (`axes_of`).
     """

@@ -9,7 +9,7 @@ from rig.bench.connected import Bench
 from rig.control.speed_bound import SpeedBound
 from rig.core.errors import ConfigurationError
 from rig.core.settings import Settings
-from rig.instruments.roles import LinearStage, Reach, RotaryStage
+from rig.instruments.roles import Limits, LinearStage, RotaryStage
 from rig.jog.keys import LONGEST_STEP_S, JogAxis, Key
 
 AXES = ("stage_z", "stage_x", "rotary")
@@ -52,7 +52,7 @@ class RotaryMover:
     def __init__(self, stage: RotaryStage):
         self.stage: LinearStage | RotaryStage = stage
         self.position = stage.angle_deg
-        largest = stage.reach()["acceleration"].high
+        largest = stage.limits()["acceleration"].high
         self._acceleration_deg_s2 = min(TURN_ACCELERATION_deg_s2, largest)
 
     def start(self, angle_deg: float, speed_deg_s: float) -> None:
@@ -70,15 +70,15 @@ def axes_of(bench: Bench, settings: JogSettings) -> tuple[list[JogAxis], list[st
     for name in AXES:
         if name not in bench.instruments:
             continue
-        reach = bench.instruments[name].reach()
+        limits = bench.instruments[name].limits()
         turns = name == "rotary"
         turn, angle = ("turn-", "angle-") if turns else ("", "")
-        places = reach["angle" if turns else "position"]
+        places = limits["angle" if turns else "position"]
         step = settings.angle_step_deg if turns else settings.step_mm
         asked = settings.turn_speed_deg_s if turns else settings.speed_mm_s
-        speed, why = _speed(asked, places.unit, reach["speed"]), ""
+        speed, why = _speed(asked, places.unit, limits["speed"]), ""
         if name == "stage_z" and (bound := _bound_on_z(bench, settings)) is not None:
-            bound.require(name, reach["speed"].low)
+            bound.require(name, limits["speed"].low)
             if speed > bound.speed_mm_s:
                 speed, why = bound.speed_mm_s, f" ({bound.in_words()})"
         if speed != asked:
@@ -105,9 +105,9 @@ def _bound_on_z(bench: Bench, settings: JogSettings) -> SpeedBound | None:
     further than the force sensor's limit. None without a force sensor, by which nothing stops."""
     if "force_sensor" not in bench.instruments:
         return None
-    limit_N = bench.force_sensor.reach()["force"].high
+    limit_N = bench.force_sensor.limits()["force"].high
     return braking_bound(bench, limit_N - settings.largest_force_N)
 
 
-def _speed(asked: float, unit: str, reach: Reach) -> float:
-    return reach.nearest(min(asked, FASTEST[unit]))
+def _speed(asked: float, unit: str, limits: Limits) -> float:
+    return limits.nearest(min(asked, FASTEST[unit]))

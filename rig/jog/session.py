@@ -112,9 +112,9 @@ class JogSession:
         beyond the sensor's range or too near to its end for z to brake before it.
         """
         if "force_sensor" in bench.instruments:
-            reach = bench.force_sensor.reach()["force"]
+            limits = bench.force_sensor.limits()["force"]
             try:
-                require("--largest-force", settings.largest_force_N, reach)
+                require("--largest-force", settings.largest_force_N, limits)
             except LimitError as error:
                 raise LimitError(error.message, remedy(error, bench)) from error
         axes, self._limited = axes_of(bench, settings)

@@ -86,7 +86,7 @@ class JogWatch:
         stop_drives = self._arming.emergency_stop
         monitor = ForceMonitor(sensor, self._bench.clock, self.holds, stop_drives)
         self._arming.register("force stream", monitor.stop, deadline_s, watches=True)
-        monitor.start(min(FORCE_RATE_S_S, sensor.reach()["rate"].high))
+        monitor.start(min(FORCE_RATE_S_S, sensor.limits()["rate"].high))
         self._force = monitor
 
     def limit_force(self, limit_N: float) -> None:

@@ -31,7 +31,7 @@ class Move:
     """A value that a point requires of the bench: ``generator.frequency`` = 200."""
 
     quantity: str
-    """Role and quantity, as in `Bench.reach`."""
+    """Role and quantity, as in `Bench.limits`."""
     value: float
     given: tuple[str, ...] = ()
     """Settings that the value is computed from, for the message that refuses it."""
@@ -103,7 +103,7 @@ def refusals(
         yield ConfigurationError("there is no point to measure", "ask for at least one")
     yield from out_of_reach(bench)
     seen: set[str] = set(taken)
-    reach = bench.reach()
+    limits = bench.limits()
     for point in points:
         if point.id in seen:
             yield ConfigurationError(
@@ -111,7 +111,7 @@ def refusals(
             )
         seen.add(point.id)
         for move in point.moves:
-            if move.quantity not in reach:
+            if move.quantity not in limits:
                 role = move.quantity.split(".")[0]
                 yield ConfigurationError(
                     f"point {point.id} needs {move.quantity}, which this bench does not have",
@@ -120,7 +120,7 @@ def refusals(
                 continue
             name = move.quantity.replace(".", " ")
             try:
-                require(name, move.value, reach[move.quantity], f"point {point.id}")
+                require(name, move.value, limits[move.quantity], f"point {point.id}")
             except LimitError as error:
                 origin = _origin(move.given, settings)
                 yield LimitError(error.message + origin, remedy(error, bench))

@@ -152,16 +152,16 @@ def check_a_whole_experiment_works_and_calls_every_method(case: Case) -> None:
             f"the identity has the serial number {number!r}; that of a simulated instrument begins "
             f"with SIM{', but ' + case.anonymous if case.anonymous else ''}"
         )
-        reach = instrument.reach()
-        same("the set of quantities of reach()", set(reach), set(role.quantities))
-        for quantity, limits in reach.items():
+        limits = instrument.limits()
+        same("the set of quantities of limits()", set(limits), set(role.quantities))
+        for quantity, limit in limits.items():
             fixed = quantity == "rate"  # one that cannot be set has no width
-            assert limits.low < limits.high or (fixed and limits.low == limits.high), (
-                f"reach()[{quantity!r}] is {limits.low:g} to {limits.high:g}"
+            assert limit.low < limit.high or (fixed and limit.low == limit.high), (
+                f"limits()[{quantity!r}] is {limit.low:g} to {limit.high:g}"
             )
-            assert instrument.identity.model in limits.owner, (
-                f"reach()[{quantity!r}] has the owner {limits.owner!r}, which does not name the "
-                f"model {instrument.identity.model!r}"
+            assert instrument.identity.model in limit.limited_by, (
+                f"limits()[{quantity!r}] has limited_by {limit.limited_by!r}, which does not name "
+                f"the model {instrument.identity.model!r}"
             )
         for step in role.script:
             step.act(instrument, service)

@@ -28,8 +28,8 @@ def _acquisition(daq: Any, rate_S_s: float, samples: int) -> Acquisition:
         InputChannel(name, range_V)
         for name, range_V in zip(NAMES, (ranges[-1], ranges[-2:][0]), strict=True)
     )
-    reach = daq.reach()["rate"]
-    return Acquisition(channels, min(max(rate_S_s, reach.low), reach.high), samples)
+    limits = daq.limits()["rate"]
+    return Acquisition(channels, min(max(rate_S_s, limits.low), limits.high), samples)
 
 
 def _check_record(record: Record, wanted: Acquisition, service: Any, since_s: float) -> None:

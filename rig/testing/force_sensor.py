@@ -19,8 +19,8 @@ three looks, so that how many are due is beyond doubt at any rate."""
 
 
 def _usual_rate(sensor: Any) -> float:
-    """Return the frame rate asked for, or the nearest one that the sensor's `reach` has."""
-    limits = sensor.reach()["rate"]
+    """Return the frame rate asked for, or the nearest one that the sensor's `limits` has."""
+    limits = sensor.limits()["rate"]
     return float(min(max(USUAL_RATE_S_s, limits.low), limits.high))
 
 
@@ -94,7 +94,7 @@ def _begin(sensor: Any, service: Any, rate_S_s: float | None = None) -> float:
     has = service.truth("rates")
     nearest = min(has, key=lambda one: abs(one - asked)) if has else asked
     assert rate == nearest, f"asked for {asked:g} frames/s, the sensor's nearest is {nearest:g}"
-    assert sensor.reach()["rate"].holds(rate), f"reach() does not hold the rate of {rate:g} 1/s"
+    assert sensor.limits()["rate"].holds(rate), f"limits() does not hold the rate of {rate:g} 1/s"
     return since
 
 
@@ -167,7 +167,7 @@ def _other_rate(sensor: Any, service: Any) -> None:
 
     It is the same rate where that is fixed.
     """
-    half = max(_usual_rate(sensor) / 2, sensor.reach()["rate"].low)
+    half = max(_usual_rate(sensor) / 2, sensor.limits()["rate"].low)
     since = _begin(sensor, service, half)
     service.sleep(_slice_s(service))
     index = _check_frames(_collected(sensor, service), service, 0, since)

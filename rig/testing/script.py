@@ -35,7 +35,7 @@ class Role:
 
     protocol: type
     quantities: frozenset[str]
-    """Names of the quantities that `reach` must have."""
+    """Names of the quantities that `limits` must have."""
     script: tuple[Step, ...]
     excite: Callable[[Any, Any], None]
     """Leaves the instrument in a state from which it has to be made safe."""

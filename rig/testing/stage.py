@@ -38,18 +38,18 @@ class _Scale:
 
     @classmethod
     def of(cls, stage: Any) -> _Scale:
-        """Return the scale of a linear stage, which may go where its `reach` says."""
-        position, speed = stage.reach()["position"], stage.reach()["speed"]
+        """Return the scale of a linear stage, which may go where its `limits` says."""
+        position, speed = stage.limits()["position"], stage.limits()["speed"]
         way = position.high - position.low
         return cls(position.low, min(1.0, way / 80.0, speed.high / 500.0))
 
     @classmethod
     def of_rotary(cls, stage: Any) -> _Scale:
         """Return the scale of a rotary stage."""
-        reach = stage.reach()
-        way = reach["angle"].high - reach["angle"].low
-        limits = (way / 95.0, reach["speed"].high / 60.0, reach["acceleration"].high / 1000.0)
-        return cls(reach["angle"].low + 5.0 * min(1.0, *limits), min(1.0, *limits))
+        limits = stage.limits()
+        way = limits["angle"].high - limits["angle"].low
+        shares = (way / 95.0, limits["speed"].high / 60.0, limits["acceleration"].high / 1000.0)
+        return cls(limits["angle"].low + 5.0 * min(1.0, *shares), min(1.0, *shares))
 
     def at(self, position: float) -> float:
         """Return the position or angle on this stage."""
@@ -165,11 +165,11 @@ def _no_timeout(stage: Any, service: Any) -> None:
 
 def _move_beyond(stage: Any, service: Any) -> None:
     stage.stop()
-    scale, reach = _Scale.of(stage), stage.reach()
+    scale, limits = _Scale.of(stage), stage.limits()
     inside, slowly = scale.at(40.0), scale(10.0)
-    beyond = reach["position"].high + 1.0, reach["speed"].high + 1.0
+    beyond = limits["position"].high + 1.0, limits["speed"].high + 1.0
     for position_mm, speed_mm_s in ((beyond[0], slowly), (inside, beyond[1]), (inside, 0.0)):
-        with raising(LimitError, f"start_move({position_mm:g}, {speed_mm_s:g}), beyond reach()"):
+        with raising(LimitError, f"start_move({position_mm:g}, {speed_mm_s:g}), beyond limits()"):
             stage.start_move(position_mm, speed_mm_s)
     at_rest(service, "after motions that were refused")
 
@@ -314,7 +314,7 @@ def _streamed(stage: Any, service: Any) -> None:
     Check that the stage follows without a stop, and ends at the last one."""
     scale = _Scale.of_rotary(stage)
     _turn(stage, scale, 10.0, 50.0, 500.0)
-    slowest = stage.reach()["speed"].low
+    slowest = stage.limits()["speed"].low
     step_s = 1 / SET_POINTS_Hz
     profile = 10.0 + 3.5 * np.sin(np.pi / 2 * np.clip(step_s * np.arange(103), 0.0, 1.0)) ** 2
     for k in range(100):
@@ -363,7 +363,7 @@ def _turn_beyond(stage: Any, service: Any) -> None:
     stage.stop()
     scale = _Scale.of_rotary(stage)
     angle, speed, acceleration = (
-        stage.reach()[quantity].high for quantity in ("angle", "speed", "acceleration")
+        stage.limits()[quantity].high for quantity in ("angle", "speed", "acceleration")
     )
     inside, slowly, gently = scale.at(10.0), scale(5.0), scale(100.0)
     for asked in (
@@ -374,7 +374,7 @@ def _turn_beyond(stage: Any, service: Any) -> None:
         (inside, slowly, 0.0),
         (float("nan"), slowly, gently),
     ):
-        with raising(LimitError, f"start_turn{asked}, beyond reach()"):
+        with raising(LimitError, f"start_turn{asked}, beyond limits()"):
             stage.start_turn(*asked)
     at_rest(service, "after turns that were refused")
 

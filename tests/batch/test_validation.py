@@ -22,7 +22,7 @@ from rig.bench.settings import Fixture
 from rig.core.clock import WallClock
 from rig.core.errors import ConfigurationError, ExitCode
 from rig.core.settings import Settings
-from rig.instruments.roles import Acquisition, Reach
+from rig.instruments.roles import Acquisition, Limits
 
 BENCH = """
 name = "bench-5"
@@ -46,8 +46,8 @@ class Instrument:
     def __init__(self, **highest: float):
         self._highest = highest
 
-    def reach(self) -> dict[str, Reach]:
-        return {name: Reach(0.0, high, "u", "it") for name, high in self._highest.items()}
+    def limits(self) -> dict[str, Limits]:
+        return {name: Limits(0.0, high, "u", "it") for name, high in self._highest.items()}
 
     def ranges_V(self) -> tuple[float, ...]:  # noqa: N802 - the unit keeps its capital
         return (10.0,)

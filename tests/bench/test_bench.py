@@ -21,7 +21,7 @@ from rig.bench.link_worker import LinkWorkers
 from rig.bench.plan import BenchPlan, InstrumentPlan, parse_bench, read_bench, rehearsal
 from rig.core.clock import WallClock
 from rig.core.errors import ConfigurationError, ExitCode, InstrumentError, LimitError, RigError
-from rig.instruments.roles import Identity, Reach
+from rig.instruments.roles import Identity, Limits
 from rig.run.points import Move, Point, require_roles
 
 GOOD = """
@@ -190,10 +190,10 @@ class Fake:
         self.identity = Identity("ACME", "G", serial, "1")
         self.calls: list[tuple[object, ...]] = []
 
-    def reach(self) -> dict[str, Reach]:
+    def limits(self) -> dict[str, Limits]:
         return {
-            "frequency": Reach(1.0, 1000.0, "Hz", "generator G"),
-            "amplitude": Reach(0.1, 2.0, "V", "generator G"),
+            "frequency": Limits(1.0, 1000.0, "Hz", "generator G"),
+            "amplitude": Limits(0.1, 2.0, "V", "generator G"),
         }
 
     def __getattr__(self, name: str) -> Any:
@@ -225,7 +225,7 @@ def test_connecting_gives_a_guarded_generator_and_the_limits_of_all() -> None:
     generator, daq = Fake(), Fake()
     bench = connect(plan_with(works(generator), works(daq)), WallClock())
     assert isinstance(bench.generator, GuardedGenerator)
-    assert "generator.frequency" in bench.reach()
+    assert "generator.frequency" in bench.limits()
     assert bench.load_cell.sensitivity_V_N == 0.5
     assert not bench.simulated
     bench.close()
@@ -368,10 +368,10 @@ def test_a_guarded_generator_passes_on_what_is_inside() -> None:
 
 
 def test_require_names_value_unit_limit_device_and_place() -> None:
-    reach = Reach(0, 5, "N", "load cell")
-    require("load", 5, reach)
+    limits = Limits(0, 5, "N", "load cell")
+    require("load", 5, limits)
     with pytest.raises(LimitError) as caught:
-        require("load", 5.5, reach, "point 3")
+        require("load", 5.5, limits, "point 3")
     assert caught.value.message == "point 3: load 5.5 N is outside 0 to 5 N of the load cell"
 
 

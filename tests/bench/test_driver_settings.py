@@ -60,7 +60,7 @@ def daq(driver: str, settings: str) -> str:
 def deceleration_used(plan: BenchPlan) -> float:
     """The deceleration that bounds the speed of z."""
     fixture = SimpleNamespace(stiffest_N_mm=10.0)
-    stage_z = SimpleNamespace(reach=lambda: {"update_rate": SimpleNamespace(high=100.0)})
+    stage_z = SimpleNamespace(limits=lambda: {"update_rate": SimpleNamespace(high=100.0)})
     bench: Any = SimpleNamespace(
         plan=plan, stage_z=stage_z, settings=SimpleNamespace(fixture=fixture)
     )

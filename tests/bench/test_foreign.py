@@ -31,7 +31,7 @@ from rig.instruments.roles import (
     ForceFrames,
     Identity,
     InputChannel,
-    Reach,
+    Limits,
     Record,
     ReportsFault,
     Scaling,
@@ -46,10 +46,10 @@ class Stage:
 
     def __init__(self) -> None:
         self.identity: Any = Identity("Lab", "Z", "1", "2")
-        self.limits: Any = {
-            "position": Reach(0.0, 40.0, "mm", "stage_x"),
-            "speed": Reach(0.1, 20.0, "mm/s", "stage_x"),
-            "update_rate": Reach(0.0, 100.0, "Hz", "stage_x"),
+        self.within: Any = {
+            "position": Limits(0.0, 40.0, "mm", "stage_x"),
+            "speed": Limits(0.1, 20.0, "mm/s", "stage_x"),
+            "update_rate": Limits(0.0, 100.0, "Hz", "stage_x"),
         }
         self.at: Any = 10.0
         self.sent: list[str] = []
@@ -62,8 +62,8 @@ class Stage:
             return lambda: False
         raise AttributeError(name)
 
-    def reach(self) -> Any:
-        return self.limits
+    def limits(self) -> Any:
+        return self.within
 
     def position_mm(self) -> Any:
         return self.at
@@ -84,12 +84,12 @@ def wrong(**values: Any) -> Stage:
 
 CONNECTED = {
     "None": (lambda: None, "connect() returned None"),
-    "a list of limits": (lambda: wrong(limits=[1]), "reach() returned a list, not a mapping"),
+    "a list of limits": (lambda: wrong(within=[1]), "limits() returned a list, not a mapping"),
     "a limit without one": (
-        lambda: wrong(limits={"position": (0, 40)}),
-        "reach() has position = a tuple, not a Reach",
+        lambda: wrong(within={"position": (0, 40)}),
+        "limits() has position = a tuple, not a Limits",
     ),
-    "a missing limit": (lambda: wrong(limits={}), "reach() lacks position, speed, update_rate"),
+    "a missing limit": (lambda: wrong(within={}), "limits() lacks position, speed, update_rate"),
     "no identity": (lambda: wrong(identity=None), "identity is None, not an Identity"),
     "an identity of numbers": (
         lambda: wrong(identity=Identity("Lab", 1, b"x", 2.0)),  # type: ignore[arg-type]
@@ -100,20 +100,20 @@ CONNECTED = {
         "identity has serial_number = a bytes, not a text",
     ),
     "a limit that is not known": (
-        lambda: wrong(limits={"position": Reach(math.nan, 40.0, "mm", "stage_x")}),
-        "reach() has position with low = nan, not a number",
+        lambda: wrong(within={"position": Limits(math.nan, 40.0, "mm", "stage_x")}),
+        "limits() has position with low = nan, not a number",
     ),
     "a limit of texts": (
-        lambda: wrong(limits={"speed": Reach(0.0, "20", "mm/s", "stage_x")}),  # type: ignore[arg-type]
-        "reach() has speed with high = '20', not a number",
+        lambda: wrong(within={"speed": Limits(0.0, "20", "mm/s", "stage_x")}),  # type: ignore[arg-type]
+        "limits() has speed with high = '20', not a number",
     ),
     "a limit without a unit": (
-        lambda: wrong(limits={"speed": Reach(0.0, 20.0, None, "stage_x")}),  # type: ignore[arg-type]
-        "reach() has speed with unit = None, not a text",
+        lambda: wrong(within={"speed": Limits(0.0, 20.0, None, "stage_x")}),  # type: ignore[arg-type]
+        "limits() has speed with unit = None, not a text",
     ),
     "limits the wrong way round": (
-        lambda: wrong(limits={"position": Reach(40.0, 0.0, "mm", "stage_x")}),
-        "reach() has position with low = 40 mm, above high = 0 mm",
+        lambda: wrong(within={"position": Limits(40.0, 0.0, "mm", "stage_x")}),
+        "limits() has position with low = 40 mm, above high = 0 mm",
     ),
     "no stop": (lambda: wrong(stop=None), "returned a Stage without stop, which a stage_x needs"),
     "an exception": (lambda: [][0], "cannot connect: "),
@@ -157,8 +157,8 @@ def test_one_that_cannot_be_closed_keeps_no_other_from_it() -> None:
 
 
 def test_a_limit_may_be_infinite_or_a_whole_number() -> None:
-    stage = wrong(limits=Stage().limits | {"update_rate": Reach(0, math.inf, "Hz", "stage_x")})
-    assert connect_foreign(PART, ENTRY, lambda: stage).reach() == stage.limits
+    stage = wrong(within=Stage().within | {"update_rate": Limits(0, math.inf, "Hz", "stage_x")})
+    assert connect_foreign(PART, ENTRY, lambda: stage).limits() == stage.within
 
 
 @pytest.mark.parametrize("at", [float("nan"), float("inf"), "10.0", None, True])

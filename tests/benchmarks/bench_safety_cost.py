@@ -32,7 +32,7 @@ from rig.core.clock import WallClock
 from rig.core.errors import ExitCode
 from rig.core.settings import Settings
 from rig.files.journal.layout import Column, Layout, Plot
-from rig.instruments.roles import ForceFrames, Reach
+from rig.instruments.roles import ForceFrames, Limits
 from rig.run.execute import execute
 from rig.run.holds import Holds
 from rig.run.job import RunJob
@@ -111,15 +111,15 @@ class Ticking(Procedure):
         return {"x": 0.0, "y": 0.0}
 
 
-def counted(monkeypatch, done, owner, name, what):
+def counted(monkeypatch, done, limited_by, name, what):
     """Count the calls of a method."""
-    inner = getattr(owner, name)
+    inner = getattr(limited_by, name)
 
     def counting(self, *args, **options):
         done[what] += 1
         return inner(self, *args, **options)
 
-    monkeypatch.setattr(owner, name, counting)
+    monkeypatch.setattr(limited_by, name, counting)
 
 
 def test_what_safety_costs_a_tick(rig, monkeypatch):
@@ -175,8 +175,8 @@ def test_what_watching_and_guarding_cost(rig):
     sensor = SimpleNamespace(bytes_consumed=0, frames_behind=0.0, read=lambda: frames)
     monitor = ForceMonitor(sensor, WallClock(), Holds(), lambda: [])
     monitor.watch(10.0)
-    reach = {"frequency": Reach(0, 1e4, "Hz", "g"), "amplitude": Reach(0, 10, "V", "g")}
-    inner = SimpleNamespace(reach=lambda: reach, sine=lambda f, a: None)
+    limits = {"frequency": Limits(0, 1e4, "Hz", "g"), "amplitude": Limits(0, 10, "V", "g")}
+    inner = SimpleNamespace(limits=lambda: limits, sine=lambda f, a: None)
     guarded = GuardedGenerator(inner)
     watched, read, guard, call = [], [], [], []
     for _ in range(REPEATS):

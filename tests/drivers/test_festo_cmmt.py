@@ -21,9 +21,9 @@ def test_who_it_is_and_what_it_may() -> None:
         axis = it.connect()
         assert axis.identity.simulated
         assert axis.identity.serial_number == "SIMZ1"
-        reach = axis.reach()
-        assert (reach["position"].low, reach["position"].high) == (0.0, 80.0)
-        assert reach["speed"].high == 50.0
+        limits = axis.limits()
+        assert (limits["position"].low, limits["position"].high) == (0.0, 80.0)
+        assert limits["speed"].high == 50.0
 
 
 def test_a_servo_follows_a_moving_target_without_ever_stopping() -> None:

@@ -50,7 +50,7 @@ def test_connecting_switches_off_before_anything_and_reads_every_limit_back() ->
         assert generator.identity.model == "33512B"
         assert generator.identity.serial_number == "MY59000123"
         assert not generator.identity.simulated
-        assert generator.reach()["amplitude"].high == 2.5
+        assert generator.limits()["amplitude"].high == 2.5
         generator.close()
 
 

@@ -137,8 +137,8 @@ def test_connecting_to_old_firmware_stops_identifies_and_only_reads_what_is_righ
         assert amplifier.identity.serial_number == "21034415"
         assert amplifier.identity.firmware == "1.42"
         assert not amplifier.identity.simulated
-        assert amplifier.reach()["rate"].high == 12000
-        assert amplifier.reach()["force"].low == -50
+        assert amplifier.limits()["rate"].high == 12000
+        assert amplifier.limits()["force"].low == -50
         amplifier.close()
 
 

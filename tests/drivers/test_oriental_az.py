@@ -61,14 +61,16 @@ def test_the_line_has_its_silence_on_the_benchs_clock() -> None:
         gaps = [b - a for a, b in zip(bench.line.at_us, bench.line.at_us[1:], strict=False)]
         shortest = (8 + 21) * 11 / 230_400 * 1e6 + 6000
         assert min(gaps) == pytest.approx(shortest, abs=2)
-        assert axis.reach()["update_rate"].high == pytest.approx(50.0)
+        assert axis.limits()["update_rate"].high == pytest.approx(50.0)
 
 
 def test_a_slow_line_carries_fewer_updates() -> None:
     with service(baudrate=19_200, communication_timeout_ms=2000) as bench:
         axis = bench.connect()
-        assert 10 < axis.reach()["update_rate"].high < 25
-        assert "its line carries a poll and a new target in" in axis.reach()["update_rate"].owner
+        assert 10 < axis.limits()["update_rate"].high < 25
+        assert (
+            "its line carries a poll and a new target in" in axis.limits()["update_rate"].limited_by
+        )
 
 
 def test_two_axes_share_one_port_and_close_it_together() -> None:

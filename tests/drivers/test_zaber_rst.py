@@ -97,7 +97,7 @@ def test_connecting_word_for_word() -> None:
         ]  # fmt: skip
         assert axis.identity.serial_number == "SIM00001"
         assert axis.identity.simulated
-        assert axis.reach()["acceleration"].low == pytest.approx(0.9537, abs=1e-4)
+        assert axis.limits()["acceleration"].low == pytest.approx(0.9537, abs=1e-4)
 
 
 def test_connecting_again_writes_nothing() -> None:

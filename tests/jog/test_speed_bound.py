@@ -9,7 +9,7 @@ import pytest
 
 from rig.core.errors import LimitError
 from rig.core.settings import Settings
-from rig.instruments.roles import Reach
+from rig.instruments.roles import Limits
 from rig.jog.axes import JogSettings, axes_of
 
 LIMIT_N = 40.0
@@ -24,13 +24,13 @@ class Stage(Settings):
 def bench(stiffest_N_mm: float, update_Hz: float = 1000.0) -> Any:
     """A bench with z and a force sensor, on a fixture with this stiffest contact."""
     stage = SimpleNamespace(
-        reach=lambda: {
-            "position": Reach(0.0, 14.0, "mm", "stage_z"),
-            "speed": Reach(0.001, 50.0, "mm/s", "stage_z"),
-            "update_rate": Reach(0.0, update_Hz, "Hz", "stage_z"),
+        limits=lambda: {
+            "position": Limits(0.0, 14.0, "mm", "stage_z"),
+            "speed": Limits(0.001, 50.0, "mm/s", "stage_z"),
+            "update_rate": Limits(0.0, update_Hz, "Hz", "stage_z"),
         }
     )
-    sensor = SimpleNamespace(reach=lambda: {"force": Reach(0.0, LIMIT_N, "N", "force_sensor")})
+    sensor = SimpleNamespace(limits=lambda: {"force": Limits(0.0, LIMIT_N, "N", "force_sensor")})
     return SimpleNamespace(
         instruments={"stage_z": stage, "force_sensor": sensor},
         stage_z=stage,

@@ -44,7 +44,7 @@ class Instrument:
 
     identity = Identity("made up", "made up", "SIM1", "0")
 
-    def reach(self) -> Mapping[str, Any]:
+    def limits(self) -> Mapping[str, Any]:
         return {}
 
     def close(self) -> None:

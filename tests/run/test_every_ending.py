@@ -133,7 +133,7 @@ class Instrument:
 
     identity = Identity("nobody", "made up", "SIM1", "0")
 
-    def reach(self) -> Mapping[str, Any]:
+    def limits(self) -> Mapping[str, Any]:
         return {}
 
     def close(self) -> None:

@@ -145,7 +145,7 @@ def test_a_dry_run_shows_the_traceback_of_a_driver_that_cannot_connect(acme: Any
 
 @pytest.mark.thorough
 def test_a_fault_of_a_driver_in_the_checks_names_its_package(acme: Any) -> None:
-    # `reach` is right when it is connected, and raises when the points are checked.
+    # `limits` is right when it is connected, and raises when the points are checked.
     change(
         acme,
         "x",

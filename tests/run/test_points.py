@@ -26,7 +26,7 @@ class Converter:
 
 BENCH: Any = SimpleNamespace(
     daq=Converter(),
-    reach=dict,
+    limits=dict,
     settings=SimpleNamespace(fixtures=()),
     plan=SimpleNamespace(source="bench.toml"),
 )

@@ -160,7 +160,7 @@ def stream_force(run: Run, least_S_s: float, what: str) -> None:
     Raises LimitError where that is less than `least_S_s`, which `what` needs; call it before any
     motion.
     """
-    rates = run.bench.force_sensor.reach()["rate"]
+    rates = run.bench.force_sensor.limits()["rate"]
     rate_S_s = run.stream_force(min(max(FORCE_RATE_S_S, rates.low), rates.high)).rate_S_s
     if rate_S_s < least_S_s:
         raise LimitError(

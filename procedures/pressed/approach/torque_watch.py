@@ -61,7 +61,7 @@ class TorqueWatch:
         self._limit_percent = torque_limit_percent(run.bench) if self._stage else 100.0
         self._every_s = EVERY_S
         if self._stage is not None:
-            link_s = 1 / stage.reach()["update_rate"].high
+            link_s = 1 / stage.limits()["update_rate"].high
             self._every_s = max(EVERY_S, link_s / LINK_SHARE)
         self._read_at_s = -np.inf
         self.latest_percent: float | None = None

@@ -38,7 +38,7 @@ def unload_deadline_s(run: Run) -> float:
     """Return the longest time in s that the way off the object may take, however slow z is and
     wherever it stands."""
     stage = run.bench.stage_z
-    travel = stage.reach()["position"]
+    travel = stage.limits()["position"]
     return UNLOAD_DEADLINE_S + (travel.high - travel.low) / travel_mm_s(stage)
 
 
@@ -215,12 +215,12 @@ def _go_clear(run: Run, came_from_mm: float) -> None:
             if not stage.homed():
                 raise
             parked_mm = run.bench.settings.fixture.parked_mm
-            target_mm = max(min(came_from_mm, parked_mm), stage.reach()["position"].low)
+            target_mm = max(min(came_from_mm, parked_mm), stage.limits()["position"].low)
             stage.move_to(target_mm, travel_mm_s(stage))
             return
     target_mm = run.bench.settings.fixture.parked_mm
     if target_mm > stands_mm + BOTTOM_mm:
-        lowest_mm = stage.reach()["position"].low
+        lowest_mm = stage.limits()["position"].low
         target_mm = max(min(came_from_mm, stands_mm), lowest_mm)
     if target_mm <= stands_mm + BOTTOM_mm:
         stage.move_to(target_mm, travel_mm_s(stage))

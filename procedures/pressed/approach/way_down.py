@@ -44,7 +44,7 @@ USUAL_LINK_S = 0.001
 def travel_mm_s(stage: LinearStage) -> float:
     """Return the speed in mm/s of a way that is known to be clear: `TRAVEL_mm_s`, or the largest
     speed of a slower stage. The way off the object is one of these, so no limit may refuse it."""
-    return stage.reach()["speed"].nearest(TRAVEL_mm_s)
+    return stage.limits()["speed"].nearest(TRAVEL_mm_s)
 
 
 def speed_bound(bench: Bench, limit_N: float) -> SpeedBound:
@@ -72,7 +72,7 @@ def expected_speed_mm_s(fixture: FixtureSettings, limit_N: float) -> float:
 
 def require_possible(bench: Bench, limit_N: float, held_N: float) -> None:
     """Raise LimitError where the slowest speed of z is faster than the bounds allow."""
-    slowest_mm_s = bench.stage_z.reach()["speed"].low
+    slowest_mm_s = bench.stage_z.limits()["speed"].low
     for bound in (speed_bound(bench, limit_N), held_speed_bound(bench, limit_N, held_N)):
         bound.require("stage_z", slowest_mm_s)
 

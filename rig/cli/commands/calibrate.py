@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from rig.bench.connected import Bench
     from rig.cli.commands.weigh import WeighingOperator
     from rig.instruments.calibration import CalibrationRecord
-    from rig.instruments.roles import Reach
+    from rig.instruments.roles import Limits
 
     Vector = tuple[float, float, float]
 
@@ -127,9 +127,9 @@ def force(
         readings, frames_s = reading_times(options), number(rate, "1/s", "--rate")
         with _at_the_bench(options, wanted, "force_sensor") as (connected, person, folder):
             amplifier = connected.force_sensor
-            _refuse_heavy(max(weights_N), options, amplifier.reach()["force"])
+            _refuse_heavy(max(weights_N), options, amplifier.limits()["force"])
             scale = ForceScale(
-                amplifier, connected.clock, readings, _rate(frames_s, amplifier.reach()["rate"])
+                amplifier, connected.clock, readings, _rate(frames_s, amplifier.limits()["rate"])
             )
             means = weigh(forces, scale, person, connected.clock)
             fields["sensor"] = sensor or amplifier.identity.serial_number
@@ -168,7 +168,7 @@ def load_cell(
         from rig.analysis.weighing import fit_load_cell, refuse_outlier, sequence
         from rig.cli.commands.weigh import weigh
         from rig.instruments.calibration import LoadCellCalibration, make_record
-        from rig.instruments.roles import Reach
+        from rig.instruments.roles import Limits
         from rig.run.streams.scales import CellScale
 
         weights_N = weights_of(weights)
@@ -179,7 +179,7 @@ def load_cell(
         readings = reading_times(options)
         with _at_the_bench(options, wanted, "daq") as (connected, person, folder):
             cell = connected.load_cell
-            _refuse_heavy(max(weights_N), options, Reach(0.0, cell.max_load_N, "N", "load cell"))
+            _refuse_heavy(max(weights_N), options, Limits(0.0, cell.max_load_N, "N", "load cell"))
             _refuse_out_of_range(max(weights_N) * cell.sensitivity_V_N, range_V)
             fields["sensor"] = sensor or _name_of_cell(connected)
             fields["simulated"] = connected.simulated
@@ -301,21 +301,21 @@ def _stoppable(as_json: bool) -> Iterator[None]:
         raise typer.Exit(int(stopped.code)) from None
 
 
-def _refuse_heavy(largest_N: float, options: WeighingOptions, reach: Reach) -> None:
+def _refuse_heavy(largest_N: float, options: WeighingOptions, limits: Limits) -> None:
     total = largest_N + number(options.preload, "N", "--preload")
-    if not reach.holds(total):
+    if not limits.holds(total):
         raise LimitError(
-            f"weights and preload of {total:g} N are over the limit of {reach.high:g} N of the "
-            f"{reach.owner}",
+            f"weights and preload of {total:g} N are over the limit of {limits.high:g} N of the "
+            f"{limits.limited_by}",
             "choose smaller weights with --weights",
         )
 
 
-def _rate(rate: float, reach: Reach) -> float:
-    if not reach.holds(rate):
+def _rate(rate: float, limits: Limits) -> float:
+    if not limits.holds(rate):
         raise LimitError(
-            f"--rate {rate:g} is outside {reach.low:g} to {reach.high:g} frames/s of the "
-            f"{reach.owner}",
+            f"--rate {rate:g} is outside {limits.low:g} to {limits.high:g} frames/s of the "
+            f"{limits.limited_by}",
             "choose a rate inside",
         )
     return rate

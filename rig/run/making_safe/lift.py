@@ -75,10 +75,10 @@ class Lift:
         self._require_sound()
         before_N = force()
         target_mm = clear_mm(self._bench.settings.fixture)
-        reach = self._stage.reach()
-        if not reach["position"].holds(target_mm):
+        limits = self._stage.limits()
+        if not limits["position"].holds(target_mm):
             raise NotLiftedError(f"{target_mm:g} mm is outside the limits of stage_z")
-        speed_mm_s = reach["speed"].nearest(LIFT_mm_s)
+        speed_mm_s = limits["speed"].nearest(LIFT_mm_s)
         longest_s = STEADY_S + LONGEST_S * max(1.0, LIFT_mm_s / speed_mm_s)
         give_up_s = min(self._clock.now() + longest_s, self._until_s)
         for _ in range(round(STEADY_S / LOOK_EVERY_S)):

@@ -260,7 +260,7 @@ class _Sensor:
             apply_calibrations(bench, datetime.now().astimezone(), allow_expired=True)
             if orders.zero is not None:
                 bench.force_sensor.tare(orders.zero)
-            self.limit_N = min(orders.limit_N, bench.force_sensor.reach()["force"].high)
+            self.limit_N = min(orders.limit_N, bench.force_sensor.limits()["force"].high)
         except (RigError, OSError) as error:
             self.trouble = f"since {_why(error)}"
             return
@@ -276,7 +276,7 @@ class _Sensor:
             if self._streams:
                 self._streams = False
                 sensor.stop()
-            rate_S_s = sensor.start(min(RATE_S_S, sensor.reach()["rate"].high))
+            rate_S_s = sensor.start(min(RATE_S_S, sensor.limits()["rate"].high))
             try:
                 return _largest_N(_frames(self._bench, round(SECONDS * rate_S_s)))
             finally:
@@ -293,7 +293,7 @@ class _Sensor:
         sensor = self._bench.force_sensor
         try:
             if not self._streams:
-                sensor.start(min(RATE_S_S, sensor.reach()["rate"].high))
+                sensor.start(min(RATE_S_S, sensor.limits()["rate"].high))
                 self._streams = True
                 self._latest_N = _largest_N(_frames(self._bench, LATEST))
             elif (frames := sensor.read()) is not None and len(frames):

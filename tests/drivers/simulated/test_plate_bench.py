@@ -206,8 +206,8 @@ def test_both_stages_are_kept_alive_guarded_and_made_safe(started: Started) -> N
     rest = bench.stage_x.position_mm()
     started.clock.sleep(0.2)
     assert bench.stage_x.position_mm() == rest < 35.0
-    reach = bench.reach()
-    assert (reach["stage_x.position"].high, reach["stage_z.position"].high) == (40.0, 14.0)
+    limits = bench.limits()
+    assert (limits["stage_x.position"].high, limits["stage_z.position"].high) == (40.0, 14.0)
 
 
 @pytest.mark.thorough

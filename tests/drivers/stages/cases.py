@@ -78,16 +78,16 @@ class StageCase(ABC):
     @contextmanager
     def before_a_motion_is_sent(self, act: Callable[[], object]) -> Iterator[None]:
         """Do `act` once between the driver's last look at the stage and its command."""
-        owner, name = self.watches
-        usual = getattr(owner, name)
+        limited_by, name = self.watches
+        usual = getattr(limited_by, name)
 
         def watch(*given: Any) -> MotionWatch | None:
             made: MotionWatch | None = usual(*given)
-            delattr(owner, name)
+            delattr(limited_by, name)
             act()
             return made
 
-        setattr(owner, name, watch)
+        setattr(limited_by, name, watch)
         yield
 
     def after(self, seconds: float, act: Callable[[], object]) -> None:

@@ -12,12 +12,12 @@ from procedures.pressed.rates import ServoRates
 from procedures.pressed.record.force import FORCE_AGE_S, FORCE_WINDOW_S, ForceTiming
 from procedures.pressed.settings import DELAY_S, MIN_FORCE_RATE_S_S, arm_pressed
 from rig.core.errors import LimitError
-from rig.instruments.roles import Reach
+from rig.instruments.roles import Limits
 
 RATES = ServoRates(100.0, DELAY_S, 100.0)
 STAGE_REACH = {
-    "position": Reach(0.0, 14.0, "mm", "stage_z"),
-    "speed": Reach(0.001, 20.0, "mm/s", "stage_z"),
+    "position": Limits(0.0, 14.0, "mm", "stage_z"),
+    "speed": Limits(0.001, 20.0, "mm/s", "stage_z"),
 }
 
 
@@ -49,13 +49,13 @@ class SlowSensor:
     """A run whose force sensor has only some rates, and whose z can be armed but not moved."""
 
     def __init__(self, highest_S_s: float) -> None:
-        reach = {"rate": Reach(1.0, highest_S_s, "1/s", "force_sensor")}
-        sensor = SimpleNamespace(reach=lambda: reach)
+        limits = {"rate": Limits(1.0, highest_S_s, "1/s", "force_sensor")}
+        sensor = SimpleNamespace(limits=lambda: limits)
         fixture = SimpleNamespace(contact_from_mm=12.0, contact_to_mm=13.0, parked_mm=5.0)
         self.bench = SimpleNamespace(
             force_sensor=sensor,
             daq=SimpleNamespace(stop=None),
-            stage_z=SimpleNamespace(stop=_move, make_safe=_move, reach=lambda: STAGE_REACH),
+            stage_z=SimpleNamespace(stop=_move, make_safe=_move, limits=lambda: STAGE_REACH),
             settings=SimpleNamespace(fixture=fixture),
         )
         self.settings = SimpleNamespace(largest_force_N=15.0)

@@ -7,32 +7,36 @@ import pytest
 from procedures.roll_trial.profile import Curve, ThereAndBack
 from procedures.roll_trial.trial import require_nudged, require_way_of_x
 from rig.core.errors import InstrumentError, LimitError
-from rig.instruments.roles import Reach
+from rig.instruments.roles import Limits
 
 ROLL = ThereAndBack(3.5, 12.0, 60.0, 0.3)
 CURVE = Curve((0.0, 0.5, 1.0), (0.0, -3.5, 0.0), 300.0)
 START_mm, TICK_S = 5.0, 0.01
 
 
-def reach(low_mm: float = 0.0, high_mm: float = 40.0, fastest_mm_s: float = 20.0):
+def limits(low_mm: float = 0.0, high_mm: float = 40.0, fastest_mm_s: float = 20.0):
     return {
-        "position": Reach(low_mm, high_mm, "mm", "stage_x"),
-        "speed": Reach(0.001, fastest_mm_s, "mm/s", "stage_x"),
+        "position": Limits(low_mm, high_mm, "mm", "stage_x"),
+        "speed": Limits(0.001, fastest_mm_s, "mm/s", "stage_x"),
     }
 
 
 @pytest.mark.parametrize("profile", [ROLL, CURVE])
 @pytest.mark.parametrize("offset_mm", [-8.0, 0.3, 8.0])
 def test_a_stage_with_room_may_compensate(profile, offset_mm):
-    require_way_of_x(offset_mm, profile, TICK_S, START_mm, reach())
+    require_way_of_x(offset_mm, profile, TICK_S, START_mm, limits())
 
 
 @pytest.mark.parametrize(
     ("profile", "limits", "words"),
     [
-        (ROLL, reach(low_mm=4.8), "needs a position of 4.695 mm; the stage_x allows 4.8 to 40 mm"),
-        (CURVE, reach(high_mm=5.2), "needs a position of 5.305 mm; the stage_x allows 0 to 5.2 mm"),
-        (ROLL, reach(fastest_mm_s=1.0), "needs a speed of 1.068 mm/s; the stage_x allows"),
+        (ROLL, limits(low_mm=4.8), "needs a position of 4.695 mm; the stage_x allows 4.8 to 40 mm"),
+        (
+            CURVE,
+            limits(high_mm=5.2),
+            "needs a position of 5.305 mm; the stage_x allows 0 to 5.2 mm",
+        ),
+        (ROLL, limits(fastest_mm_s=1.0), "needs a speed of 1.068 mm/s; the stage_x allows"),
     ],
 )
 def test_an_offset_that_x_cannot_follow_is_refused_before_the_roll(profile, limits, words):
@@ -58,5 +62,5 @@ def test_an_axis_that_stops_some_micrometres_beside_its_target_has_followed(went
 
 
 def test_an_x_that_is_never_slow_compensates_for_a_small_offset():
-    limits = reach() | {"speed": Reach(0.5, 20.0, "mm/s", "stage_x")}
-    require_way_of_x(0.001, ROLL, TICK_S, START_mm, limits)
+    changed = limits() | {"speed": Limits(0.5, 20.0, "mm/s", "stage_x")}
+    require_way_of_x(0.001, ROLL, TICK_S, START_mm, changed)

@@ -32,12 +32,12 @@ def way_of(course: Sequence[tuple[float, float, float]], alarm_at_s: float) -> S
 
         return ask
 
-    reach = {"speed": SimpleNamespace(nearest=lambda mm_s: mm_s)}
+    limits = {"speed": SimpleNamespace(nearest=lambda mm_s: mm_s)}
     run: Any = SimpleNamespace(
         settings=SlipTrialSettings(loading="ramp", hold_at_N=WEIGHT_N, distance_mm=5.0),
         record=record,
         x=SimpleNamespace(
-            stage=SimpleNamespace(reach=lambda: reach),
+            stage=SimpleNamespace(limits=lambda: limits),
             start_move=lambda to_mm, mm_s: None,
             latest=SimpleNamespace(position_mm=0.0),
         ),

@@ -11,12 +11,12 @@ import pytest
 
 from procedures.sweep import preload
 from rig.core.errors import InstrumentError
-from rig.instruments.roles import Reach
+from rig.instruments.roles import Limits
 from rig.run.trip import TripError
 
 CONTACT_mm, TARGET_N = 12.6, 25.0
-REACH = Reach(0.0, 14.0, "mm", "stage_z")
-SPEEDS = Reach(0.001, 20.0, "mm/s", "stage_z")
+REACH = Limits(0.0, 14.0, "mm", "stage_z")
+SPEEDS = Limits(0.001, 20.0, "mm/s", "stage_z")
 
 
 class Bench:
@@ -63,7 +63,7 @@ class Bench:
     def stop(self) -> None:
         self.target = self.position
 
-    def reach(self) -> dict[str, Reach]:
+    def limits(self) -> dict[str, Limits]:
         return {"position": REACH, "speed": self.speeds}
 
 
@@ -102,7 +102,7 @@ def test_a_program_that_stands_still_on_the_way_to_contact_does_not_press_on() -
 
 def test_a_stage_that_may_only_go_slowly_is_pressed_and_followed_at_its_own_speed() -> None:
     bench = Bench(90.0, 5)
-    bench.speeds = Reach(0.001, 0.1, "mm/s", "stage_z")
+    bench.speeds = Limits(0.001, 0.1, "mm/s", "stage_z")
     bench.position = bench.target = CONTACT_mm - 0.1
     bench.known = deque([0.0] * 6, maxlen=6)
     run = run_on(bench)

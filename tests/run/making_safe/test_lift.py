@@ -10,7 +10,7 @@ import pytest
 
 from rig.bench.interlocks import InterlockSettings
 from rig.core.errors import InstrumentError
-from rig.instruments.roles import Reach
+from rig.instruments.roles import Limits
 from rig.run.making_safe.lift import Lift, LIFT_mm_s, NotLiftedError
 
 PARKED_mm, FIRST_mm, STANDS_mm = 5.0, 12.0, 12.44
@@ -44,10 +44,10 @@ class Stage:
     def position_mm(self) -> float:
         return self.mm
 
-    def reach(self) -> dict[str, Reach]:
+    def limits(self) -> dict[str, Limits]:
         return {
-            "position": Reach(0.0, 14.0, "mm", "stage_z"),
-            "speed": Reach(0.001, 50.0, "mm/s", "stage_z"),
+            "position": Limits(0.0, 14.0, "mm", "stage_z"),
+            "speed": Limits(0.001, 50.0, "mm/s", "stage_z"),
         }
 
     def fault(self) -> str | None:
@@ -115,8 +115,8 @@ def test_z_goes_up_slowly_until_it_is_clear_of_contact() -> None:
 
 def test_a_stage_slower_than_the_lift_has_the_time_for_its_way() -> None:
     stage = Stage()
-    slow = stage.reach() | {"speed": Reach(0.001, 0.05, "mm/s", "stage_z")}
-    stage.reach = lambda: slow  # type: ignore[method-assign]
+    slow = stage.limits() | {"speed": Limits(0.001, 0.05, "mm/s", "stage_z")}
+    stage.limits = lambda: slow  # type: ignore[method-assign]
     lift_of(stage).carry_out(no_force)
     assert stage.mm == pytest.approx(CLEAR_mm)
     assert stage.now_s > 10.0
@@ -233,7 +233,7 @@ def test_a_force_that_rises_on_the_way_up_stops_it() -> None:
 
 def test_a_driver_that_cannot_tell_a_fault_is_not_lifted() -> None:
     stage = Stage()
-    parts = ("homed", "position_mm", "reach", "now", "sleep", "start_move", "moving", "stop")
+    parts = ("homed", "position_mm", "limits", "now", "sleep", "start_move", "moving", "stop")
     blind = SimpleNamespace(**{name: getattr(stage, name) for name in parts})
     with pytest.raises(NotLiftedError, match="cannot say whether it has a fault"):
         lift_of(blind).carry_out(no_force)

@@ -14,7 +14,7 @@ from rig.bench.plan import BenchPlan, InstrumentPlan
 from rig.bench.settings import BenchSettings
 from rig.core.errors import ConfigurationError
 from rig.core.settings import Settings
-from rig.instruments.roles import Reach
+from rig.instruments.roles import Limits
 from rig.run.making_safe.still_pressed import Orders, PressedState, pressed_state
 
 FIRST_mm, CLEAR_mm, STANDS_mm, TOUCHES_mm = 12.0, 11.7, 12.44, 12.4
@@ -79,10 +79,10 @@ class Sensor:
     rig: Rig
     share: float = 1.0
 
-    def reach(self) -> dict[str, Reach]:
+    def limits(self) -> dict[str, Limits]:
         return {
-            "force": Reach(-50.0, 50.0, "N", "force_sensor"),
-            "rate": Reach(1.0, 1000.0, "Hz", "force_sensor"),
+            "force": Limits(-50.0, 50.0, "N", "force_sensor"),
+            "rate": Limits(1.0, 1000.0, "Hz", "force_sensor"),
         }
 
     def tare(self, zero: object) -> None:
@@ -107,8 +107,8 @@ def rig(monkeypatch: pytest.MonkeyPatch) -> Rig:
     """A bench whose z presses with 4 N; `rig.sensor` answers, or is the error that it gives."""
     found: Any = Rig()
     found.sensor = Sensor(found)
-    reach = {"position": Reach(0.0, 14.0, "mm", "z"), "speed": Reach(0.001, 50.0, "mm/s", "z")}
-    found.reach = lambda: reach
+    limits = {"position": Limits(0.0, 14.0, "mm", "z"), "speed": Limits(0.001, 50.0, "mm/s", "z")}
+    found.limits = lambda: limits
     own = BenchSettings.model_validate(
         {"name": "b", "fixture": {"mounted": "plate", "parked_mm": 5.0} | CONTACT}
     )

@@ -11,7 +11,7 @@ from rig.core.clock import WallClock
 from rig.core.errors import LimitError
 from rig.core.settings import Address, Channels, Wiring
 from rig.core.settings import Settings as BaseSettings
-from rig.instruments.roles import Identity, Reach, Record, Scaling
+from rig.instruments.roles import Identity, Limits, Record, Scaling
 
 ROLES = ("daq",)
 INPUTS = ("AI0", "AI1")
@@ -44,16 +44,16 @@ class AD2:
         self.identity = Identity(*found.groups())
         self.stop()
 
-    def reach(self):
-        owner = f"daq {self.identity.model}"
-        return {"rate": Reach(1.0, LARGEST_RATE_S_s, "1/s", owner)}
+    def limits(self):
+        limited_by = f"daq {self.identity.model}"
+        return {"rate": Limits(1.0, LARGEST_RATE_S_s, "1/s", limited_by)}
 
     def ranges_V(self):  # noqa: N802
         return RANGES_V
 
     def check(self, acquisition):
         rate = acquisition.rate_S_s
-        self.reach()["rate"].require("daq", "rate", rate)
+        self.limits()["rate"].require("daq", "rate", rate)
         for channel in acquisition.channels:
             if channel.range_V not in RANGES_V:
                 raise LimitError(f"daq: range {channel.range_V:g} V is none of {RANGES_V} V")

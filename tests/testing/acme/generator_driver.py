@@ -10,7 +10,7 @@ from rig.core.clock import WallClock
 from rig.core.errors import InstrumentError
 from rig.core.settings import Address, Wiring
 from rig.core.settings import Settings as BaseSettings
-from rig.instruments.roles import Reach
+from rig.instruments.roles import Limits
 
 ROLES = ("generator",)
 
@@ -39,11 +39,11 @@ class WG1:
             )
         self.output(False)
 
-    def reach(self):
-        owner = f"generator {self.identity.model}"
+    def limits(self):
+        limited_by = f"generator {self.identity.model}"
         return {
-            "frequency": Reach(0.1, 1e6, "Hz", owner),
-            "amplitude": Reach(1e-3, self._settings.max_amplitude_V, "V", owner),
+            "frequency": Limits(0.1, 1e6, "Hz", limited_by),
+            "amplitude": Limits(1e-3, self._settings.max_amplitude_V, "V", limited_by),
         }
 
     def sine(self, frequency_Hz, amplitude_V):

@@ -11,7 +11,7 @@ from rig.core.clock import WallClock
 from rig.core.errors import InstrumentError
 from rig.core.settings import Address, Wiring
 from rig.core.settings import Settings as BaseSettings
-from rig.instruments.roles import Identity, Reach
+from rig.instruments.roles import Identity, Limits
 
 ROLES = ("rotary",)
 DEVICE = "rotary"
@@ -56,12 +56,12 @@ class R30:
         self.identity = Identity(vendor, model, number, firmware)
         self.stop_and_wait()
 
-    def reach(self):
-        own, owner = self._settings, f"{DEVICE} {self.identity.model}"
+    def limits(self):
+        own, limited_by = self._settings, f"{DEVICE} {self.identity.model}"
         return {
-            "angle": Reach(own.low_limit_deg, own.high_limit_deg, "deg", owner),
-            "speed": Reach(0.001, own.max_speed_deg_s, "deg/s", owner),
-            "acceleration": Reach(0.1, 2000.0, "deg/s^2", owner),
+            "angle": Limits(own.low_limit_deg, own.high_limit_deg, "deg", limited_by),
+            "speed": Limits(0.001, own.max_speed_deg_s, "deg/s", limited_by),
+            "acceleration": Limits(0.1, 2000.0, "deg/s^2", limited_by),
         }
 
     def homed(self):
@@ -86,10 +86,10 @@ class R30:
 
     def start_turn(self, angle_deg, speed_deg_s, acceleration_deg_s2):
         ticket = self._interlock.ticket()
-        reach = self.reach()
-        reach["angle"].require(DEVICE, "angle", angle_deg)
-        reach["speed"].require(DEVICE, "speed", speed_deg_s)
-        reach["acceleration"].require(DEVICE, "acceleration", acceleration_deg_s2)
+        limits = self.limits()
+        limits["angle"].require(DEVICE, "angle", angle_deg)
+        limits["speed"].require(DEVICE, "speed", speed_deg_s)
+        limits["acceleration"].require(DEVICE, "acceleration", acceleration_deg_s2)
         self._interlock.require_armed("move")
         if not self.homed():
             raise self._link.error("move", "the stage is not homed", "home it first")

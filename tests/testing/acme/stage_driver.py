@@ -12,7 +12,7 @@ from rig.core.clock import WallClock
 from rig.core.errors import InstrumentError
 from rig.core.settings import Address, Wiring
 from rig.core.settings import Settings as BaseSettings
-from rig.instruments.roles import Identity, Reach, StageStatus
+from rig.instruments.roles import Identity, Limits, StageStatus
 
 ROLES = ("stage_z",)
 DEVICE = "stage_z"
@@ -64,12 +64,12 @@ class Z50:
             )
         return Identity(vendor, model, number, firmware)
 
-    def reach(self):
-        own, owner = self._settings, f"{DEVICE} {self.identity.model}"
+    def limits(self):
+        own, limited_by = self._settings, f"{DEVICE} {self.identity.model}"
         return {
-            "position": Reach(own.low_limit_mm, own.high_limit_mm, "mm", owner),
-            "speed": Reach(0.001, own.max_speed_mm_s, "mm/s", owner),
-            "update_rate": Reach(0.0, 100.0, "Hz", owner),
+            "position": Limits(own.low_limit_mm, own.high_limit_mm, "mm", limited_by),
+            "speed": Limits(0.001, own.max_speed_mm_s, "mm/s", limited_by),
+            "update_rate": Limits(0.0, 100.0, "Hz", limited_by),
         }
 
     def homed(self):
@@ -94,9 +94,9 @@ class Z50:
 
     def start_move(self, position_mm, speed_mm_s):
         ticket = self._interlock.ticket()
-        reach = self.reach()
-        reach["position"].require(DEVICE, "position", position_mm)
-        reach["speed"].require(DEVICE, "speed", speed_mm_s)
+        limits = self.limits()
+        limits["position"].require(DEVICE, "position", position_mm)
+        limits["speed"].require(DEVICE, "speed", speed_mm_s)
         self._interlock.require_armed("move")
         if not self.homed():
             raise self._link.error("move", "the stage is not homed", "home it first")

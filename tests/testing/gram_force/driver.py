@@ -13,7 +13,7 @@ from pydantic import Field
 from rig.core.errors import InstrumentError, InstrumentTimeoutError
 from rig.core.settings import Address, Wiring
 from rig.core.settings import Settings as BaseSettings
-from rig.instruments.roles import ForceFrames, Identity, Reach
+from rig.instruments.roles import ForceFrames, Identity, Limits
 
 ROLES = ("force_sensor",)
 DEVICE = "force_sensor"
@@ -69,11 +69,11 @@ class GfOne:
             return 0.0
         return (self._clock.now() - self._started_s) * RATE_S_s - self._next
 
-    def reach(self):
-        owner, limit = f"{DEVICE} GF-ONE", self._settings.max_force_N
+    def limits(self):
+        limited_by, limit = f"{DEVICE} GF-ONE", self._settings.max_force_N
         return {
-            "rate": Reach(RATE_S_s, RATE_S_s, "1/s", owner),
-            "force": Reach(-limit, limit, "N", owner),
+            "rate": Limits(RATE_S_s, RATE_S_s, "1/s", limited_by),
+            "force": Limits(-limit, limit, "N", limited_by),
         }
 
     def start(self, rate_S_s):

@@ -11,7 +11,7 @@ from procedures.pressed.approach.unload import UNLOAD_DEADLINE_S, _go_clear, unl
 from procedures.pressed.approach.way_down import TRAVEL_mm_s, travel_mm_s
 from procedures.sweep.preload import APPROACH_mm_s, _possible_mm_s
 from rig.control.approach import Approach
-from rig.instruments.roles import Reach
+from rig.instruments.roles import Limits
 
 PARKED_mm, PRESSED_mm, LATEST_mm = 5.0, 12.6, 13.0
 
@@ -20,12 +20,12 @@ class Stage:
     """A stage that stands where it presses, and refuses a speed beyond its limit."""
 
     def __init__(self, largest_mm_s: float):
-        self.speeds = Reach(0.001, largest_mm_s, "mm/s", "stage_z")
+        self.speeds = Limits(0.001, largest_mm_s, "mm/s", "stage_z")
         self.at_mm = PRESSED_mm
 
-    def reach(self) -> dict[str, Reach]:
+    def limits(self) -> dict[str, Limits]:
         """Its limits."""
-        return {"position": Reach(0.0, 14.0, "mm", "stage_z"), "speed": self.speeds}
+        return {"position": Limits(0.0, 14.0, "mm", "stage_z"), "speed": self.speeds}
 
     def position_mm(self) -> float:
         """Where it stands."""
@@ -61,7 +61,7 @@ def test_what_is_pressed_is_released_at_the_speed_that_the_stage_may_have(
 def test_a_slow_stage_has_the_time_for_its_way_off_the_object() -> None:
     """From wherever it stands, and back to where it came from."""
     stage = Stage(0.2)
-    travel = stage.reach()["position"]
+    travel = stage.limits()["position"]
     assert unload_deadline_s(pressed_by(stage)) >= UNLOAD_DEADLINE_S + travel.high / 0.2
 
 
@@ -80,5 +80,5 @@ def test_the_preload_is_brought_up_at_a_speed_that_the_stage_has(
     slowest_mm_s: float, wanted_mm_s: float, goes_mm_s: float
 ) -> None:
     stage = Stage(20.0)
-    stage.speeds = Reach(slowest_mm_s, 20.0, "mm/s", "stage_z")
+    stage.speeds = Limits(slowest_mm_s, 20.0, "mm/s", "stage_z")
     assert _possible_mm_s(stage, wanted_mm_s) == goes_mm_s  # type: ignore[arg-type]

@@ -11,7 +11,7 @@ import pytest
 from procedures.pressed.approach.approach_watch import ApproachWatch, naming_the_sensor
 from procedures.pressed.approach.torque_watch import TorqueWatch, WayTorque
 from rig.core.errors import InstrumentError
-from rig.instruments.roles import Reach
+from rig.instruments.roles import Limits
 
 CONTACT_mm, STIFFNESS_N_mm, SPEED_mm_s, TICK_S = 12.2, 100.0, 0.5, 0.02
 LIMIT_percent, TARGET_N = 25.0, 10.0
@@ -41,8 +41,8 @@ class Bench:
     def now(self) -> float:
         return self.now_s
 
-    def reach(self) -> dict[str, Reach]:
-        return {"update_rate": Reach(0.0, self.update_rate_Hz, "Hz", "stage_z")}
+    def limits(self) -> dict[str, Limits]:
+        return {"update_rate": Limits(0.0, self.update_rate_Hz, "Hz", "stage_z")}
 
     def position_mm(self) -> float:
         return self.mm
