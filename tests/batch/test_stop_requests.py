@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import signal
+import threading
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
@@ -366,6 +367,7 @@ def test_a_stop_by_a_key_is_recorded_under_the_name_of_the_key(
     stopping = supervisor(tmp_path, "go")
     monkeypatch.setattr(stopping, "_requests", list)
     requested: list[str] = []
+    sent: list[str] = []
 
     class Worker:
         exit_code = 130
@@ -381,6 +383,9 @@ def test_a_stop_by_a_key_is_recorded_under_the_name_of_the_key(
         def lines(self, _: float) -> list[bytes] | None:
             return next(self._rounds)
 
+        def send(self, command: str) -> None:
+            sent.append(command)
+
         pid, beat = 0, staticmethod(lambda: None)
 
     stopping._stop.requested = signal.SIGINT
@@ -388,10 +393,55 @@ def test_a_stop_by_a_key_is_recorded_under_the_name_of_the_key(
     monkeypatch.setattr("rig.batch.execute.supervisor.WorkerProcess", Worker)
     monkeypatch.setattr(stopping, "_record", lambda *_: None)
     monkeypatch.setattr(stopping, "_poll", lambda: None)
-    monkeypatch.setattr(stopping, "_send", lambda _, command, request: requested.append(request))
+    monkeypatch.setattr(stopping, "_record_request", requested.append)
     with Queue.open(BatchFolder(tmp_path).queue) as stopping._queue:
         stopping._one_worker()
     assert requested == ["stop by Ctrl-C"]
+    assert sent == ["signal 2"]
+
+
+def test_a_stop_reaches_the_worker_while_the_disk_keeps_the_supervisor_waiting(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The disk of the batch's folder, such as a network share, does not answer: whatever writes to
+    it waits, and no signal ends that."""
+    stopping = supervisor(tmp_path, "go")
+    stalled, passed_on = threading.Event(), threading.Event()
+    sent: list[str] = []
+
+    class Worker:
+        pid, exit_code, beat = 0, 130, staticmethod(lambda: None)
+
+        def __init__(self, *_: object) -> None: ...
+
+        def __enter__(self) -> Worker:
+            return self
+
+        def __exit__(self, *_: object) -> None: ...
+
+        def lines(self, _: float) -> list[bytes] | None:
+            return None if stalled.is_set() else []
+
+        def send(self, command: str) -> None:
+            sent.append(command)
+            passed_on.set()
+
+    def write_to_a_stalled_disk() -> None:
+        if not stalled.is_set():
+            stalled.set()
+            os.kill(os.getpid(), signal.SIGINT)
+            assert passed_on.wait(30), "the worker was not asked to stop"
+
+    def supervise(self: Supervisor) -> ExitCode:
+        self._log = None  # type: ignore[assignment]
+        return ExitCode(self._one_worker())
+
+    monkeypatch.setattr("rig.batch.execute.supervisor.WorkerProcess", Worker)
+    monkeypatch.setattr(Supervisor, "_supervise", supervise)
+    monkeypatch.setattr(stopping, "_poll", write_to_a_stalled_disk)
+    with stopping._stop:
+        assert stopping.run() == ExitCode.SIGINT
+    assert sent == ["signal 2"]
 
 
 @pytest.mark.parametrize(

@@ -7,6 +7,10 @@ the first has made the bench safe (`rig.batch.execute.worker`). It notifies peop
 (`rig.batch.execute.postprocess`). Requests of other terminals are rows of the queue; signals of its
 own terminal are stop requests. Its commands reach the worker through a pipe, from whose end the
 worker learns that the supervisor has died.
+
+All of that is done in a thread, because a disk that does not answer keeps a thread waiting where no
+signal reaches it. The main thread, in which signals are handled, uses no disk: it passes the stop
+requests of the terminal on to the worker.
 """
 
 from __future__ import annotations
@@ -14,8 +18,10 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import Future
 from dataclasses import dataclass
 from typing import Any
 
@@ -30,6 +36,7 @@ from rig.batch.queue_records import HOLDS, PRESSES, WAITS_FOR_A_PERSON
 from rig.batch.report.heartbeat import Heartbeat, HeartbeatRecord, HeartbeatState
 from rig.batch.report.notify import Notifier
 from rig.core.errors import ExitCode
+from rig.core.threads import start_thread
 from rig.core.units import counted
 from rig.run.stopping import WORDS, StopFlag
 
@@ -110,6 +117,11 @@ class Supervisor:
         self._begun_a_run = False
         self._give_up: float | None = None
         self._runs = 0
+        self._passing_on = threading.Lock()
+        self._worker: WorkerProcess | None = None
+        """The worker that runs, if there is one."""
+        self._stopping: WorkerProcess | None = None
+        """The worker to which a stop request of the terminal was passed on."""
         self._asked_to_end = False
         """True if another terminal has asked for the end of the batch."""
         self._held_for = ""
@@ -124,8 +136,25 @@ class Supervisor:
         folder away."""
 
     def run(self) -> ExitCode:
-        """Take all runs and return the exit code of the batch. Raises ConfigurationError if another
-        supervisor runs the batch."""
+        """Take all runs and return the exit code of the batch. Call it from the main thread, which
+        passes stop requests on meanwhile. Raises ConfigurationError if another supervisor runs the
+        batch."""
+        ended: Future[ExitCode] = Future()
+
+        def run() -> None:
+            try:
+                ended.set_result(self._run())
+            except BaseException as error:  # noqa: BLE001 - it is raised in the main thread
+                ended.set_exception(error)
+
+        thread = threading.Thread(target=run, name="supervisor", daemon=True)
+        start_thread(thread)
+        while thread.is_alive():
+            thread.join(POLL_EVERY_S)
+            self._pass_stop_on()
+        return ended.result()
+
+    def _run(self) -> ExitCode:
         with (
             self._folder.held_by("supervisor", 0.0),
             Queue.open(self._folder.queue) as self._queue,
@@ -223,16 +252,19 @@ class Supervisor:
 
     def _one_worker(self) -> int:
         """Start a worker and listen to it until it has ended; returns its exit code."""
-        stop_sent = False
-        with WorkerProcess(self._folder.path, self._log, self._waits_because) as worker:
+        stop_recorded = False
+        with (
+            WorkerProcess(self._folder.path, self._log, self._waits_because) as worker,
+            self._stopped_with_the_batch(worker),
+        ):
             self._record(self._queue.set_meta, "worker", str(worker.pid))
             while (lines := worker.lines(POLL_EVERY_S)) is not None:
                 for line in lines:
                     self._handle(line)
-                if self._stop.requested is not None and not stop_sent:
-                    stop_sent = True
-                    number = self._stop.requested
-                    self._send(worker, f"signal {number.value}", f"stop by {WORDS[number]}")
+                if self._stop.requested is not None and not stop_recorded:
+                    stop_recorded = True
+                    self._pass_stop_on()
+                    self._record_request(f"stop by {WORDS[self._stop.requested]}")
                 for command in self._requests():
                     self._asked_to_end |= _ends_the_batch(command)
                     if command == "pause":
@@ -256,8 +288,29 @@ class Supervisor:
 
     def _send(self, worker: WorkerProcess, command: str, request: str) -> None:
         """Pass a command on to the worker; `request` says for people what was requested."""
+        worker.send(command)  # first: the disk may keep the record waiting
+        self._record_request(request)
+
+    def _record_request(self, request: str) -> None:
         self._record(self._queue.add_event, "info", f"{request} requested")
-        worker.send(command)
+
+    @contextlib.contextmanager
+    def _stopped_with_the_batch(self, worker: WorkerProcess) -> Iterator[None]:
+        """Have stop requests of the terminal passed on to this worker during the block."""
+        self._worker = worker
+        try:
+            yield
+        finally:
+            with self._passing_on:  # its pipe is closed next
+                self._worker = None
+
+    def _pass_stop_on(self) -> None:
+        """Pass a stop request of the terminal on to the worker, once. From any thread."""
+        with self._passing_on:
+            worker, number = self._worker, self._stop.requested
+            if worker is not None and number is not None and worker is not self._stopping:
+                self._stopping = worker
+                worker.send(f"signal {number.value}")
 
     def _handle(self, line: bytes) -> None:
         """One line from the worker; one that is not a report goes to the log."""
