@@ -63,6 +63,15 @@ log = logging.getLogger("rig")
 
 BARRIER_S = 1.0
 """Longest wall time in s that the journal may take before a run leaves its bench to the guard."""
+SLOW_SAVING_S = 10.0
+"""Time in s after which a person learns how the bench is although its data are not saved yet."""
+SLOW_SAVING = {
+    True: "the bench is safe; its data are still being saved: there are many, or the disk does not "
+    "answer",
+    False: "the bench could NOT be made safe in full: look before you go near it; the data are "
+    "still being saved: there are many, or the disk does not answer",
+}
+"""What is shown then, by whether the bench is safe."""
 
 
 def execute(
@@ -218,6 +227,7 @@ class _Execution:
             self._make_safe()
             unregister_interlocks()
             self._end_interlocks()
+        self.observers.unless_over(SLOW_SAVING_S, SLOW_SAVING[self.outcome.safe])
         self._save()
         self.observers.end()
         if self.outcome.off_failures:

@@ -10,7 +10,9 @@ import contextlib
 import logging
 import queue
 import threading
+import time
 from collections.abc import Callable, Sequence, Set
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -94,6 +96,8 @@ class Observers(RunObserver):
         """Calls that the observers have not taken note of yet."""
         self._behind_s = 0.0
         """Longest wait that has run out since the observers last had nothing to take note of."""
+        self._unless_over: tuple[float, str] | None = None
+        """Time by the monotonic clock, in s, and what is shown then unless the run is over."""
         # Started here, before anything moves: making safe must not depend on a thread that the
         # computer may refuse to start by then.
         start_thread(threading.Thread(target=self._take_announced, name="observers", daemon=True))
@@ -126,6 +130,12 @@ class Observers(RunObserver):
     def warn_at_once(self, message: str) -> None:
         """Show a warning, from any thread, without waiting for the observers, as `making_safe`."""
         self._announce(lambda one: one.event("warning", message))
+
+    def unless_over(self, after_s: float, message: str) -> None:
+        """Show a message after this time unless `end` is called before. For what the run's own
+        thread could not report: it may then wait for a disk that does not answer."""
+        self._unless_over = time.monotonic() + after_s, message
+        self._announce(lambda one: None)  # the observers' thread now wakes at that time
 
     def end(self) -> None:
         """End the observers' thread after their last call, and wait for that at most
@@ -161,13 +171,23 @@ class Observers(RunObserver):
         self._announced.put(call)
 
     def _take_announced(self) -> None:
-        while (call := self._announced.get()) is not None:
+        while (call := self._next()) is not None:
             self._call_each(call)
             with self._changed:
                 self._pending -= 1
                 if self._pending == 0:
                     self._behind_s = 0.0
                 self._changed.notify_all()
+
+    def _next(self) -> Call | None:
+        """Return what follows, None at the end; meanwhile show what is due."""
+        while self._unless_over is not None:
+            due_s, message = self._unless_over
+            with contextlib.suppress(queue.Empty):
+                return self._announced.get(timeout=max(0.0, due_s - time.monotonic()))
+            self._unless_over = None
+            self._call_each(partial(_show, message))
+        return self._announced.get()
 
     def _call_each(self, call: Call) -> None:
         for observer in self._observers:
@@ -188,3 +208,7 @@ class Observers(RunObserver):
         logging.getLogger("rig").warning("%s", text, exc_info=error)
         self._warn(text)
         self._call_each(lambda one: one.event("warning", text))
+
+
+def _show(message: str, observer: RunObserver) -> None:
+    observer.event("info", message)

@@ -14,6 +14,7 @@ from made_up import Example, run_of
 from rig.core.errors import ExitCode
 from rig.core.settings import Settings
 from rig.files.runfile.reader import RunFile
+from rig.run import execute
 from rig.run import observers as observing
 from rig.run.context import Run
 from rig.run.observers import Observers, RunObserver
@@ -226,6 +227,39 @@ def test_several_calls_wait_once_for_an_observer_that_blocks() -> None:
     observers.end()
     assert waits == [observing.OBSERVED_S, observing.ANNOUNCED_S]
     assert seen == ["a", "b", "c"]
+
+
+def test_where_saving_waits_for_the_disk_it_is_shown_that_the_bench_is_safe(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(execute, "SLOW_SAVING_S", 0.0)
+    noting, shown = Noting(), threading.Event()
+
+    class Waiting(RunObserver):
+        """Sees the line that is meant."""
+
+        def event(self, level: str, message: str) -> None:
+            if message == execute.SLOW_SAVING[True]:
+                shown.set()
+
+    def compiled_on_a_stalled_disk(*given: Any, **named: Any) -> Path:
+        assert shown.wait(10), "nothing is shown while the disk does not answer"
+        return compile_run(*given, **named)
+
+    compile_run = execute.compile_run
+    monkeypatch.setattr(execute, "compile_run", compiled_on_a_stalled_disk)
+    outcome = run_of(Example(Settings()), tmp_path, monkeypatch, noting, Waiting())
+    assert outcome.code is ExitCode.DONE, outcome.failures
+    assert ("event", ("info", execute.SLOW_SAVING[True])) in noting.said
+
+
+def test_what_is_shown_unless_the_run_is_over_is_not_shown_after_its_end() -> None:
+    noting = Noting()
+    observers = Observers([noting], lambda _: None)
+    observers.unless_over(60.0, "still saving")
+    observers.event("info", "a line meanwhile")
+    observers.end()
+    assert noting.said == [("event", ("info", "a line meanwhile"))]
 
 
 def test_a_guard_that_reads_heartbeats_again_is_reported_as_it_was_missed(
