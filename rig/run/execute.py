@@ -63,6 +63,8 @@ log = logging.getLogger("rig")
 
 BARRIER_S = 1.0
 """Longest wall time in s that the journal may take before a run leaves its bench to the guard."""
+SLOW_DISK_S = 10.0
+"""Time in s without an acknowledgement by the disk after which that is reported."""
 SLOW_SAVING_S = 10.0
 """Time in s after which a person learns how the bench is although its data are not saved yet."""
 SLOW_SAVING = {
@@ -194,6 +196,8 @@ class _Execution:
         """True once the bench is left to the guard: the procedure cannot be ended."""
         self._guard_missed = False
         """True if it has been reported that the guard has died or does not react."""
+        self._disk_missed = False
+        """True if it has been reported that the disk does not take the journal."""
         self._begun_s = bench.clock.now()
 
     def go(self, points: tuple[Point, ...]) -> None:
@@ -296,6 +300,7 @@ class _Execution:
             return
         if due:
             self._miss_guard()
+            self._miss_disk()
             self._notice_set_clock()
         measuring = self.phases.now is RunPhase.MEASURING
         with passing.watched() if measuring else contextlib.nullcontext():
@@ -340,6 +345,24 @@ class _Execution:
         else:
             level, text = "info", "the guard reads heartbeats again and watches this run"
         self.run.event(level, "guard", text)
+        self.observers.event(level, text)
+
+    def _miss_disk(self) -> None:
+        """Report that the disk does not take what is recorded, and that it does again. The run
+        continues: nothing is lost unless it dies meanwhile, and disks answer again."""
+        waiting_s = self.recorder.unacknowledged_s
+        if (waiting_s > SLOW_DISK_S) is self._disk_missed:
+            return
+        self._disk_missed = waiting_s > SLOW_DISK_S
+        if self._disk_missed:
+            level = "warning"
+            text = (
+                f"the disk has taken nothing for {waiting_s:.0f} s: what is recorded meanwhile is "
+                "in memory only, and is lost if this run dies"
+            )
+        else:
+            level, text = "info", "the disk takes what is recorded again; nothing was lost"
+        self.run.event(level, "slow-disk", text)
         self.observers.event(level, text)
 
     def _notice_set_clock(self) -> None:

@@ -82,6 +82,29 @@ def test_without_a_barrier_it_is_acknowledged_soon(journal: JournalWriter) -> No
     recorder.close()
 
 
+def test_it_is_known_for_how_long_the_disk_has_taken_nothing(
+    journal: JournalWriter, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    answers = threading.Event()
+    sync = journal.sync
+
+    def sync_on_a_stalled_disk() -> None:
+        assert answers.wait(30)
+        sync()
+
+    monkeypatch.setattr(journal, "sync", sync_on_a_stalled_disk)
+    with Recorder(journal) as recorder:
+        assert recorder.unacknowledged_s == 0
+        begun_s = time.monotonic()
+        recorder.put_event(run.event())
+        time.sleep(0.2)
+        recorder.put_event(run.event())
+        assert 0.2 <= recorder.unacknowledged_s <= time.monotonic() - begun_s
+        answers.set()
+        recorder.barrier()
+        assert recorder.unacknowledged_s == 0
+
+
 def test_the_caller_may_reuse_its_buffer(journal: JournalWriter) -> None:
     recorder, data, reading = Recorder(journal), np.ones((4, 2), np.int16), {"gain_dB": 1.0}
     recorder.put_point_begin("p", {})

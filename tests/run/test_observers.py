@@ -13,6 +13,7 @@ from made_up import Example, run_of
 
 from rig.core.errors import ExitCode
 from rig.core.settings import Settings
+from rig.files.journal.recorder import Recorder
 from rig.files.runfile.reader import RunFile
 from rig.run import execute
 from rig.run import observers as observing
@@ -274,5 +275,24 @@ def test_a_guard_that_reads_heartbeats_again_is_reported_as_it_was_missed(
     assert [values for name, values in seen.said if name == "event"] == [
         ("warning", missed),
         ("info", "the guard reads heartbeats again and watches this run"),
+    ]
+    assert outcome.warnings == [missed]
+
+
+def test_a_disk_that_takes_nothing_is_reported_and_that_it_does_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    waiting = iter([0.2, 12.0, 12.1])
+    monkeypatch.setattr(Recorder, "unacknowledged_s", property(lambda _: next(waiting, 0.1)))
+    monkeypatch.setattr("rig.run.execute.BEAT_EVERY_S", 0.0)
+    seen = Noting()
+    outcome = run_of(Example(Settings()), tmp_path, monkeypatch, seen)
+    missed = (
+        "the disk has taken nothing for 12 s: what is recorded meanwhile is in memory only, and is "
+        "lost if this run dies"
+    )
+    assert [values for name, values in seen.said if name == "event"] == [
+        ("warning", missed),
+        ("info", "the disk takes what is recorded again; nothing was lost"),
     ]
     assert outcome.warnings == [missed]

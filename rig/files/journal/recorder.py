@@ -45,6 +45,9 @@ class Recorder:
         self._put = 0
         self._acknowledged = 0
         self._sync_wanted = 0
+        self._oldest_s: float | None = None
+        """Time by the monotonic clock at which the oldest of what is not on the disk was put, or
+        shortly before; None if everything is on the disk."""
         self._closing = False
         self._failure: Exception | None = None
         self._moved: JournalMovedError | None = None
@@ -62,6 +65,13 @@ class Recorder:
     def queued_bytes(self) -> int:
         """Bytes that were put and are not written yet."""
         return self._queued_bytes
+
+    @property
+    def unacknowledged_s(self) -> float:
+        """Return for how long, in s of wall time, something that was put has not been on the disk:
+        0 if everything is."""
+        oldest_s = self._oldest_s
+        return 0.0 if oldest_s is None else time.monotonic() - oldest_s
 
     def put_block(self, stream: int, first_index: int, host_time: float, data: object) -> None:
         """Record rows of a stream; the data is copied. `first_index` counts the stream's rows,
@@ -161,6 +171,8 @@ class Recorder:
             records = encode_or_raise(self._journal.path, encode)
             self._queue += records
             self._put += len(records)
+            if self._oldest_s is None:
+                self._oldest_s = time.monotonic()
             self._queued_bytes += sum(map(len, records))
             if self._queued_bytes > self._max_queued_bytes:
                 self._failure = RecordingError(
@@ -186,6 +198,7 @@ class Recorder:
     def _write_group(self) -> bool:
         """Write what has gathered, sync when it is due; False after the last."""
         records, put, closing = self._gather()
+        gathered_s = time.monotonic()
         if records:
             self._journal.append(records)
         unsynced = self._journal.size - self._journal.acknowledged_bytes
@@ -203,6 +216,7 @@ class Recorder:
         if self._journal.acknowledged_bytes == self._journal.size:
             with self._lock:
                 self._acknowledged = put
+                self._oldest_s = None if self._put == put else gathered_s
                 self._progress.notify_all()
         return not closing
 
