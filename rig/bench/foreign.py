@@ -140,7 +140,7 @@ def _wrong_limits(limit: Limits) -> str | None:
         value: Any = getattr(limit, name)
         if not isinstance(value, Real) or isinstance(value, bool) or math.isnan(value):
             return f"{name} = {_shown(value)}, not a number"
-    for name in ("unit", "owner"):
+    for name in ("unit", "limited_by"):
         if not isinstance(text := getattr(limit, name), str):
             return f"{name} = {_shown(text)}, not a text"
     if limit.low > limit.high:
