@@ -60,12 +60,12 @@ class PathTrial(PressedProcedure):
         """Return the ends of the path and its speeds, to be checked before anything moves."""
         settings = self.settings
         names = ("start_mm", "path_positions_mm")
-        limits = tuple(Move("stage_x.position", at_mm, names) for at_mm in settings.reach_mm)
+        ends = tuple(Move("stage_x.position", at_mm, names) for at_mm in settings.reach_mm)
         speeds = tuple(
             Move("stage_x.speed", speed_mm_s, ("path_positions_mm", "path_times_s"))
             for speed_mm_s in settings.speeds_mm_s
         )
-        return (*limits, *speeds)
+        return (*ends, *speeds)
 
     def under_force(self, trial: PressedTrial) -> None:
         """Let x follow the path and the held force the course, from the same tick on."""

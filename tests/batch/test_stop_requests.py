@@ -182,8 +182,8 @@ def test_the_batch_of_another_user_is_not_asked_and_its_owner_is_named(
     nobody = os.geteuid() + 1
     monkeypatch.setattr(os, "geteuid", lambda: nobody)
     folder = batch_in(tmp_path)
-    limited_by = lock_holder.LockHolder(4242, "bob", own=False)
-    monkeypatch.setattr("rig.batch.running.holder_of", lambda _: limited_by)
+    owner = lock_holder.LockHolder(4242, "bob", own=False)
+    monkeypatch.setattr("rig.batch.running.holder_of", lambda _: owner)
     with folder.held_by("supervisor", 0.0):
         for asking in (batch.stop, batch.pause, batch.resume):
             with pytest.raises(typer.Exit):

@@ -111,9 +111,9 @@ class Ledger:
         self.points.append(dict(self.spent))
         self.spent.clear()
 
-    def wrap(self, monkeypatch, limited_by, name, label):
+    def wrap(self, monkeypatch, owner, name, label):
         """Charge the calls of a function to ``label(*args)``, without what they charge inside."""
-        inner = getattr(limited_by, name)
+        inner = getattr(owner, name)
 
         def timed(*args, **options):
             outside = sum(self.spent.values())
@@ -124,7 +124,7 @@ class Ledger:
                 within = sum(self.spent.values()) - outside
                 self.spent[label(*args)] += time.perf_counter() - start - within
 
-        monkeypatch.setattr(limited_by, name, timed)
+        monkeypatch.setattr(owner, name, timed)
 
     def report(self, name):
         return row(name, [1e3 * point.get(name, 0.0) for point in self.points[1:]], "ms")

@@ -111,15 +111,15 @@ class Ticking(Procedure):
         return {"x": 0.0, "y": 0.0}
 
 
-def counted(monkeypatch, done, limited_by, name, what):
+def counted(monkeypatch, done, owner, name, what):
     """Count the calls of a method."""
-    inner = getattr(limited_by, name)
+    inner = getattr(owner, name)
 
     def counting(self, *args, **options):
         done[what] += 1
         return inner(self, *args, **options)
 
-    monkeypatch.setattr(limited_by, name, counting)
+    monkeypatch.setattr(owner, name, counting)
 
 
 def test_what_safety_costs_a_tick(rig, monkeypatch):

@@ -35,8 +35,8 @@ def starts() -> Iterator[tuple[str, ast.Call]]:
 def is_start(call: ast.Call) -> bool:
     name = call.func
     if isinstance(name, ast.Attribute):
-        limited_by = name.value.id if isinstance(name.value, ast.Name) else ""
-        return name.attr in STARTS or (limited_by, name.attr) in STARTS_OF
+        owner = name.value.id if isinstance(name.value, ast.Name) else ""
+        return name.attr in STARTS or (owner, name.attr) in STARTS_OF
     return isinstance(name, ast.Name) and name.id in STARTS | OWN
 
 

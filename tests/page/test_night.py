@@ -212,8 +212,8 @@ def test_a_batch_of_another_user_is_asked_nothing_although_its_queue_can_be_writ
     folder = batch(tmp_path, "night", 1)
     folder.queue.unlink()
     Queue.create(folder.queue, BatchPlan({}, ()), {}, {"name": "friction"}).close()
-    limited_by = LockHolder(4242, "bob", own=False)
-    monkeypatch.setattr("rig.batch.running.holder_of", lambda _: limited_by)
+    owner = LockHolder(4242, "bob", own=False)
+    monkeypatch.setattr("rig.batch.running.holder_of", lambda _: owner)
     monkeypatch.setattr("os.geteuid", lambda: 4711)  # the lock file is not this user's
     with pytest.raises(ConfigurationError, match=r"belongs to bob \(process 4242\)"):
         ask_batch(folder, "stop-now")

@@ -149,10 +149,10 @@ def test_a_fault_of_a_driver_in_the_checks_names_its_package(acme: Any) -> None:
     change(
         acme,
         "x",
-        "        own, owner = self._settings",
+        "        own, limited_by = self._settings",
         "        self.asked = getattr(self, 'asked', 0) + 1\n"
         "        1 / (3 - min(self.asked, 3))\n"
-        "        own, owner = self._settings",
+        "        own, limited_by = self._settings",
     )
     done = dry_run(acme)
     assert done.code == 1, done.stderr

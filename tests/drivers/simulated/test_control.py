@@ -139,21 +139,21 @@ def test_a_stop_ends_the_bench_and_all_its_processes() -> None:
 
 def test_an_owner_that_hands_the_bench_over_sets_its_time_free_and_can_still_end_it() -> None:
     with listening() as bench:
-        limited_by = Client(bench.port)
-        limited_by.ask(do="free")
+        owner = Client(bench.port)
+        owner.ask(do="free")
         assert bench.freed.wait(PATIENCE_S)
-        limited_by.ask(do="stop")
+        owner.ask(do="stop")
         assert bench.stopped.wait(PATIENCE_S)
 
 
 @pytest.mark.parametrize("last_word", [b"", b'{"do": "adv'])
 def test_time_continues_when_the_owner_is_gone(last_word: bytes) -> None:
     with listening() as bench:
-        limited_by = Client(bench.port)
-        limited_by.ask(do="advance", us=10_000)
+        owner = Client(bench.port)
+        owner.ask(do="advance", us=10_000)
         assert bench.world.now_us == 10_000
-        limited_by.socket.sendall(last_word)
-        limited_by.leave()
+        owner.socket.sendall(last_word)
+        owner.leave()
         assert bench.orphaned.wait(PATIENCE_S)
         deadline = time.monotonic() + PATIENCE_S
         while bench.world.now_us <= 20_000 and time.monotonic() < deadline:
@@ -163,26 +163,26 @@ def test_time_continues_when_the_owner_is_gone(last_word: bytes) -> None:
 
 def test_a_visitor_who_leaves_does_not_take_the_time_from_its_owner() -> None:
     with listening() as bench:
-        limited_by = Client(bench.port)
-        limited_by.ask(do="advance", us=10)
+        owner = Client(bench.port)
+        owner.ask(do="advance", us=10)
         visitor = Client(bench.port)
         visitor.ask(do="advance", us=0)
         visitor.leave()
         for _ in range(20):
-            assert "error" not in limited_by.ask(do="advance", us=10)
+            assert "error" not in owner.ask(do="advance", us=10)
             time.sleep(0.005)
         assert bench.world.timeline.slaved
         assert bench.world.now_us == 210
-        limited_by.leave()
+        owner.leave()
         assert bench.orphaned.wait(PATIENCE_S)
 
 
 def test_the_process_continues_in_real_time_without_its_owner_then_ends(tmp_path: Path) -> None:
     log = tmp_path / "world.jsonl"
     started = start({"world_log": str(log), "linger_s": 0.3})
-    limited_by = Client(started.ready()["control_port"])
-    limited_by.ask(do="advance", us=5_000)
-    limited_by.leave()
+    owner = Client(started.ready()["control_port"])
+    owner.ask(do="advance", us=5_000)
+    owner.leave()
     started.wait(PATIENCE_S)
     gone, end = [json.loads(line) for line in log.read_text().splitlines()]
     assert (gone["what"], end["what"]) == ("owner-gone", "end")

@@ -78,16 +78,16 @@ class StageCase(ABC):
     @contextmanager
     def before_a_motion_is_sent(self, act: Callable[[], object]) -> Iterator[None]:
         """Do `act` once between the driver's last look at the stage and its command."""
-        limited_by, name = self.watches
-        usual = getattr(limited_by, name)
+        owner, name = self.watches
+        usual = getattr(owner, name)
 
         def watch(*given: Any) -> MotionWatch | None:
             made: MotionWatch | None = usual(*given)
-            delattr(limited_by, name)
+            delattr(owner, name)
             act()
             return made
 
-        setattr(limited_by, name, watch)
+        setattr(owner, name, watch)
         yield
 
     def after(self, seconds: float, act: Callable[[], object]) -> None:

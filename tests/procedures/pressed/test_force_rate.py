@@ -15,7 +15,7 @@ from rig.core.errors import LimitError
 from rig.instruments.roles import Limits
 
 RATES = ServoRates(100.0, DELAY_S, 100.0)
-STAGE_REACH = {
+STAGE_LIMITS = {
     "position": Limits(0.0, 14.0, "mm", "stage_z"),
     "speed": Limits(0.001, 20.0, "mm/s", "stage_z"),
 }
@@ -55,7 +55,7 @@ class SlowSensor:
         self.bench = SimpleNamespace(
             force_sensor=sensor,
             daq=SimpleNamespace(stop=None),
-            stage_z=SimpleNamespace(stop=_move, make_safe=_move, limits=lambda: STAGE_REACH),
+            stage_z=SimpleNamespace(stop=_move, make_safe=_move, limits=lambda: STAGE_LIMITS),
             settings=SimpleNamespace(fixture=fixture),
         )
         self.settings = SimpleNamespace(largest_force_N=15.0)

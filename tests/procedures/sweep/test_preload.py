@@ -15,7 +15,7 @@ from rig.instruments.roles import Limits
 from rig.run.trip import TripError
 
 CONTACT_mm, TARGET_N = 12.6, 25.0
-REACH = Limits(0.0, 14.0, "mm", "stage_z")
+WAY = Limits(0.0, 14.0, "mm", "stage_z")
 SPEEDS = Limits(0.001, 20.0, "mm/s", "stage_z")
 
 
@@ -64,7 +64,7 @@ class Bench:
         self.target = self.position
 
     def limits(self) -> dict[str, Limits]:
-        return {"position": REACH, "speed": self.speeds}
+        return {"position": WAY, "speed": self.speeds}
 
 
 def run_on(bench: Bench, clock: object = None, contact_to_mm: float = 14.0) -> SimpleNamespace:
