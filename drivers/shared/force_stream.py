@@ -38,9 +38,10 @@ class ForceStream:
         """Number of frames that are due since `start` by bench time and that `read` has not
         returned. A few on the way are normal; a lost one remains. The sensor's own clock makes it
         drift by some 50 parts in a million. 0 while no stream runs."""
-        if self._started_s is None:
+        started_s = self._started_s  # once: another thread may end the stream meanwhile
+        if started_s is None:
             return 0.0
-        return (self._clock.now() - self._started_s) * self._rate - self._next
+        return (self._clock.now() - started_s) * self._rate - self._next
 
     def calibrate(self, matrix_N_mV_V: Sequence[Sequence[float]]) -> None:
         """Use this matrix, force in N by raw value, from the next `read` on."""

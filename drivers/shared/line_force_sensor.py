@@ -18,7 +18,9 @@ A driver states how the sensor talks and what a line means; all else of a `Force
     ROLES, connect, make_safe = driver_members(F10)
 
 The sensor needs commands that begin and end its stream, and a query that is answered while it does
-not stream. Lines have no number here: a lost one is noticed by bench time (`frames_behind`).
+not stream; where it acknowledges no command, also while it streams, because the query then follows
+the command that begins the stream. Lines have no number here: a lost one is noticed by bench time
+(`frames_behind`).
 """
 
 from __future__ import annotations
@@ -176,8 +178,10 @@ class LineForceSensor(ForceStream, ABC):
                 "lower max_force_N of [force_sensor] in the bench file",
             )
         self.stop()
-        found = self.ask(*self.identify).groupdict(default="")
-        self.identity = replace(self.identity, **found)
+        found = self.ask(*self.identify).groupdict()
+        # A group that is optional and absent says nothing, as one that the form does not have.
+        said = {name: text for name, text in found.items() if text is not None}
+        self.identity = replace(self.identity, **said)
         if (self.identity.vendor, self.identity.model) != (self.vendor, self.model):
             raise self._link.error(
                 self.identify[0],

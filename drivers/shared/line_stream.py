@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 import time
 
-from drivers.shared.line_link import LONGEST_LINE, LineLink
+from drivers.shared.line_link import LONGEST_LINE, TIMEOUTS_PER_ANSWER, LineLink
 from drivers.shared.ports import Port
 
 STREAM = "stream"
@@ -55,9 +55,17 @@ class LineStream(LineLink):
 
         Raises InstrumentError where the instrument continues to send for the time-out.
         """
-        with self._lock, self._closing_what_fails(command):
+        with (
+            self._clock.answer_within(TIMEOUTS_PER_ANSWER * self._timeout_s, self._device),
+            self._lock,
+            self._closing_what_fails(command),
+        ):
             if self._port is not None:
                 self._fall_silent(self._port, command)
+
+    def _exchange(self, command: str, answer: re.Pattern[str]) -> re.Match[str]:
+        self._last_line = ""  # an earlier command's would be a wrong cause of this one's time-out
+        return super()._exchange(command, answer)
 
     def _answer(
         self, port: Port, command: str, answer: re.Pattern[str], deadline: float

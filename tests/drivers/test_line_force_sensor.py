@@ -96,7 +96,7 @@ def port(monkeypatch: pytest.MonkeyPatch) -> TalkingSensor:
 
 
 def connected(kind: type[LineForceSensor] = F10, clock: Clock | None = None) -> LineForceSensor:
-    settings = LineForceSensorSettings(port="/dev/ttyUSB0", timeout_s=0.06, max_force_N=4.0)
+    settings = LineForceSensorSettings(port="/dev/ttyUSB0", timeout_s=0.3, max_force_N=4.0)
     return kind.connect(settings, clock or ClockByHand())
 
 
@@ -236,7 +236,7 @@ def test_a_missing_answer_is_a_time_out_that_shows_what_came_instead(port: Talki
     assert "*C" in refused.value.message
     assert "the last line that came is 'ERR 7'" in refused.value.message
     port.answers[b"*C"] = b""
-    with pytest.raises(InstrumentTimeoutError, match=r"no answer within 0\.06 s") as silent:
+    with pytest.raises(InstrumentTimeoutError, match=r"no answer within 0\.3 s") as silent:
         sensor.start(100.0)
     assert "/dev/ttyUSB0" in str(silent.value.hint)
 
@@ -262,7 +262,7 @@ def test_another_instrument_is_refused(port: TalkingSensor) -> None:
 
 def test_making_safe_sends_nothing_and_leaves_the_stream(port: TalkingSensor) -> None:
     _, connect, make_safe = driver_members(F10)
-    settings = LineForceSensorSettings(port="/dev/ttyUSB0", timeout_s=0.06, max_force_N=4.0)
+    settings = LineForceSensorSettings(port="/dev/ttyUSB0", timeout_s=0.3, max_force_N=4.0)
     sensor = connect(settings, ClockByHand())
     sensor.start(100.0)
     said = list(port.sent)
