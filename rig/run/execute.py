@@ -231,7 +231,8 @@ class _Execution:
             self._make_safe()
             unregister_interlocks()
             self._end_interlocks()
-        self.observers.unless_over(SLOW_SAVING_S, SLOW_SAVING[self.outcome.safe])
+        safe = self.outcome.safe
+        self.observers.unless_over(SLOW_SAVING_S, SLOW_SAVING[safe], "info" if safe else "warning")
         self._save()
         self.observers.end()
         if self.outcome.off_failures:

@@ -96,8 +96,9 @@ class Observers(RunObserver):
         """Calls that the observers have not taken note of yet."""
         self._behind_s = 0.0
         """Longest wait that has run out since the observers last had nothing to take note of."""
-        self._unless_over: tuple[float, str] | None = None
-        """Time by the monotonic clock, in s, and what is shown then unless the run is over."""
+        self._unless_over: tuple[float, str, str] | None = None
+        """Time by the monotonic clock, in s, and level and text of what is shown then unless the
+        run is over."""
         # Started here, before anything moves: making safe must not depend on a thread that the
         # computer may refuse to start by then.
         start_thread(threading.Thread(target=self._take_announced, name="observers", daemon=True))
@@ -131,10 +132,10 @@ class Observers(RunObserver):
         """Show a warning, from any thread, without waiting for the observers, as `making_safe`."""
         self._announce(lambda one: one.event("warning", message))
 
-    def unless_over(self, after_s: float, message: str) -> None:
-        """Show a message after this time unless `end` is called before. For what the run's own
-        thread could not report: it may then wait for a disk that does not answer."""
-        self._unless_over = time.monotonic() + after_s, message
+    def unless_over(self, after_s: float, message: str, level: str = "info") -> None:
+        """Show a message of this level after this time unless `end` is called before. For what the
+        run's own thread could not report: it may then wait for a disk that does not answer."""
+        self._unless_over = time.monotonic() + after_s, level, message
         self._announce(lambda one: None)  # the observers' thread now wakes at that time
 
     def end(self) -> None:
@@ -182,11 +183,11 @@ class Observers(RunObserver):
     def _next(self) -> Call | None:
         """Return what follows, None at the end; meanwhile show what is due."""
         while self._unless_over is not None:
-            due_s, message = self._unless_over
+            due_s, level, message = self._unless_over
             with contextlib.suppress(queue.Empty):
                 return self._announced.get(timeout=max(0.0, due_s - time.monotonic()))
             self._unless_over = None
-            self._call_each(partial(_show, message))
+            self._call_each(partial(_show, level, message))
         return self._announced.get()
 
     def _call_each(self, call: Call) -> None:
@@ -210,5 +211,5 @@ class Observers(RunObserver):
         self._call_each(lambda one: one.event("warning", text))
 
 
-def _show(message: str, observer: RunObserver) -> None:
-    observer.event("info", message)
+def _show(level: str, message: str, observer: RunObserver) -> None:
+    observer.event(level, message)
