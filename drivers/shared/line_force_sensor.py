@@ -26,6 +26,7 @@ the command that begins the stream. Lines have no number here: a lost one is not
 from __future__ import annotations
 
 import re
+import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -36,6 +37,7 @@ from pydantic import Field
 
 from drivers.shared.force_stream import ForceStream
 from drivers.shared.line_stream import STREAM, LineStream
+from drivers.shared.ports import READ_WAIT_S
 from rig.core.clock import Clock
 from rig.core.errors import ConfigurationError, InstrumentError, RigError
 from rig.core.settings import Address, Settings, Wiring
@@ -123,6 +125,10 @@ class LineForceSensor(ForceStream, ABC):
             raise TypeError(f"{cls.__name__} has axes = {cls.axes!r}, which has to be like 'z'")
         if not cls.rates_S_s or (len(cls.rates_S_s) > 1 and not cls.rate_command):
             raise TypeError(f"{cls.__name__} needs one rate, or several and a rate_command")
+        if not (min(cls.rates_S_s) > 0 and cls.full_scale > 0 and cls.terminator):
+            raise TypeError(
+                f"{cls.__name__} needs rates_S_s and a full_scale above 0 and a terminator"
+            )
 
     def __init__(self, settings: Any, clock: Clock):
         self._newtons = self.newtons_per_unit or NEWTONS[self.unit]
@@ -185,8 +191,9 @@ class LineForceSensor(ForceStream, ABC):
         if (self.identity.vendor, self.identity.model) != (self.vendor, self.model):
             raise self._link.error(
                 self.identify[0],
-                f"{self.settings.port} is an {self.identity.vendor} {self.identity.model}",
-                f"an {self.vendor} {self.model} is expected; correct [force_sensor] in the bench "
+                f"the sensor at {self.settings.port} is the {self.identity.vendor} "
+                f"{self.identity.model}",
+                f"the {self.vendor} {self.model} is expected; correct [force_sensor] in the bench "
                 "file",
             )
 
@@ -223,6 +230,9 @@ class LineForceSensor(ForceStream, ABC):
         """
         if self._broken is not None:
             raise self._broken
+        if not (self._streaming or self._link.is_open):  # the next command opens the port again
+            time.sleep(READ_WAIT_S)
+            return None
         try:
             lines = self._link.collect()
             if not lines or not self._streaming:
@@ -274,7 +284,8 @@ class LineForceSensor(ForceStream, ABC):
         except RigError:
             raise
         except Exception as error:
-            raise self._no_frame(line, f"{type(error).__name__}: {error}") from error
+            why = f"parse() raised {type(error).__name__}: {error}"
+            raise self._no_frame(line, why) from error
         if len(values) != len(self.axes):
             raise self._no_frame(line, f"it has {len(values)} values, not {len(self.axes)}")
         if np.isnan(values).any():

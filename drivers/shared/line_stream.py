@@ -8,10 +8,13 @@ from __future__ import annotations
 
 import re
 import time
+from collections.abc import Callable
 
 from drivers.shared.line_link import LONGEST_LINE, TIMEOUTS_PER_ANSWER, LineLink
 from drivers.shared.ports import Port
 
+GIVES_WAY_S = 0.001
+"""Time in s for which `collect` leaves the link to a command that waits for it."""
 STREAM = "stream"
 """The command that errors of what comes by itself are named after."""
 
@@ -22,6 +25,8 @@ class LineStream(LineLink):
     `resync` is needed as with a `LineLink`; its query has to end the stream first.
     """
 
+    _asking = False
+    """True while a command waits for its turn or its answer."""
     _last_line = ""
     """The last line that came in place of an answer."""
 
@@ -32,12 +37,19 @@ class LineStream(LineLink):
         taken = self._taken  # first: what comes between the two makes the result too small
         return taken - len(self._input)
 
+    @property
+    def is_open(self) -> bool:
+        """True while the port is open: from the first command until one fails or `close`."""
+        return self._port is not None
+
     def collect(self) -> list[bytes]:
         """Return the lines that have come since the last call, without their ends, oldest first;
         waits for a few milliseconds if there are none.
 
         Raises InstrumentError where the connection fails or is closed.
         """
+        if self._asking:
+            time.sleep(GIVES_WAY_S)
         with self._lock, self._closing_what_fails(STREAM):
             if self._port is None:
                 raise self.error(STREAM, "the port is closed")
@@ -48,6 +60,22 @@ class LineStream(LineLink):
                 raise ValueError(f"{len(rest)} bytes without the end of a line")
             self._input[:] = rest
             return lines
+
+    def ask(
+        self,
+        command: str,
+        answer: str = ".*",
+        *,
+        charge: bool = True,
+        permit: Callable[[], None] = lambda: None,
+    ) -> re.Match[str]:
+        """See `LineLink`. A thread that collects without a pause gives way."""
+        # A lock is not fair: who has just released it mostly gets it again.
+        self._asking = True
+        try:
+            return super().ask(command, answer, charge=charge, permit=permit)
+        finally:
+            self._asking = False
 
     def fall_silent(self, command: str) -> None:
         """Drop what was not collected, and what comes until nothing has come for 20 ms: `command`

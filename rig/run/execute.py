@@ -358,11 +358,11 @@ class _Execution:
         if self._disk_missed:
             level = "warning"
             text = (
-                f"the disk has taken nothing for {waiting_s:.0f} s: what is recorded meanwhile is "
-                "in memory only, and is lost if this run dies"
+                f"what was recorded {waiting_s:.0f} s ago is not on the disk yet: it is in memory "
+                "only, and is lost if this run dies"
             )
         else:
-            level, text = "info", "the disk takes what is recorded again; nothing was lost"
+            level, text = "info", "what was recorded is on the disk again; nothing was lost"
         self.run.event(level, "slow-disk", text)
         self.observers.event(level, text)
 

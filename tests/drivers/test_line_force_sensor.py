@@ -250,13 +250,27 @@ def test_a_command_that_is_not_acknowledged_is_named_on_one_line(port: TalkingSe
     assert len(silent.value.message.splitlines()) == 1
 
 
+def test_a_stream_can_begin_again_after_a_stop_without_an_answer(port: TalkingSensor) -> None:
+    """The reader of a run reads before it has begun: the port is closed until the start."""
+    sensor = connected()
+    sensor.start(100.0)
+    port.answers[b"*I"] = b""
+    with pytest.raises(InstrumentTimeoutError):
+        sensor.stop()
+    assert sensor.read() is None
+    port.answers[b"*I"] = IDENTITY
+    sensor.start(100.0)
+    port.input = b"+0002.000\r\n"
+    assert frames(sensor).raw[:, 2].tolist() == [2.0]
+
+
 def test_another_instrument_is_refused(port: TalkingSensor) -> None:
     port.answers[b"*I"] = b"ACME T-1000 v1\r\n"
     with pytest.raises(InstrumentError) as refused:
         connected()
     assert (
-        "/dev/ttyUSB0 is an ACME T-1000; an ACME F10 is expected; correct [force_sensor] in the "
-        "bench file"
+        "the sensor at /dev/ttyUSB0 is the ACME T-1000; the ACME F10 is expected; correct "
+        "[force_sensor] in the bench file"
     ) in refused.value.one_line()
 
 
@@ -307,6 +321,9 @@ def test_baudrate_and_serial_format_reach_the_port(monkeypatch: pytest.MonkeyPat
         ({"axes": "zx"}, "has axes = 'zx'"),
         ({"rates_S_s": (10.0, 100.0)}, "a rate_command"),
         ({"rates_S_s": ()}, "needs one rate"),
+        ({"rates_S_s": (0.0,)}, "above 0"),
+        ({"full_scale": -1.0}, "above 0"),
+        ({"terminator": b""}, "a terminator"),
     ],
 )
 def test_a_class_that_no_sensor_can_have_is_refused_with_the_reason(

@@ -288,11 +288,11 @@ def test_a_disk_that_takes_nothing_is_reported_and_that_it_does_again(
     seen = Noting()
     outcome = run_of(Example(Settings()), tmp_path, monkeypatch, seen)
     missed = (
-        "the disk has taken nothing for 12 s: what is recorded meanwhile is in memory only, and is "
-        "lost if this run dies"
+        "what was recorded 12 s ago is not on the disk yet: it is in memory only, and is lost if "
+        "this run dies"
     )
     assert [values for name, values in seen.said if name == "event"] == [
         ("warning", missed),
-        ("info", "the disk takes what is recorded again; nothing was lost"),
+        ("info", "what was recorded is on the disk again; nothing was lost"),
     ]
     assert outcome.warnings == [missed]

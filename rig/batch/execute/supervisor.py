@@ -278,6 +278,9 @@ class Supervisor:
                     self._give_up = None
                     self._say(f"warning: the worker was silent for {STARTING_S:g} s and was killed")
                     worker.kill()
+            # The worker may have ended by it while the disk kept this thread waiting.
+            if self._stopping is worker and not stop_recorded and self._stop.requested is not None:
+                self._record_request(f"stop by {WORDS[self._stop.requested]}")
         return worker.exit_code
 
     def _requests(self) -> list[str]:
