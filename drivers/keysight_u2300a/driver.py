@@ -40,6 +40,10 @@ MOST_SAMPLES = 8_000_000  # of one acquisition, all channels together
 POLL_S = 0.001
 PATIENCE_S = 1.0
 """Time in s that an acquisition may take longer than its nominal duration."""
+ASKED_EVERY_S = 0.1
+"""Longest time in s for which blocks are read without asking whether the buffer has overrun."""
+CLOCKS_DIFFER = 1e-3
+"""Far more than the clocks of unit and computer do."""
 WIDE_RANGES_V = (10.0, 5.0, 2.5, 1.25)
 
 
@@ -111,6 +115,8 @@ class U2300ADaq:
         self._scaling: Scaling | None = None
         self._running: Acquisition | None = None
         self._rows_read = 0
+        self._seen = (-math.inf, 0)
+        """Time at which the unit last said that a block was there, and the rows up to its end."""
         self._block_lost = False
         """A block of the running acquisition was lost in its transfer."""
         self._exchange = threading.RLock()
@@ -233,12 +239,17 @@ class U2300ADaq:
         self._link.command("RUN")
         self._running = acquisition
         self._rows_read = 0
+        self._seen = (-math.inf, 0)
         self._block_lost = False
         return self._scaling_now()
 
     def read(self) -> Record | None:
         """Return the next block of raw counts with the scaling to volts, or None while no block is
-        complete. Raises InstrumentError where data were lost."""
+        complete. Raises InstrumentError where data were lost.
+
+        A block takes two exchanges, or one where the next is already complete, so that a reader who
+        is behind catches up.
+        """
         with self._exchange:
             return self._read()
 
@@ -252,6 +263,28 @@ class U2300ADaq:
                 f"the block after row {self._rows_read} was lost in its transfer",
                 "start the acquisition again",
             )
+        if not (self._is_known_complete() or self._says_complete()):
+            return None
+        first = self._rows_read
+        self._block_lost = True  # the unit hands a block out once, whether it arrives or not
+        counts = self._block(self._running)
+        self._block_lost = False
+        self._rows_read += len(counts)
+        return Record(counts, self._scaling_now(), first)
+
+    def _is_known_complete(self) -> bool:
+        """Return whether the next block is complete by what the unit has said shortly before and
+        the time that has passed since."""
+        assert self._running is not None
+        at_s, rows = self._seen
+        since_s = self._clock.now() - at_s
+        sampled = rows + since_s * self._scaling_now().rate_S_s * (1 - CLOCKS_DIFFER)
+        return since_s < ASKED_EVERY_S and sampled >= self._rows_read + self._running.samples
+
+    def _says_complete(self) -> bool:
+        """Ask the unit whether the next block is complete. Raises InstrumentError where its buffer
+        has overrun."""
+        assert self._running is not None
         state = self._ask("WAV:STAT?", ("EPTY", "FRAG", "DATA", "OVER"))
         if state == "OVER":
             raise InstrumentError(
@@ -260,14 +293,9 @@ class U2300ADaq:
                 f"its buffer overran after row {self._rows_read}; samples are lost",
                 "read faster, lower the rate, or sample fewer channels",
             )
-        if state != "DATA":
-            return None
-        first = self._rows_read
-        self._block_lost = True  # the unit hands a block out once, whether it arrives or not
-        counts = self._block(self._running)
-        self._block_lost = False
-        self._rows_read += len(counts)
-        return Record(counts, self._scaling_now(), first)
+        if state == "DATA":
+            self._seen = (self._clock.now(), self._rows_read + self._running.samples)
+        return state == "DATA"
 
     def stop(self) -> None:
         """End a running acquisition, once a `read` in another thread is over."""

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Literal
 from pydantic import Field, model_validator
 from pydantic.config import JsonDict
 
-from procedures.pressed.record.squeeze import Squeeze
+from procedures.pressed.record.squeeze import STALE_S, Squeeze
 from procedures.pressed.settings import PressedSettings
 from rig.files.journal.detections import NO_DETECTOR, SLIP
 
@@ -33,9 +33,6 @@ if TYPE_CHECKING:
     from rig.run.context import Run
     from rig.run.points import Reading
 
-STALE_S = 0.1
-"""Age in s of an alarm's sample from which nothing is squeezed: what slipped then has
-slipped on or has stopped."""
 BLIND_S = 0.05
 """Additional age in s of the latest force from which nothing is squeezed."""
 SEEN_SHARE = 0.5
@@ -81,6 +78,11 @@ class GripSettings(PressedSettings):
     def usual_block_s(self) -> float:
         """See `PressedSettings`; an alarm comes at most a block late."""
         return 0.002 if self.regrip else super().usual_block_s
+
+    @property
+    def answers_alarms(self) -> bool:
+        """See `PressedSettings`."""
+        return self.regrip and self.regrip_on == "alarm"
 
     @property
     def regrip_step_N(self) -> float:  # noqa: N802 - the unit keeps its capital, here and below

@@ -31,11 +31,14 @@ def grip_summary(readings: Sequence[Reading]) -> dict[str, Any]:
             f"{statistics.median(latencies_ms):.1f} ms (median of {len(latencies_ms)}), "
             f"at most {max(latencies_ms):.1f} ms."
         )
-    outcomes = Counter(str(r["outcome"]) for r in readings if r.get("outcome"))
-    if outcomes:
+    hung = [r for r in readings if r.get("outcome")]
+    outcomes = Counter(str(r["outcome"]) for r in hung if not r.get("invalid"))
+    if hung:
         counts = ", ".join(f"{name} {outcomes[name]}" for name in OUTCOMES)
         meaning = " (averted: at rest after a squeeze)" if outcomes["averted"] else ""
-        sentences.append(f"Weights: {counts}{meaning}.")
+        invalid = len(hung) - outcomes.total()
+        left_out = f"; {counted(invalid, 'invalid trial')} left out" if invalid else ""
+        sentences.append(f"Weights: {counts}{meaning}{left_out}.")
     kept = [r for r in readings if r.get("outcome") in ("held", "averted")]
     if shown := _ratios(kept, "least_force_N"):
         text = f"at least {statistics.median(shown):.2f} by the largest F_t/F_n that a trial showed"

@@ -38,6 +38,8 @@ class PressedSeries:
     """The detector beside the trials; None before the first arming."""
     torque: TorqueWatch | None = None
     """Torque of z in this run; None before the first trial."""
+    block_s: float | None = None
+    """Length in s of the DAQ's blocks, where those of the settings are too short for its link."""
     way_is_clear: bool = False
     """Whether z has gone down to just above the earliest contact since the run was armed."""
 

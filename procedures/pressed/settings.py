@@ -113,7 +113,7 @@ class PressedSettings(BaseSettings):
     """Sampling rate of the strips; a whole multiple of 1000."""
     block_s: float | None = Field(default=None, ge=0.001, le=0.2)
     """Length of a DAQ read block; upper bound on the delay of live data. Default: 20 ms, or 2 ms
-    where a grip answers what is detected."""
+    where a grip answers what is detected, and longer if the DAQ's link cannot keep up with that."""
     range_V: float = Field(default=1.25, gt=0)
     """Input range of the strips' channels, bipolar."""
     object: str = ""
@@ -161,6 +161,11 @@ class PressedSettings(BaseSettings):
     def usual_block_s(self) -> float:
         """Length of a DAQ read block in s where none is asked for."""
         return 0.02
+
+    @property
+    def answers_alarms(self) -> bool:
+        """Whether the normal force answers the detector's alarms."""
+        return False
 
     @property
     def read_block_s(self) -> float:

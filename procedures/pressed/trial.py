@@ -32,6 +32,7 @@ from procedures.pressed.grip import Grip
 from procedures.pressed.hold import ForceHold
 from procedures.pressed.links import TrialLinks
 from procedures.pressed.press import Press
+from procedures.pressed.record.block_length import BEHIND_S, longer_block_s
 from procedures.pressed.record.commanded_x import CommandedX
 from procedures.pressed.record.detection import slips_in_words
 from procedures.pressed.record.reading import CONTACT_N, DECIMATED_Hz
@@ -42,6 +43,7 @@ from rig.bench.limits import require
 from rig.control.force_servo import ForceServo, settings_from
 from rig.core.errors import InstrumentError
 from rig.detector.commands import HeldForce
+from rig.run.points import RetakeError
 
 if TYPE_CHECKING:
     from procedures.pressed.record.reading import TrialRecord
@@ -86,8 +88,9 @@ class PressedTrial:
         poll_rate_Hz = min(rates.poll_rate_Hz, most_polls_Hz)
         assert series.detection is not None, "the series is begun when the run is armed"
         stages = (self.z, self.x)
+        self._block_s = series.block_s or self.settings.read_block_s
         self.recorder = TickRecorder(
-            run, record, self.links, stages, poll_rate_Hz, series.detection
+            run, record, self.links, stages, poll_rate_Hz, series.detection, self._block_s
         )
         self._commanded_x = CommandedX(run.clock, record, series.detection)
         self.x.on_command = self._commanded_x.command
@@ -187,8 +190,18 @@ class PressedTrial:
         the stretch from here to `end_motion`.
 
         `expected` is what an earlier motion of this kind has shown (`contact_shift`).
+
+        Raises RetakeError, with the skin lifted, where the strips' samples are read so late that
+        the grip could not answer an alarm, and longer blocks are possible: nothing is to be lost
+        for that.
         """
         self._ticks.wait()
+        if (late := self._lengthen_late_blocks()) is not None:
+            self.x.in_motion = False
+            self._commanded_x.end()
+            self.recorder.give_up()
+            self.lift()
+            raise RetakeError(late)
         self.record.motion_from_s = self.since_s()
         self._held().begin_motion(expected)
         self.grip.begin(self._held().set_force_N)
@@ -197,6 +210,24 @@ class PressedTrial:
         """Note that the motion is over; alarms from now on raise no force."""
         self.grip.end()
         self.record.motion_to_s = self.since_s()
+        if (late := self._lengthen_late_blocks()) is not None:
+            self.run.event("warning", "late-samples", f"{self.record.point}: {late}")
+
+    def _lengthen_late_blocks(self) -> str | None:
+        """Where the strips' samples come too late for the grip, let later trials read longer
+        blocks; return what was found, None where nothing was or nothing can be changed."""
+        settings, strips = self.settings, self.recorder.strips
+        if not settings.answers_alarms or settings.block_s is not None:
+            return None
+        behind_s, read_s = strips.behind_s, strips.mean_read_s
+        if behind_s <= BEHIND_S or (longer_s := longer_block_s(self._block_s, read_s)) is None:
+            return None
+        self.series.block_s = longer_s
+        return (
+            f"the strips are read {behind_s:.2g} s late, too late for the grip: a block of "
+            f"{1e3 * self._block_s:g} ms takes {1e3 * read_s:.2g} ms on the DAQ's link; blocks of "
+            f"{1e3 * longer_s:g} ms from here on"
+        )
 
     def move_x(self, to_mm: float, speed_mm_s: float) -> None:
         """Move x to a position at a speed, under the held normal force, and wait until it is there.

@@ -8,6 +8,8 @@ a trip (a limit was exceeded)   the bench is made safe, the run arms again and r
                                 once; a second trip of the same point ends the run
 an invalid reading              the point is retaken without arming, as often as the procedure's
                                 `retries_of_invalid` allows; then it is recorded as invalid
+what the procedure itself       the point is retaken without arming, at most `MOST_RETAKES` times
+gives up (`RetakeError`)
 anything else                   the point is discarded and the run ends
 """
 
@@ -27,7 +29,7 @@ from rig.run.holds import PAUSE, HoldError
 from rig.run.observers import HOLD, PAUSED, RUNNING, Observers
 from rig.run.outcome import RunOutcome
 from rig.run.phases import Phases, RunPhase
-from rig.run.points import Point, Reading, check_points, remedy
+from rig.run.points import Point, Reading, RetakeError, check_points, remedy
 from rig.run.trip import TripError
 
 if TYPE_CHECKING:
@@ -36,6 +38,9 @@ if TYPE_CHECKING:
 
 HOLD_POLL_S = 0.1
 """Interval in s at which a run on hold checks whether it may continue."""
+
+MOST_RETAKES = 10
+"""Largest number of attempts at a point that its procedure may give up."""
 
 SwitchOff = Callable[[bool], list[ShutdownFailure]]
 """Runs the shutdown actions and returns those that failed; with True the watchers stay on."""
@@ -146,6 +151,7 @@ class PointLoop:
     def _record(self, point: Point) -> Reading:
         """Measure a point until it is recorded; see the module's table."""
         retries = self._procedure.retries_of_invalid()
+        given_up = 0
         while True:
             try:
                 with self._phases.measuring():
@@ -159,6 +165,12 @@ class PointLoop:
                 self._tripped.add(point.id)
                 self._make_safe_after(trip, point)
                 self._arm(point)
+            except RetakeError as reason:
+                given_up += 1
+                if given_up > MOST_RETAKES:
+                    raise
+                self._run.event("warning", "retake", f"{point.id}: {reason.message}")
+                self._observers.event("warning", f"{point.id}: {reason.message}; retaking it")
             except InvalidReadingError as invalid:
                 retries -= 1
                 self._run.event("warning", "invalid", f"{point.id}: {invalid.message}")

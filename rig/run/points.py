@@ -26,6 +26,11 @@ RANGE_FOUND_LATER_V = 0.0
 that the DAQ has."""
 
 
+class RetakeError(RigError):
+    """Raised by `Procedure.take` to give up an attempt and have the point retaken, with the bench
+    in the state in which a point begins; the message says why."""
+
+
 @dataclass(frozen=True)
 class Move:
     """A value that a point requires of the bench: ``generator.frequency`` = 200."""

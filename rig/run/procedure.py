@@ -202,7 +202,8 @@ class Procedure(ABC):
         trip or an invalid reading has disturbed. Use ``run.clock.sleep`` for every wait, and
         ``run.check_stop()`` at least every 0.2 s while computing: stop requests and trips are
         raised there; let them pass. Use None for a column without a value. An exception discards
-        the point and ends the run.
+        the point and ends the run; `RetakeError` discards it and has it retaken, at most 10 times,
+        and leaves the bench as a point finds it.
         """
 
     # --- afterwards -----------------------------------------------------------------------------

@@ -221,7 +221,7 @@ def test_a_stream_gives_blocks_that_say_where_they_begin() -> None:
         ("STOP;:SYST:ERR?", NO_ERROR),
     )
     with playing("hislip", *exchanges) as resource:
-        daq = connected(resource)
+        daq = connect(settings(resource), StoppedClock())
         assert daq.start(THREE_ROWS).channels == ("film", "load_cell")
         assert daq.read() is None
         assert daq.read() is None
@@ -234,6 +234,54 @@ def test_a_stream_gives_blocks_that_say_where_they_begin() -> None:
         daq.close()
     with pytest.raises(InstrumentError, match="no acquisition is running"):
         daq.read()
+
+
+class StoppedClock(WallClock):
+    """A clock that a test advances."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.now_s = 0.0
+
+    def now(self) -> float:
+        return self.now_s
+
+
+def test_a_reader_who_is_behind_asks_for_blocks_without_asking_whether_they_are_there() -> None:
+    """A block takes 3 ms here. What the unit has said once, and the time since, show which blocks
+    are complete; whether its buffer has overrun is asked again after 0.1 s."""
+    exchanges = (
+        *hello("U2331A"),
+        (STREAM, SET_UP),
+        ("RUN;:SYST:ERR?", NO_ERROR),
+        ("WAV:STAT?", "DATA"),
+        ("WAV:DATA?", block()),
+        ("WAV:STAT?", "FRAG"),
+        ("WAV:DATA?", block()),
+        ("WAV:DATA?", block()),
+        ("WAV:DATA?", block()),
+        ("WAV:STAT?", "FRAG"),
+        ("WAV:STAT?", "OVER"),
+    )
+    clock = StoppedClock()
+    with playing("hislip", *exchanges) as resource:
+        daq = connect(settings(resource), clock)
+        daq.start(THREE_ROWS)
+        assert daq.read() is not None
+        clock.now_s = 0.003  # of the computer's clock: the unit's may be slower
+        assert daq.read() is None
+        clock.now_s = 0.004
+        assert daq.read() is not None
+        clock.now_s = 0.011
+        two, three = daq.read(), daq.read()
+        assert two is not None
+        assert three is not None
+        assert (two.first_index, three.first_index) == (6, 9)
+        assert daq.read() is None
+        clock.now_s = 0.2
+        with pytest.raises(InstrumentError, match="overran after row 12; samples are lost"):
+            daq.read()
+        daq.close()
 
 
 def test_an_overrun_buffer_is_an_error_never_a_gap() -> None:

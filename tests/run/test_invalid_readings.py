@@ -16,7 +16,7 @@ from rig.files.journal.layout import Column
 from rig.files.runfile.reader import RunFile
 from rig.run.checked_procedure import CheckedProcedure
 from rig.run.context import Run
-from rig.run.points import Point, Reading
+from rig.run.points import Point, Reading, RetakeError
 from rig.run.procedure import Procedure
 
 
@@ -52,6 +52,43 @@ def test_a_procedure_says_how_often_an_invalid_point_is_retaken(
     outcome = run_of(procedure, tmp_path, monkeypatch)
     assert [entry for entry in procedure.log if entry in ("first", "second")] == taken
     assert outcome.code == code
+
+
+class GivesUp(Example):
+    """A procedure that gives up the first attempts at each point, as long as it has reason to."""
+
+    attempts = 2
+
+    def take(self, run: Run, point: Point) -> Reading:
+        reading = super().take(run, point)
+        if self.log.count(point.id) <= self.attempts:
+            raise RetakeError("the samples came too late")
+        return reading
+
+
+def test_an_attempt_that_the_procedure_gives_up_is_retaken_without_arming(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    procedure = GivesUp(Settings())
+    outcome = run_of(procedure, tmp_path, monkeypatch)
+    assert outcome.code == ExitCode.DONE
+    assert procedure.log[:8] == ["on", *["first"] * 3, *["second"] * 3, "off"]
+    assert outcome.warnings == [
+        f"{name}: the samples came too late" for name in ("first", "second")
+    ]
+    with RunFile.open(tmp_path / str(outcome.file)) as run:
+        assert len(run.readings()) == 2
+
+
+def test_a_procedure_that_gives_up_every_attempt_ends_the_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    procedure = GivesUp(Settings())
+    procedure.attempts = 1000
+    outcome = run_of(procedure, tmp_path, monkeypatch)
+    assert outcome.code != ExitCode.DONE
+    assert outcome.failures[0].message == "the samples came too late"
+    assert procedure.log.count("first") == 11
 
 
 class Judged(Doubtful):

@@ -15,7 +15,7 @@ from procedures.pressed.approach.earlier_runs import EarlierPress
 from procedures.pressed.approach.tare import ForceZero
 from procedures.pressed.record.layout import TOUCHED
 from procedures.pressed.record.lost_frames import lost_frames
-from procedures.pressed.record.squeeze import Squeeze
+from procedures.pressed.record.squeeze import STALE_S, Squeeze
 from procedures.pressed.settings import AFTER_S, PressedSettings, point_name
 from rig.analysis.trial.clock_offset import clock_offset
 from rig.analysis.trial.touch_down import TouchDownError, TouchRecord
@@ -140,6 +140,12 @@ class TrialRecord:
             for one in self.detections
             if one.kind == SLIP and self.motion_from_s <= one.time_s <= to_s
         ]
+
+    @property
+    def latest_alarm_s(self) -> float:
+        """Longest time in s from the sample of an alarm in the motion until the program had it; 0
+        without one."""
+        return max((one.decided_s - one.time_s for one in self.alarms), default=0.0)
 
     @property
     def point(self) -> str:
@@ -365,6 +371,11 @@ def _doubts(
                 f"{axis} was not seen for {unseen_s:.2g} s of its motion, more than {oldest_s:.2g} "
                 f"s ({OLDEST_LOOK} looks): its answers, or the computer's ticks, came late"
             )
+    if settings.answers_alarms and (late_s := record.latest_alarm_s) > STALE_S:
+        doubts.append(
+            f"an alarm came {late_s:.2g} s after its sample, more than {STALE_S:g} s: too late for "
+            "the grip; longer blocks (--block) take less of the DAQ's link"
+        )
     if reading["lost_frames"]:
         doubts.append(
             f"{reading['lost_frames']} frames of the force sensor were lost: what follows in the "

@@ -80,13 +80,14 @@ class TickRecorder:
         stages: tuple[PolledStage, PolledStage],
         poll_rate_Hz: float,
         detection: LiveDetection,
+        block_s: float,
     ):
         self._run, self._record, self._links = run, record, links
         self._axes: list[PolledAxis] = [*stages]
         """Axes in the order in which they are polled."""
         self.force = TrialForce(run, record)
         self._detection = detection
-        self._strips = StripRecorder(run, record, links, detection)
+        self.strips = StripRecorder(run, record, links, detection, block_s)
         self._found = DetectionRecord(run, record, detection)
         self._positions = PositionRecorder(run, record, *stages)
         self._schedule = PollSchedule(poll_rate_Hz)
@@ -103,7 +104,7 @@ class TickRecorder:
 
     def start(self) -> None:
         """Begin to sample the strips and to record them, the forces and the positions."""
-        self._strips.start()
+        self.strips.start()
         self.force.start_recording()
         self._misread_before = self._misreadings()
         self._recording = True
@@ -112,12 +113,18 @@ class TickRecorder:
         """Record what has still come, and end the acquisition."""
         self._positions.add_row()
         self._positions.record_rows()
-        self._strips.collect_rest()
+        self.strips.collect_rest()
         self.force.count_frames()
         self.force.record_frames()
         self._record.misread = self._misreadings() - self._misread_before
         self._recording = False
-        self._strips.stop()
+        self.strips.stop()
+        self._found.take()
+
+    def give_up(self) -> None:
+        """End the acquisition of a record that nothing will be made of."""
+        self._recording = False
+        self.strips.stop()
         self._found.take()
 
     def _misreadings(self) -> int:
@@ -141,7 +148,7 @@ class TickRecorder:
     def wait(self, seconds: float) -> list[Detection]:
         """Wait for at most so long, and read and judge the strips' blocks as they come; return as
         soon as something was detected, with what it is."""
-        clock, strips, until_s = self._run.clock, self._strips, self._run.clock.now() + seconds
+        clock, strips, until_s = self._run.clock, self.strips, self._run.clock.now() + seconds
         while not (found := self._found.take()):
             if (now_s := clock.now()) >= until_s - LEAST_WAIT_S:
                 break
@@ -199,7 +206,7 @@ class TickRecorder:
             block_frames = self.force.timing.block_frames
             self._left = [
                 lambda: self.force.record_frames(block_frames),
-                lambda: self._strips.collect(self._schedule.interval_s),
+                lambda: self.strips.collect(self._schedule.interval_s),
             ]
         elif self._left:
             self._left.pop()()

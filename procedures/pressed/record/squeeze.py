@@ -4,6 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+STALE_S = 0.1
+"""Age in s of an alarm's sample from which nothing is squeezed: what slipped then has slipped on or
+has stopped."""
+
 
 @dataclass
 class Squeeze:

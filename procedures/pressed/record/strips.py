@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -45,14 +46,25 @@ are shorter."""
 class StripRecorder:
     """An acquisition of the strips: its blocks are read on the DAQ's link and recorded by ticks."""
 
-    def __init__(self, run: Run, record: TrialRecord, links: TrialLinks, detection: LiveDetection):
+    def __init__(
+        self,
+        run: Run,
+        record: TrialRecord,
+        links: TrialLinks,
+        detection: LiveDetection,
+        block_s: float,
+    ):
+        """Read the strips in blocks of `block_s`."""
         self._run, self._record, self._links = run, record, links
         links.add("daq")
         self._settings: PressedSettings = run.settings
         self._samples = SampleStream(run.bench.daq, run.clock)
         self._decimator = Decimator(self._settings.rate_S_s, len(STRIPS))
         self._detection = detection
-        self._rows_read = 0
+        self._block_s = block_s
+        self._block_samples = round(self._settings.rate_S_s * block_s)
+        self._rows_read = self._blocks_read = 0
+        self._reading_s = 0.0
         self._next_s = math.inf
         """Time on the run's clock at which the next block is asked for between ticks."""
         self._blocks: deque[tuple[Record, Volts]] = deque()
@@ -61,10 +73,10 @@ class StripRecorder:
     def start(self) -> None:
         """Begin to sample: the record's times are from here."""
         self._detection.begin()
-        self._samples.start(self._settings.acquisition)
+        self._samples.start(replace(self._settings.acquisition, samples=self._block_samples))
         self._record.begun_s = self._run.clock.now()
         self._record.filter_delay_s = self._decimator.delay_s
-        self._next_s = self._record.begun_s + self._settings.read_block_s + LINK_ROOM_S
+        self._next_s = self._record.begun_s + self._block_s + LINK_ROOM_S
 
     @property
     def next_s(self) -> float:
@@ -72,9 +84,23 @@ class StripRecorder:
         sampled."""
         return self._next_s
 
+    @property
+    def behind_s(self) -> float:
+        """Time in s for which the oldest block that has not been read has been there; 0 where
+        nothing is sampled."""
+        if math.isinf(self._next_s):
+            return 0.0
+        since_s = self._run.clock.now() - self._record.begun_s
+        return max(0.0, since_s - self._block_s - self._rows_read / self._settings.rate_S_s)
+
+    @property
+    def mean_read_s(self) -> float:
+        """Mean time in s that the DAQ's link has taken to transfer a block."""
+        return self._reading_s / max(1, self._blocks_read)
+
     def ask_block(self) -> None:
         """Ask for the block that may be there, to be judged as soon as it is."""
-        block_s = self._settings.read_block_s
+        block_s = self._block_s
         late = max(0, math.floor((self._run.clock.now() - self._next_s) / block_s))  # blocks
         self._next_s += (1 + late) * block_s
         if self._block_due():
@@ -111,13 +137,16 @@ class StripRecorder:
         return since_s * self._settings.rate_S_s * (1 + CLOCKS_DIFFER)
 
     def _block_due(self) -> bool:
-        return self._rows_read + self._settings.block_samples <= self._rows_by_now()
+        return bool(self._rows_read + self._block_samples <= self._rows_by_now())
 
     def _read_block(self) -> bool:
         """Read one block; return whether the DAQ had it."""
+        asked_s = self._run.clock.now()
         block = self._samples.read()
         if block is None:
             return False
+        self._reading_s += self._run.clock.now() - asked_s
+        self._blocks_read += 1
         self._rows_read += len(block.counts)
         volts = self._decimator.add(np.stack([block.volts(name) for name in STRIPS], axis=1))
         # Judged first: what acts on a slip must not wait for anything that can come later.
@@ -127,7 +156,7 @@ class StripRecorder:
 
     def _read_blocks(self, interval_s: float) -> None:
         """Read the blocks that may be there, of many a few."""
-        coming = interval_s / self._settings.read_block_s
+        coming = interval_s / self._block_s
         for _ in range(max(BLOCKS_A_POLL, math.ceil(CATCHING_UP * coming))):
             if not (self._block_due() and self._read_block()):
                 return

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from procedures.pressed.record.reading import TrialRecord, reading_of
+from procedures.pressed.settings import PressedSettings
 from procedures.slip_trial.settings import SlipTrialSettings
 from rig.control.tick_loop import LoopStatistics
 
@@ -26,7 +27,11 @@ def record(held_back: int) -> TrialRecord:
     return found
 
 
-def reading_of_record(recorded: TrialRecord, said: list[str] | None = None) -> dict[str, object]:
+def reading_of_record(
+    recorded: TrialRecord,
+    said: list[str] | None = None,
+    settings: PressedSettings | None = None,
+) -> dict[str, object]:
     """The reading of a record; what was said of the servo is added to `said`."""
     said = [] if said is None else said
 
@@ -35,7 +40,7 @@ def reading_of_record(recorded: TrialRecord, said: list[str] | None = None) -> d
             said.append(message)
 
     run = SimpleNamespace(
-        settings=SlipTrialSettings(),
+        settings=settings or SlipTrialSettings(),
         event=event,
         check_stop=lambda: None,
         clock=SimpleNamespace(truth=dict),

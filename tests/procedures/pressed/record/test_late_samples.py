@@ -1,0 +1,93 @@
+"""Strips that are read so late that a grip cannot answer an alarm: longer blocks, and the verdict
+of a trial whose alarms came too late all the same."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+
+import pytest
+from test_pressed_reading import reading_of_record
+from test_pressed_reading import record as a_record
+
+from procedures.pressed.grip_summary import grip_summary
+from procedures.pressed.record.block_length import longer_block_s
+from procedures.pressed.settings import PressedSettings
+from procedures.slip_trial.settings import SlipTrialSettings
+from rig.files.journal.detections import SLIP, Detection
+from rig.files.runfile.reader import RunFile
+
+ALARM = Detection(SLIP, 1500, 1.5, 1.502, 0.9)
+GRIP = SlipTrialSettings(regrip=True)
+WEIGHT = (
+    "--regrip", "--loading", "ramp", "--hold-at", "3N", "--speed", "2mm/s", "--distance", "2mm",
+    "--rest", "0.1s", "--rehearsal", "never", "--json", "--no-figures",
+)  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("block_s", "read_s", "longer_s"),
+    [
+        (0.002, 0.0021, 0.005),
+        (0.002, 0.0029, 0.01),
+        (0.005, 0.0034, 0.01),
+        (0.002, 0.5, 0.02),  # not even these are long enough: the longest that there are
+        (0.01, 0.012, 0.02),
+        (0.02, 0.03, None),
+    ],
+)
+def test_a_longer_block_takes_at_most_half_of_its_length_to_be_read(
+    block_s: float, read_s: float, longer_s: float | None
+) -> None:
+    assert longer_block_s(block_s, read_s) == longer_s
+
+
+def doubts(settings: PressedSettings, *alarms: Detection) -> str:
+    """Why a trial with these alarms is invalid."""
+    record = a_record(0)
+    record.detections = list(alarms)
+    return str(reading_of_record(record, settings=settings)["invalid"])
+
+
+def test_a_trial_whose_alarm_came_too_late_for_the_grip_is_invalid() -> None:
+    late = replace(ALARM, decided_s=3.1)
+    assert doubts(GRIP, ALARM) == ""
+    assert "an alarm came 1.6 s after its sample, more than 0.1 s" in doubts(GRIP, ALARM, late)
+    assert doubts(SlipTrialSettings(), late) == ""  # nothing was to answer it
+    assert doubts(GRIP.model_copy(update={"regrip_on": "motion"}), late) == ""
+    before = replace(late, time_s=0.5)
+    assert doubts(GRIP, before) == ""  # it would not have been answered in time either
+
+
+def test_weights_of_invalid_trials_are_not_among_the_lost_ones() -> None:
+    trials = [
+        {"outcome": "lost", "invalid": "an alarm came 1.6 s after its sample"},
+        {"outcome": "lost", "invalid": ""},
+        {"outcome": "averted", "invalid": ""},
+    ]
+    assert grip_summary(trials)["grip"] == [
+        "Weights: held 0, averted 1, lost 1 (averted: at rest after a squeeze); 1 invalid trial "
+        "left out."
+    ]
+
+
+@pytest.mark.thorough
+@pytest.mark.stages("festo", because="what is slow here is the DAQ")
+def test_a_daq_too_slow_for_short_blocks_is_read_in_longer_ones_before_the_motion(rig) -> None:
+    """Every block takes 3 ms longer, of which there are 500 a second."""
+    plan = rig.fault(
+        '[[fault]]\ndevice = "daq"\nkind = "late"\ncommand = "WAV:DATA"\nby_s = 0.003\ncount = 0\n'
+    )
+    with rig.served("--fixture", "plate", "--fault", plan, ways="as usual"):
+        ended = rig.run("slip-trial", "--bench", "bench.toml", *WEIGHT)
+    assert ended.code in (0, 5), ended.stderr  # 5: a busy computer makes a trial invalid
+    (line,) = [
+        line
+        for line in ended.stderr.splitlines()
+        if "too late for the grip" in line and line.endswith("retaking it")
+    ]
+    assert "a block of 2 ms takes" in line
+    assert re.search(r"blocks of (10|20) ms from here on", line)
+    with RunFile.open(rig.only("*.h5")) as run:
+        (reading,) = run.readings()
+        assert reading["samples"] > 0
