@@ -2,7 +2,9 @@
 
     execute      connect, check the bench and the plan, open the journal
     PointLoop    arm the bench and record the points (`rig.run.point_loop`)
+    WaitChecks   what is looked at in every wait meanwhile (`rig.run.wait_checks`)
     _Execution   around the loop: at every exit safe first, data second, report third
+    RunSaving    the data (`rig.run.saving`)
 
 The procedure is called from the thread that calls `execute`. Three kinds of threads work in the
 background: the recorder writes the journal, a reader takes in each stream, and a shutdown action
@@ -16,8 +18,6 @@ from __future__ import annotations
 import contextlib
 import gc
 import logging
-import time
-from collections.abc import Iterator
 from datetime import datetime
 
 from rig.bench.apply_calibrations import apply_calibrations
@@ -27,11 +27,8 @@ from rig.bench.plan import BenchPlan
 from rig.control.tick_loop import TooSlowError
 from rig.core.clock import Clock
 from rig.core.errors import ExitCode, InstrumentTimeoutError, RigError
-from rig.files.errors import RecordingError
-from rig.files.journal.reader import read_journal
 from rig.files.journal.recorder import Recorder
-from rig.files.runfile.compile import compile_run
-from rig.run.arming import BEAT_EVERY_S, ShutdownFailure
+from rig.run.arming import ShutdownFailure
 from rig.run.checked_procedure import (
     CheckedProcedure,
     ProcedureFaultError,
@@ -41,7 +38,6 @@ from rig.run.checked_procedure import (
 )
 from rig.run.context import Run
 from rig.run.holds import HoldError, PauseSwitch
-from rig.run.in_brief import single_values
 from rig.run.interlocks.proof import prove
 from rig.run.interlocks.store import InterlockStore
 from rig.run.interlocks.watch import InterlockError
@@ -55,16 +51,14 @@ from rig.run.phases import Phases, RunPhase
 from rig.run.point_loop import PointLoop
 from rig.run.points import Point, check_points, require_roles
 from rig.run.press_references import PressReferences
-from rig.run.results import results_of
+from rig.run.saving import RunSaving
 from rig.run.stopping import StopFlag, StopRequestedError
-from rig.run.time_of_day import jump_in_words, sleep_in_words
+from rig.run.wait_checks import WaitChecks
 
 log = logging.getLogger("rig")
 
 BARRIER_S = 1.0
 """Longest wall time in s that the journal may take before a run leaves its bench to the guard."""
-SLOW_DISK_S = 10.0
-"""Time in s without an acknowledgement by the disk after which that is reported."""
 SLOW_SAVING_S = 10.0
 """Time in s after which a person learns how the bench is although its data are not saved yet."""
 SLOW_SAVING = {
@@ -104,7 +98,7 @@ def execute(
         bench = connect(plan, clock, stop.check, lambda text: _inform(observers, text))
     except RigError as error:
         clock.close()
-        return _failed(outcome, error)
+        return outcome.end_with(error)
     outcome.simulated = bench.simulated
     with contextlib.closing(bench):
         try:
@@ -116,11 +110,11 @@ def execute(
             journal = job.open_journal(bench, points)
             execution = _Execution(job, procedure, bench, journal, stop, observers, outcome)
         except RigError as error:
-            return _failed(outcome, error)
+            return outcome.end_with(error)
         except Exception as error:
             if (fault := driver_fault(plan, error)) is None:
                 raise
-            return _failed(outcome, fault)
+            return outcome.end_with(fault)
         for warning in warnings:
             execution.run.event("warning", "calibration", warning)
         for line in plan.stand_ins:
@@ -191,20 +185,36 @@ class _Execution:
         self._on_one_link = [
             {part.role for part in parts} for parts in by_link(bench.plan.instruments)
         ]
-        self._last_beat = 0.0
+        self.checks = WaitChecks(
+            self.run,
+            self.phases,
+            self.guard,
+            self.recorder,
+            journal,
+            stop,
+            self.observers,
+            self._leave_to_guard,
+        )
+        self.saving = RunSaving(
+            job,
+            procedure,
+            self.run,
+            self.recorder,
+            journal,
+            self.loop,
+            self.readings,
+            self.observers,
+            outcome,
+        )
         self._leaving = False
         """True once the bench is left to the guard: the procedure cannot be ended."""
-        self._guard_missed = False
-        """True if it has been reported that the guard has died or does not react."""
-        self._disk_missed = False
-        """True if it has been reported that the disk does not take the journal."""
         self._begun_s = bench.clock.now()
 
     def go(self, points: tuple[Point, ...]) -> None:
         """Record the points, then make the bench safe, save the data and report."""
         # The contacts are read while the bench is made safe as well: an opening then must latch.
         unregister_interlocks = self.bench.clock.each_slice(self.run.interlocks.poll)
-        unregister = self.bench.clock.each_slice(self._each_slice)
+        unregister = self.bench.clock.each_slice(self.checks.each_slice)
         self.bench.clock.while_computing(self.guard.beat)
         try:
             self.marks.running(self.guard.pid)  # before anything is switched on
@@ -213,19 +223,19 @@ class _Execution:
                 self.loop.record_all(points)
             self.outcome.status, self.outcome.code = "complete", self._judge()
         except StopRequestedError as stopped:
-            _failed(self.outcome, stopped)
+            self.outcome.end_with(stopped)
         except TooSlowError as late:
             self._stopped_or_too_slow(late)
         except RigError as error:
             # Where a driver or a procedure has said itself what is wrong, that stands.
             blamed = isinstance(error, (UnexpectedFaultError, ProcedureFaultError))
             unexpected = error.__cause__ if blamed else None
-            _failed(self.outcome, driver_fault(self.bench.plan, unexpected) or error)
+            self.outcome.end_with(driver_fault(self.bench.plan, unexpected) or error)
         except KeptBackError as kept:
-            _failed(self.outcome, self._cause_of(kept))
+            self.outcome.end_with(self._cause_of(kept))
             self.outcome.warnings.append(self.procedure.kept_back(kept))
         except BaseException as error:  # noqa: BLE001 - a bug ends a run as safely as anything else
-            _failed(self.outcome, driver_fault(self.bench.plan, error) or internal(error))
+            self.outcome.end_with(driver_fault(self.bench.plan, error) or internal(error))
         finally:
             unregister()
             self._make_safe()
@@ -233,7 +243,8 @@ class _Execution:
             self._end_interlocks()
         safe = self.outcome.safe
         self.observers.unless_over(SLOW_SAVING_S, SLOW_SAVING[safe], "info" if safe else "warning")
-        self._save()
+        self.phases.enter(RunPhase.SAVING)
+        self.saving.save()
         self.observers.end()
         if self.outcome.off_failures:
             self._hand_over()
@@ -254,10 +265,10 @@ class _Execution:
         """End the run because its ticks came too late; or as stopped, with the late ticks as a
         warning, where a person asked for that before the loop looked for a stop again."""
         if self.stop.requested is None:
-            _failed(self.outcome, late)
+            self.outcome.end_with(late)
             return
-        _failed(self.outcome, StopRequestedError(self.stop.requested))
-        with contextlib.suppress(RigError):  # a failed recorder is reported by _save
+        self.outcome.end_with(StopRequestedError(self.stop.requested))
+        with contextlib.suppress(RigError):  # a failed recorder is reported by `RunSaving`
             self.run.event("warning", "late-ticks", f"while the run stopped: {late.one_line()}")
 
     def _hand_over(self) -> None:
@@ -283,34 +294,6 @@ class _Execution:
 
     # --- during every wait ------------------------------------------------------------------------
 
-    def _each_slice(self) -> None:
-        """Raise what ends a wait. It is called before every slice of the wait, which is at most 20
-        ms long."""
-        now = time.monotonic()
-        passing = self.phases.passing
-        if (kept := passing.given_up) is not None:
-            self._leave_to_guard(kept)
-        due = now - self._last_beat >= BEAT_EVERY_S
-        if due:
-            self._last_beat = now
-            self.guard.beat()
-            if (zero := self.run.force_zero) is not None:
-                self.guard.zero(zero)
-            self.guard.limit(self.run.force_limit_N)
-        if self.phases.now is RunPhase.MAKING_SAFE:
-            return
-        if due:
-            self._miss_guard()
-            self._miss_disk()
-            self._notice_set_clock()
-        measuring = self.phases.now is RunPhase.MEASURING
-        with passing.watched() if measuring else contextlib.nullcontext():
-            self.recorder.check()
-            self.stop.check()
-            self.run.interlocks.check()
-            if measuring:
-                self.run.check_watchers()
-
     def _leave_to_guard(self, kept: RigError) -> None:
         """Run the emergency actions, then have the guard kill this run, make the bench safe and
         save the data: the procedure has kept back everything that was to end the run."""
@@ -332,51 +315,6 @@ class _Execution:
                 self.outcome.off_failures = [failure for failure in failures if failure.drives]
                 self._mark()
         self.guard.kill()
-
-    def _miss_guard(self) -> None:
-        """Report that the guard has died or does not react, and that it reacts again. The run
-        continues: to end it would gain nothing."""
-        trouble = self.guard.trouble()
-        if (trouble is not None) is self._guard_missed:
-            return
-        self._guard_missed = trouble is not None
-        if trouble is not None:
-            level = "warning"
-            text = f"the guard {trouble}: if this run dies as well, nothing makes the bench safe"
-        else:
-            level, text = "info", "the guard reads heartbeats again and watches this run"
-        self.run.event(level, "guard", text)
-        self.observers.event(level, text)
-
-    def _miss_disk(self) -> None:
-        """Report that the disk does not take what is recorded, and that it does again. The run
-        continues: nothing is lost unless it dies meanwhile, and disks answer again."""
-        waiting_s = self.recorder.unacknowledged_s
-        if (waiting_s > SLOW_DISK_S) is self._disk_missed:
-            return
-        self._disk_missed = waiting_s > SLOW_DISK_S
-        if self._disk_missed:
-            level = "warning"
-            text = (
-                f"what was recorded {waiting_s:.0f} s ago is not on the disk yet: it is in memory "
-                "only, and is lost if this run dies"
-            )
-        else:
-            level, text = "info", "what was recorded is on the disk again; nothing was lost"
-        self.run.event(level, "slow-disk", text)
-        self.observers.event(level, text)
-
-    def _notice_set_clock(self) -> None:
-        """Record that the computer's clock was set, or the computer suspended."""
-        now = self.journal.time_of_day
-        if jump_s := now.jump_s():
-            self._warn("clock-set", jump_in_words(jump_s))
-        if slept_s := now.sleep_s():
-            self._warn("suspended", sleep_in_words(slept_s))
-
-    def _warn(self, code: str, text: str) -> None:
-        self.run.event("warning", code, text)
-        self.observers.event("warning", text)
 
     # --- first: safe ------------------------------------------------------------------------------
 
@@ -411,10 +349,10 @@ class _Execution:
         for failure in failures:
             if not failure.drives:
                 error = RigError(f"{failure.name}: {failure.reason}", None, ExitCode.INSTRUMENT)
-                self._failed_late(error)
+                self.outcome.add_failure(error)
         for error in self.run.failures:
             if not self.outcome.failures:
-                self._failed_late(error)
+                self.outcome.add_failure(error)
             elif all(error.message != known.message for known in self.outcome.failures):
                 # The cause is reported already: this followed from it.
                 self.outcome.warnings.append(error.one_line())
@@ -426,7 +364,7 @@ class _Execution:
             self.outcome.safe = not self.run.failures
             self._mark()
             self.guard.safe()
-        with contextlib.suppress(RigError):  # a failed recorder is reported by _save
+        with contextlib.suppress(RigError):  # a failed recorder is reported by `RunSaving`
             for failure in self.outcome.off_failures:
                 self.run.event("error", "off-failed", f"{failure.name}: {failure.reason}")
 
@@ -450,11 +388,11 @@ class _Execution:
             watch.check()
         except InterlockError as latched:
             if self.outcome.status == "complete":
-                self._failed_late(latched)
+                self.outcome.add_failure(latched)
             elif all(error.message != latched.message for error in self.outcome.failures):
                 self.outcome.warnings.append(latched.one_line())
         for error in watch.failures():
-            self._failed_late(error)
+            self.outcome.add_failure(error)
             self.outcome.code = ExitCode.UNSAFE
 
     def _mark(self) -> None:
@@ -470,108 +408,7 @@ class _Execution:
             else:
                 self.marks.clear()
         except RigError as error:
-            self._failed_late(error)
-
-    # --- second: data -----------------------------------------------------------------------------
-
-    def _keep_references(self) -> None:
-        """Keep what this run's presses have shown for later runs, where nothing spoke against them:
-        the run has not failed, and a reading is valid."""
-        if self.outcome.status == "failed":
-            return
-        try:
-            if any(not self.procedure.why_invalid(r) for r in self.readings.values()):
-                self.run.references.keep()
-        except Exception as error:  # noqa: BLE001 - the data come next, whatever a hook raises
-            reported_error = error if isinstance(error, RigError) else internal(error)
-            self.outcome.warnings.append(reported_error.one_line())
-
-    def _save(self) -> None:
-        """Put the end on the disk, add the results, close the journal and compile it; every step is
-        tried even if an earlier one fails."""
-        self.phases.enter(RunPhase.SAVING)
-        outcome = self.outcome
-        compiled = self.job.compiled or outcome.status != "complete"
-        if outcome.points_done and compiled:
-            self.observers.saving()
-        self._keep_references()
-        outcome.warnings = self.run.warnings + outcome.warnings
-        with self._saving():
-            for failure in outcome.failures:
-                if failure in self.run.failures:
-                    continue  # it is in the journal
-                self.run.event("error", type(failure).__name__, failure.one_line())
-            self.recorder.put_end(self.journal.end(outcome, self.run.elapsed_s()))
-            self.recorder.barrier()
-        if outcome.status == "failed":
-            self._forget_what_is_not_in_the_journal()
-        self._summarise()
-        with self._saving():
-            self.recorder.close()
-        if compiled:
-            with self._saving():
-                outcome.file = compile_run(self.journal.path, retire=True)
-                if outcome.points_done:
-                    self.observers.saved(outcome.file)
-        if self.journal.path.exists():
-            outcome.journal = self.journal.path
-
-    def _summarise(self) -> None:
-        """Ask the procedure for its summary and record it as the run's results, if there is a
-        reading. The data are on the disk already: whatever fails here is a warning and costs the
-        results, nothing else."""
-        if not self.readings:
-            return
-        try:
-            # A run that was resumed and ended before its plan has those of before.
-            readings = self.loop.readings() or list(self.readings.values())
-            found = results_of(self.job.procedure, readings, self.bench.simulated)
-            self.outcome.summary = found.values
-            self.recorder.put_results(found)
-            try:
-                self.outcome.in_brief = self.procedure.in_brief(found.values, found.put_in)
-            except RigError as error:  # a bug of the procedure: its values are shown one by one
-                self.outcome.in_brief = single_values(
-                    found.values, found.put_in, found.labels, self.job.procedure.put_in_label
-                )
-                self._warn_of_results("the results are not shown in brief", error)
-        except Exception as error:  # noqa: BLE001 - a bug in an analysis does not end what follows
-            reported_error = error if isinstance(error, RigError) else internal(error)
-            self._warn_of_results("no results in the run file", reported_error)
-
-    def _warn_of_results(self, what: str, error: RigError) -> None:
-        """Warn in one line, and leave the traceback in the log."""
-        self.outcome.warnings.append(f"{what}: {error.one_line()}")
-        log.warning("%s", what, exc_info=error)
-
-    def _forget_what_is_not_in_the_journal(self) -> None:
-        """Drop the readings that are not in the journal, after a failure of the disk."""
-        with contextlib.suppress(RigError, OSError):
-            recorded = {point.id for point in read_journal(self.journal.path).kept()}
-            for lost in self.readings.keys() - recorded:
-                del self.readings[lost]
-            self.outcome.points_done = len(self.readings)
-
-    @contextlib.contextmanager
-    def _saving(self) -> Iterator[None]:
-        """Carry out one step of saving the data within the block. Its failure is reported and does
-        not stop the next step."""
-        try:
-            yield
-        except RigError as error:
-            self._failed_late(error)
-        except OSError as error:
-            hint = f"free some disk space, then run: rig recover {self.journal.path}"
-            text = f"the run file cannot be written: {error}"
-            self._failed_late(RecordingError(self.journal.path, text, hint))
-
-    def _failed_late(self, error: RigError) -> None:
-        """Add a failure behind the first cause, unless it is the first cause again."""
-        if all(error.message != known.message for known in self.outcome.failures):
-            self.outcome.failures.append(error)
-        if self.outcome.code == ExitCode.DONE:
-            self.outcome.code = error.code
-        self.outcome.status = "failed"
+            self.outcome.add_failure(error)
 
     def _warn_of_observer(self, text: str) -> None:
         """Record that an observer failed; the outcome has it even where the journal is closed."""
@@ -580,10 +417,3 @@ class _Execution:
             return
         with contextlib.suppress(RigError):  # a failed recorder ends the run by itself
             self.run.event("warning", "observer", text)
-
-
-def _failed(outcome: RunOutcome, error: RigError) -> RunOutcome:
-    outcome.status = "stopped" if isinstance(error, StopRequestedError) else "failed"
-    outcome.code = error.code
-    outcome.failures.extend(error.parts())
-    return outcome

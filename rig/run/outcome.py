@@ -10,6 +10,7 @@ from typing import Any
 from rig.core.errors import ExitCode, RigError
 from rig.run.arming import ShutdownFailure
 from rig.run.making_safe.guard_link import TakenOver
+from rig.run.stopping import StopRequestedError
 
 
 @dataclass
@@ -53,3 +54,19 @@ class RunOutcome:
     """How z was left where it could not be moved clear, as parts of a sentence: "the skin may still
     be pressed"."""
     warnings: list[str] = field(default_factory=list)
+
+    def end_with(self, error: RigError) -> RunOutcome:
+        """Take an error as what has ended the run, and return the outcome; a stop request is no
+        failure."""
+        self.status = "stopped" if isinstance(error, StopRequestedError) else "failed"
+        self.code = error.code
+        self.failures.extend(error.parts())
+        return self
+
+    def add_failure(self, error: RigError) -> None:
+        """Add a failure behind the first cause, unless it is the first cause again."""
+        if all(error.message != known.message for known in self.failures):
+            self.failures.append(error)
+        if self.code == ExitCode.DONE:
+            self.code = error.code
+        self.status = "failed"

@@ -15,7 +15,7 @@ from rig.core.errors import ExitCode
 from rig.core.settings import Settings
 from rig.files.journal.recorder import Recorder
 from rig.files.runfile.reader import RunFile
-from rig.run import execute
+from rig.run import execute, saving
 from rig.run import observers as observing
 from rig.run.context import Run
 from rig.run.observers import Observers, RunObserver
@@ -247,8 +247,8 @@ def test_where_saving_waits_for_the_disk_it_is_shown_that_the_bench_is_safe(
         assert shown.wait(10), "nothing is shown while the disk does not answer"
         return compile_run(*given, **named)
 
-    compile_run = execute.compile_run
-    monkeypatch.setattr(execute, "compile_run", compiled_on_a_stalled_disk)
+    compile_run = saving.compile_run
+    monkeypatch.setattr(saving, "compile_run", compiled_on_a_stalled_disk)
     outcome = run_of(Example(Settings()), tmp_path, monkeypatch, noting, Waiting())
     assert outcome.code is ExitCode.DONE, outcome.failures
     assert ("event", ("info", execute.SLOW_SAVING[True])) in noting.said
@@ -268,7 +268,7 @@ def test_a_guard_that_reads_heartbeats_again_is_reported_as_it_was_missed(
 ) -> None:
     looks = iter([None, "is silent", "is silent"])
     monkeypatch.setattr("made_up.Guard.trouble", lambda _: next(looks, None))
-    monkeypatch.setattr("rig.run.execute.BEAT_EVERY_S", 0.0)
+    monkeypatch.setattr("rig.run.wait_checks.BEAT_EVERY_S", 0.0)
     seen = Noting()
     outcome = run_of(Example(Settings()), tmp_path, monkeypatch, seen)
     missed = "the guard is silent: if this run dies as well, nothing makes the bench safe"
@@ -284,7 +284,7 @@ def test_a_disk_that_takes_nothing_is_reported_and_that_it_does_again(
 ) -> None:
     waiting = iter([0.2, 12.0, 12.1])
     monkeypatch.setattr(Recorder, "unacknowledged_s", property(lambda _: next(waiting, 0.1)))
-    monkeypatch.setattr("rig.run.execute.BEAT_EVERY_S", 0.0)
+    monkeypatch.setattr("rig.run.wait_checks.BEAT_EVERY_S", 0.0)
     seen = Noting()
     outcome = run_of(Example(Settings()), tmp_path, monkeypatch, seen)
     missed = (

@@ -463,7 +463,7 @@ def test_a_fault_in_brief_is_a_warning_and_the_results_are_shown_one_by_one(
     what: Callable[..., Any],
     words: str,
 ) -> None:
-    monkeypatch.setattr("rig.run.execute.log.propagate", True)
+    monkeypatch.setattr("rig.run.saving.log.propagate", True)
     procedure = made(in_brief=what)(Settings())
     outcome = run_of(procedure, tmp_path, monkeypatch)
     assert outcome.code is ExitCode.DONE

@@ -1,0 +1,142 @@
+"""The data of a run that has ended: its journal is completed, summarised, closed and compiled.
+
+Every step is tried even if an earlier one fails, and its failure is in the outcome.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+from rig.core.errors import RigError
+from rig.files.errors import RecordingError
+from rig.files.journal.reader import read_journal
+from rig.files.runfile.compile import compile_run
+from rig.run.checked_procedure import CheckedProcedure, internal
+from rig.run.in_brief import single_values
+from rig.run.results import results_of
+
+if TYPE_CHECKING:
+    from rig.files.journal.recorder import Recorder
+    from rig.run.context import Run
+    from rig.run.job import Journal, RunJob
+    from rig.run.observers import Observers
+    from rig.run.outcome import RunOutcome
+    from rig.run.point_loop import PointLoop
+    from rig.run.points import Reading
+
+log = logging.getLogger("rig")
+
+
+class RunSaving:
+    """Saves the data of one run."""
+
+    def __init__(
+        self,
+        job: RunJob,
+        procedure: CheckedProcedure,
+        run: Run,
+        recorder: Recorder,
+        journal: Journal,
+        loop: PointLoop,
+        readings: dict[str, Reading],
+        observers: Observers,
+        outcome: RunOutcome,
+    ):
+        """Save what `readings` has, by id of the point. Readings that the disk did not take are
+        removed from it."""
+        self._job, self._procedure, self._run = job, procedure, run
+        self._recorder, self._journal, self._loop = recorder, journal, loop
+        self._readings, self._observers, self._outcome = readings, observers, outcome
+
+    def save(self) -> None:
+        """Put the end on the disk, add the results, close the journal and compile it; every step is
+        tried even if an earlier one fails."""
+        outcome = self._outcome
+        compiled = self._job.compiled or outcome.status != "complete"
+        if outcome.points_done and compiled:
+            self._observers.saving()
+        self._keep_references()
+        outcome.warnings = self._run.warnings + outcome.warnings
+        with self._saving():
+            for failure in outcome.failures:
+                if failure in self._run.failures:
+                    continue  # it is in the journal
+                self._run.event("error", type(failure).__name__, failure.one_line())
+            self._recorder.put_end(self._journal.end(outcome, self._run.elapsed_s()))
+            self._recorder.barrier()
+        if outcome.status == "failed":
+            self._forget_what_is_not_in_the_journal()
+        self._summarise()
+        with self._saving():
+            self._recorder.close()
+        if compiled:
+            with self._saving():
+                outcome.file = compile_run(self._journal.path, retire=True)
+                if outcome.points_done:
+                    self._observers.saved(outcome.file)
+        if self._journal.path.exists():
+            outcome.journal = self._journal.path
+
+    def _keep_references(self) -> None:
+        """Keep what this run's presses have shown for later runs, where nothing spoke against them:
+        the run has not failed, and a reading is valid."""
+        if self._outcome.status == "failed":
+            return
+        try:
+            if any(not self._procedure.why_invalid(r) for r in self._readings.values()):
+                self._run.references.keep()
+        except Exception as error:  # noqa: BLE001 - the data come next, whatever a hook raises
+            reported_error = error if isinstance(error, RigError) else internal(error)
+            self._outcome.warnings.append(reported_error.one_line())
+
+    def _summarise(self) -> None:
+        """Ask the procedure for its summary and record it as the run's results, if there is a
+        reading. The data are on the disk already: whatever fails here is a warning and costs the
+        results, nothing else."""
+        if not self._readings:
+            return
+        try:
+            # A run that was resumed and ended before its plan has those of before.
+            readings = self._loop.readings() or list(self._readings.values())
+            found = results_of(self._job.procedure, readings, self._run.bench.simulated)
+            self._outcome.summary = found.values
+            self._recorder.put_results(found)
+            try:
+                self._outcome.in_brief = self._procedure.in_brief(found.values, found.put_in)
+            except RigError as error:  # a bug of the procedure: its values are shown one by one
+                self._outcome.in_brief = single_values(
+                    found.values, found.put_in, found.labels, self._job.procedure.put_in_label
+                )
+                self._warn_of_results("the results are not shown in brief", error)
+        except Exception as error:  # noqa: BLE001 - a bug in an analysis does not end what follows
+            reported_error = error if isinstance(error, RigError) else internal(error)
+            self._warn_of_results("no results in the run file", reported_error)
+
+    def _warn_of_results(self, what: str, error: RigError) -> None:
+        """Warn in one line, and leave the traceback in the log."""
+        self._outcome.warnings.append(f"{what}: {error.one_line()}")
+        log.warning("%s", what, exc_info=error)
+
+    def _forget_what_is_not_in_the_journal(self) -> None:
+        """Drop the readings that are not in the journal, after a failure of the disk."""
+        with contextlib.suppress(RigError, OSError):
+            recorded = {point.id for point in read_journal(self._journal.path).kept()}
+            for lost in self._readings.keys() - recorded:
+                del self._readings[lost]
+            self._outcome.points_done = len(self._readings)
+
+    @contextlib.contextmanager
+    def _saving(self) -> Iterator[None]:
+        """Carry out one step of saving the data within the block. Its failure is reported and does
+        not stop the next step."""
+        try:
+            yield
+        except RigError as error:
+            self._outcome.add_failure(error)
+        except OSError as error:
+            hint = f"free some disk space, then run: rig recover {self._journal.path}"
+            text = f"the run file cannot be written: {error}"
+            self._outcome.add_failure(RecordingError(self._journal.path, text, hint))
