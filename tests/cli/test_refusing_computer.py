@@ -7,9 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parent.parent / "files"))
-
 import recorded_trials as trials
 
 from rig.files.errors import RecordingError

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tiers import mostly_thorough
 
 from rig.core.cache import DiskCache
 from rig.evaluation.front_ends import through_front_end
@@ -11,7 +12,6 @@ from rig.evaluation.labelled_trials import USUAL_KINDS, Kind, LabelledTrial, lab
 from rig.physics.population import PopulationSettings, Range, StripFrontEndSettings
 from rig.physics.skin.condensed import CondensedSkin, build_skin
 from rig.physics.skin.settings import SkinSettings
-from tests.tiers import mostly_thorough
 
 COARSE = PopulationSettings(skin=SkinSettings(elements_per_ridge=6))
 """A mesh that is made in a second; what is tested here does not depend on it."""

@@ -1,5 +1,5 @@
 """Every file of a simulated run has the whole World: a sweep, one that is resumed, and trials with
-what they press on; for those of a batch see cli/test_batch.py."""
+what they press on; for those of a batch see cli/commands/test_batch.py."""
 
 from __future__ import annotations
 

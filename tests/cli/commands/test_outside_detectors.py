@@ -10,9 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parent.parent / "files"))
-
 import recorded_trials as trials
 from packages import install, on_path, plate_bench
 

@@ -18,9 +18,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parent.parent / "files"))
-
 import recorded_run
 import recorded_trials as trials
 from distributed import Client

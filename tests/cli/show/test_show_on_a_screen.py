@@ -5,18 +5,13 @@ from __future__ import annotations
 
 import json
 import shlex
-import sys
 from pathlib import Path
 from typing import Any
 
 import pytest
-from tiers import mostly_nightly
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "files"))
-sys.path.insert(0, str(Path(__file__).parents[1] / "figures"))
-
 import recorded
 import recorded_run
+from tiers import mostly_nightly
 
 from procedures.slip_trial import SlipTrial
 from procedures.slip_trial.settings import SlipTrialSettings

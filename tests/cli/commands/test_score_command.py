@@ -6,11 +6,11 @@ from pathlib import Path
 
 import pytest
 import typer
+from strips_file import slip_file
 from typer.testing import CliRunner
 
 from rig.cli.commands.score import score
 from rig.physics.population import PopulationSettings
-from tests.cli.strips_file import slip_file
 
 app = typer.Typer(pretty_exceptions_enable=False)
 app.command()(score)

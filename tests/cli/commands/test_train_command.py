@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 import typer
+from strips_file import slip_file
 from typer.testing import CliRunner
 
 from rig.cli.commands.train import train
@@ -16,7 +17,6 @@ from rig.detector.kernel import INPUTS
 from rig.detector.network import Network
 from rig.evaluation.labelled_files import listed_trials
 from rig.evaluation.lessons import LESSON_POPULATION
-from tests.cli.strips_file import slip_file
 
 train_module = sys.modules[train.__module__]
 app = typer.Typer(pretty_exceptions_enable=False)
