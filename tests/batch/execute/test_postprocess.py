@@ -17,7 +17,7 @@ from typing import IO, Any
 import pytest
 from packages import install
 
-sys.path.insert(0, str(Path(__file__).parent.parent / "files"))
+sys.path.insert(0, str(Path(__file__).parents[2] / "files"))
 
 import recorded_run
 import recorded_trials as trials

@@ -15,7 +15,7 @@ from calibrated import write_record
 from rig.batch.plan.read import parse_batch
 from rig.batch.plan.schema import batch_schema
 
-DOCUMENTED = Path(__file__).parents[2] / "docs" / "batch.md"
+DOCUMENTED = Path(__file__).parents[3] / "docs" / "batch.md"
 SWEEPS = """\
 [batch]
 name = "films"
