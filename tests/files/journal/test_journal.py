@@ -493,7 +493,7 @@ except RigError as again:
 
 def test_a_full_disk_is_an_error_with_path_and_remedy_and_loses_nothing(tmp_path: Path) -> None:
     path = tmp_path / "a.rigj"
-    command = [sys.executable, "-c", FULL, str(path), str(Path(__file__).parent)]
+    command = [sys.executable, "-c", FULL, str(path), str(Path(run.__file__).parent)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=True)
     lines = done.stdout.splitlines()
     assert len(lines) == 3
