@@ -1,1 +1,1 @@
-"""Tests of the simulated instruments, each over ideal physics instead of a World."""
+"""Tests of the simulated bench, and the ideal physics that tests of single instruments use."""

@@ -9,7 +9,7 @@ import pytest
 from drivers.simulated.faults.plan import AxisFault, DriveFault, MoveFault, SlowAxis
 from drivers.simulated.transports.modbus_tcp import ModbusError
 
-from .axis_bench import ACK, HOME, ON, PLC, RUN, TASK, Controller
+from ..axis_bench import ACK, HOME, ON, PLC, RUN, TASK, Controller
 
 
 @pytest.fixture

@@ -10,7 +10,7 @@ from drivers.simulated.faults.plan import DEVICES, DEVICES_BY_FAULT, FaultPlan
 from drivers.simulated.faults.wire import Delivery, WireDialect, WireFaults, WireReply
 from rig.core.errors import ConfigurationError
 
-from .ideal import IdealBench
+from ..ideal import IdealBench
 
 
 def plan(**fault: object) -> FaultPlan:
@@ -233,7 +233,7 @@ def test_every_kind_is_taken_for_its_devices_and_refused_for_all_others(
 
 
 def test_every_kind_stands_in_the_table_for_people() -> None:
-    table = Path(__file__).parents[3] / "docs" / "fault-plans.md"
+    table = Path(__file__).parents[4] / "docs" / "fault-plans.md"
     rows = {
         line.split("|")[1].strip(" `") for line in table.read_text().splitlines() if "|" in line
     }

@@ -20,7 +20,7 @@ from drivers.simulated.instruments.keysight_33500b import Keysight33500B
 from drivers.simulated.instruments.keysight_u2300a import KeysightU2300A
 from drivers.simulated.transports.scpi_servers import SCPI_DIALECT, HislipServer, ScpiSocketServer
 
-from .ideal import IdealBench, serving
+from ..ideal import IdealBench, serving
 
 BLOCK_POINTS = 500_000  # two channels of int16: a block of 2 MB
 

@@ -10,7 +10,7 @@ import pytest
 from drivers.simulated.faults.plan import FaultPlan, RotaryFault
 from drivers.simulated.instruments.zaber_rst import SimulatedRotarySettings, SimulatedRotaryStage
 
-from .ideal import IdealBench
+from ..ideal import IdealBench
 
 
 class Talk:

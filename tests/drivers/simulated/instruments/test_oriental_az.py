@@ -17,7 +17,7 @@ from drivers.simulated.instruments.oriental_az import (
 )
 from drivers.simulated.transports.modbus_rtu import RtuLine, crc16, frame
 
-from .axis_bench import AxisBench
+from ..axis_bench import AxisBench
 
 STEPS = 1000.0
 NONE = b""

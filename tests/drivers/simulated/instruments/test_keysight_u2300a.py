@@ -12,7 +12,7 @@ from drivers.simulated.instruments.keysight_u2300a import BUFFER_SAMPLES, Keysig
 from drivers.simulated.instruments.u2300a_converter import CONVERTED_ROWS
 from drivers.simulated.instruments.u2300a_models import MODELS, codes_of_volts, volts_of_codes
 
-from .ideal import IdealBench, Talk
+from ..ideal import IdealBench, Talk
 
 
 @pytest.fixture

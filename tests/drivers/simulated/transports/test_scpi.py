@@ -20,7 +20,7 @@ from drivers.simulated.transports.scpi import (
     block,
 )
 
-from .ideal import Talk
+from ..ideal import Talk
 
 
 class Lamp(ScpiInstrument):

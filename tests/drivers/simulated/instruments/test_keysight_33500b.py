@@ -10,7 +10,7 @@ import pytest
 from drivers.simulated.instruments.keysight_33500b import Keysight33500B
 from drivers.simulated.transports.scpi import block
 
-from .ideal import IdealBench, Talk
+from ..ideal import IdealBench, Talk
 
 
 @pytest.fixture

@@ -27,7 +27,7 @@ from drivers.simulated.transports.modbus_tcp import (
     reply_to,
 )
 
-from .ideal import serving
+from ..ideal import serving
 
 
 class Registers:

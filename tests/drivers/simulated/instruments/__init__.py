@@ -1,0 +1,1 @@
+"""Tests of the simulated instruments, each over ideal physics instead of a World."""
