@@ -27,7 +27,7 @@ from rig.physics.film_clamp import FilmClampSettings, preload_gain
 from rig.physics.front_end import FrontEndSettings
 from rig.physics.vibrator import drawn_film, true_response, vibrator_line
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "analysis"))
+sys.path.insert(0, str(Path(__file__).parents[1] / "analysis" / "film"))
 from recorded_film import beside_truth, print_estimates
 
 pytestmark = [pytest.mark.benchmark, pytest.mark.timeout(3600)]

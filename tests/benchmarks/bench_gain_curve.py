@@ -1,9 +1,10 @@
 """Drawn films, recorded, analysed and held against the truth: errors, coverage, drops, cost.
 
 Films of the seeds 1 to 200; what an analysis is tuned on are other seeds (1000 and above). The
-truth of each quantity is defined in tests/analysis/recorded_film.py. Prints the table and judges
-it: b within 0.1 dB, slopes within 0.1 dB/decade, corner within 5 %, every drop found within 2 % and
-none invented, and every 95 % interval right as often as chance allows: in 183 to 197 of 200.
+truth of each quantity is defined in tests/analysis/film/recorded_film.py. Prints the table and
+judges it: b within 0.1 dB, slopes within 0.1 dB/decade, corner within 5 %, every drop found within
+2 % and none invented, and every 95 % interval right as often as chance allows: in 183 to 197 of
+200.
 
 Run with ``pytest -m benchmark -n 0 -s tests/benchmarks/bench_gain_curve.py``; `RIG_REPEATS=50`
 for fewer films.
@@ -19,7 +20,7 @@ import numpy as np
 import pytest
 from measured import heading, repeats, row, target
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "analysis"))
+sys.path.insert(0, str(Path(__file__).parents[1] / "analysis" / "film"))
 from recorded_film import judge, print_estimates
 
 pytestmark = [pytest.mark.benchmark, pytest.mark.timeout(1800)]

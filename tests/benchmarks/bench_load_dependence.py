@@ -38,7 +38,7 @@ from rig.files.runfile.reader import RunFile
 from rig.physics.film_clamp import FilmClampSettings, load_gain, preload_gain
 from rig.physics.vibrator import drawn_film, true_response
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "analysis"))
+sys.path.insert(0, str(Path(__file__).parents[1] / "analysis" / "film"))
 from recorded_film import PLAN, beside_truth, print_estimates, record
 
 pytestmark = [pytest.mark.benchmark, pytest.mark.timeout(3600)]
