@@ -13,6 +13,7 @@ import typer
 
 from rig.cli.options.numbers import whole_number
 from rig.cli.options.shared import RESULTS, AsJson, Debug, Notes, RunFolder
+from rig.cli.options.utf8 import as_utf8
 from rig.cli.outcome import log, print_json, reported, say, say_failure, start_log
 from rig.core.errors import ConfigurationError, ExitCode, RigError
 
@@ -126,6 +127,9 @@ def import_(
         "labels": None if labels is None else str(labels),
     }
     with reported(debug, as_json):
+        stored = {"sensor": sensor, "sample": sample, "object": object_, "user": user}
+        for option, text in (stored | {"notes": notes}).items():
+            as_utf8(f"--{option}", text, "a run file")
         columns = channel_map(channels) | ({} if time is None else {"time": time.strip()})
         scales = scale_map(scale)
         if unused := sorted(set(scales) - set(columns) - {"time"}):

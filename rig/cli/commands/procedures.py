@@ -27,12 +27,16 @@ from rig.cli.options.shared import (
     World,
     WorldLog,
 )
+from rig.cli.options.utf8 import as_utf8
 from rig.cli.outcome import reported, say, start_log, turning
 from rig.run.bench_selector import BenchRequest, BenchSelector, bench_file, refuse_seed
 
 if TYPE_CHECKING:
     from rig.files.journal.reader import JournalContents
     from rig.run.procedure import Procedure
+
+STORED_TEXTS = ("user", "sample", "notes", "accept")
+"""Options of a procedure whose texts are stored in the run file."""
 
 
 @option_group
@@ -84,6 +88,8 @@ def command(name: str) -> Callable[..., None]:
         options = {name: given.pop(name) for name in ProcedureRequest.__dataclass_fields__}
         request = ProcedureRequest(**options | {"bench": bench_file(options["bench"])})
         with reported(request.debug, request.as_json):
+            for text in STORED_TEXTS:
+                as_utf8(f"--{text}", getattr(request, text), "a run file")
             refuse_seed(request)
             settings = settings_from(procedure.Settings, texts_of(procedure.Settings, given))
             perform(procedure(settings), request)

@@ -16,8 +16,8 @@ import typer
 from rig.cli.options.groups import option_group
 from rig.cli.options.numbers import real_number
 from rig.cli.options.shared import RESULTS, AsJson, BenchFile, Debug, Notes, Seed, World, WorldLog
+from rig.cli.options.utf8 import as_utf8
 from rig.core.errors import ConfigurationError
-from rig.core.text import printable
 
 if TYPE_CHECKING:
     from rig.instruments.calibration import Kind
@@ -87,9 +87,9 @@ class RecordOptions:
         return {
             "date": date,
             "valid_until": date + timedelta(days=days),
-            "operator": _as_utf8("--operator", self.operator or operator or _login()),
+            "operator": as_utf8("--operator", self.operator or operator or _login(), "a record"),
             "temperature_degC": self.temperature,
-            "notes": _as_utf8("--notes", self.notes),
+            "notes": as_utf8("--notes", self.notes, "a record"),
             "program": f"tactile-rig {rig.__version__}",
         }
 
@@ -136,7 +136,7 @@ def sensor_name(option: str, text: str) -> str:
             f"{option} has {len(text)} characters: a record keeps at most {LONGEST_SENSOR_NAME}",
             "use a shorter name",
         )
-    return _as_utf8(option, text)
+    return as_utf8(option, text, "a record")
 
 
 def directions(text: str) -> list[Vector]:
@@ -240,19 +240,6 @@ def _days(text: str) -> int:
             f"--valid {text}: has to be 1 to 3650 days", "write it as --valid 90d"
         )
     return int(match[1])
-
-
-def _as_utf8(option: str, text: str) -> str:
-    """Return the text. Raises ConfigurationError if it has bytes that are not UTF-8: no record
-    could be written with it once all weights were on."""
-    try:
-        text.encode()
-    except UnicodeEncodeError as error:
-        raise ConfigurationError(
-            f"{option} {printable(text)}: this text is not UTF-8, so a record cannot keep it",
-            "set the terminal to UTF-8, or use ASCII characters only",
-        ) from error
-    return text
 
 
 def _login() -> str:

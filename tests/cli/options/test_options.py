@@ -309,6 +309,21 @@ def test_a_number_outside_its_bounds_is_refused_in_plain_words(rig, given, repor
     assert reported in " ".join(ended.stderr.split())
 
 
+@pytest.mark.parametrize(
+    "given",
+    [
+        *(f"slip-trial {option}" for option in ("--user", "--sample", "--notes", "--accept")),
+        *(f"import x.csv --channels v_1=1 {option}" for option in ("--user", "--sensor")),
+    ],
+)
+def test_a_text_that_is_not_utf8_is_refused_before_a_bench_is_started(rig, given: str) -> None:
+    ended = rig.run(*given.split(), "M\udcfcller")
+    assert (ended.code, ended.stderr.splitlines()) == (ExitCode.USAGE, ended.errors)
+    (error,) = ended.errors
+    assert rf"{given.split()[-1]} M\udcfcller: this text is not UTF-8, so a run file" in error
+    assert error.endswith("; set the terminal to UTF-8, or use ASCII characters only")
+
+
 def test_bounds_in_the_help_are_words(rig) -> None:
     shown = rig.run("train", "--help").stdout
     assert "x<=" not in shown
