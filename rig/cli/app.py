@@ -9,7 +9,9 @@ from __future__ import annotations
 
 import ast
 import inspect
+import os
 import sys
+import time
 from collections.abc import Callable, Sequence
 from importlib import import_module
 from pathlib import Path
@@ -58,6 +60,9 @@ GROUPS: dict[str, str] = {
 }
 """Groups of commands: modules with an ``app``, described by the first line of their docstring."""
 
+DAY_S = 86_400
+"""Times can be stored with an offset from UTC of less than a day only."""
+
 HELP = """Tactile bench controller: sweeps, slip and roll trials, calibrations, and their files.
 
 Without a bench file (--bench FILE, or bench.toml here) a command runs on the simulated bench and
@@ -71,6 +76,7 @@ def perform(arguments: Sequence[str]) -> None:
     With ``--json`` stdout gets an object even for a command line that cannot be parsed.
     """
     as_json = "--json" in arguments
+    _use_time_zone()
     try:
         app = build(arguments)
     except RigError as error:
@@ -84,6 +90,17 @@ def perform(arguments: Sequence[str]) -> None:
         hint = "see rig --help"
         code = report(ConfigurationError(error.format_message(), hint), as_json=True)
     sys.exit(code)
+
+
+def _use_time_zone() -> None:
+    """Use UTC, in this process and those that it starts, if the time zone of the computer is a day
+    or more away from it: no command may fail because of that, least of all `rig make-safe`."""
+    if max(abs(time.timezone), abs(time.altzone)) < DAY_S:
+        return
+    zone = f"TZ={printable(os.environ['TZ'])}" if "TZ" in os.environ else "the computer's time zone"
+    os.environ["TZ"] = "UTC"
+    time.tzset()
+    say(f"warning: {zone} is a day or more away from UTC, so times are given in UTC; correct it")
 
 
 def build(arguments: Sequence[str]) -> typer.Typer:

@@ -54,6 +54,27 @@ def test_a_process_that_cannot_be_started_is_said_in_one_line(rig: Any) -> None:
     assert "processes (ulimit -u)" in done.errors[0]
 
 
+def test_a_run_in_a_time_zone_a_day_away_from_utc_is_recorded_in_utc(rig: Any) -> None:
+    rig.env["TZ"] = "UTC+24"
+    done = rig.run("sweep", "--frequencies", "80Hz", "--no-figures", "--json")
+    warning = done.stderr.splitlines()[0]
+    assert warning.startswith("warning: TZ=UTC+24 is a day or more away from UTC")
+    assert (done.code, done.object["outcome"]) == (0, "complete")
+    shown = rig.run("show", done.object["file"], "--json")
+    assert (shown.code, shown.object["start_time"][-6:]) == (0, "+00:00")
+
+
+@pytest.mark.parametrize(
+    ("zone", "warned"),
+    [("LAB-24:30", True), ("LAB-23SUM-24", True), ("LAB+23:59", False), ("/no/zone", False)],
+)
+def test_every_time_zone_has_commands_that_work(rig: Any, zone: str, warned: bool) -> None:
+    rig.env["TZ"] = zone
+    done = rig.run("detectors")
+    assert done.code == 0
+    assert ("more away from UTC, so times are given in UTC" in done.stderr) is warned
+
+
 def test_a_run_file_for_which_there_is_no_memory_leaves_the_journal_and_says_how(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
