@@ -8,6 +8,7 @@ program that the user has named. `run_module` waits for one of our modules; a `C
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import os
 import select
 import signal
@@ -23,10 +24,15 @@ MAX_MEMORY_BYTES = 8 << 30
 MAX_ANSWER_BYTES = 1 << 30
 """Limit on the answer of a child that is waited for."""
 TAIL_BYTES = 1 << 16
-"""Number of bytes of the end of an output that are returned by default. A child that writes faster
-than it is polled waits for its pipe, and meets its time limit."""
-CHUNK_BYTES = 1 << 20
+"""Number of bytes of the end of an output that are returned by default; the others are dropped."""
+PIPE_BYTES = 1 << 20
+"""Size of a pipe: what a child can write between two polls. It then waits for its pipe."""
+WAS_FULL_BYTES = 1 << 16
+"""A pipe from which so much is read at once may have been full: the system may allow no larger."""
+CHUNK_BYTES = 2 * PIPE_BYTES
 """More than a pipe holds: one read empties it."""
+READ_S = 0.02
+"""Longest time in s for which one poll reads what a child continues to write."""
 CLOSED_WAIT_S = 0.01
 """Interval at which a child is checked that has closed its outputs."""
 CHECK_EVERY_S = 0.1
@@ -117,9 +123,9 @@ class Child:
         return self._output.bytes
 
     def poll(self) -> ChildResult | None:
-        """Return how it ended, or None while it is at work; returns at once. At its time limit it
-        is killed. What it has started and left behind in its session is ended with it. After a
-        result there is nothing more to ask."""
+        """Return how it ended, or None while it is at work; returns at once, or after `READ_S` for
+        each output that it fills. At its time limit it is killed. What it has started and left
+        behind in its session is ended with it. After a result there is nothing more to ask."""
         code, timed_out = self._exit_code(), False  # First: what it has written is then there.
         self._output.read()
         self._complaint.read()
@@ -217,6 +223,8 @@ class _Output:
         self.bytes = 0
         if pipe is not None:
             os.set_blocking(pipe.fileno(), False)
+            with contextlib.suppress(OSError):  # the user's limit is reached: it stays smaller
+                fcntl.fcntl(pipe.fileno(), fcntl.F_SETPIPE_SZ, PIPE_BYTES)
 
     @property
     def end(self) -> bytes:
@@ -224,19 +232,26 @@ class _Output:
         return bytes(self._content)
 
     def read(self) -> None:
-        """Read what is there, one chunk at most."""
-        if self.pipe is None:
-            return
-        try:
-            chunk = os.read(self.pipe.fileno(), CHUNK_BYTES)
-        except BlockingIOError:
-            return
-        if not chunk:
-            self.close()
-            return
-        self.bytes += len(chunk)
-        self._content += chunk
-        del self._content[: -self._longest]
+        """Read what is there; from a child that had to wait for its pipe, also what it writes
+        within `READ_S`."""
+        until_s, taken = time.monotonic() + READ_S, 0
+        while self.pipe is not None:
+            try:
+                chunk = os.read(self.pipe.fileno(), CHUNK_BYTES)
+            except BlockingIOError:
+                left_s = max(0.0, until_s - time.monotonic())
+                if taken < WAS_FULL_BYTES or not select.select([self.pipe], [], [], left_s)[0]:
+                    return
+                continue
+            if not chunk:
+                self.close()
+                return
+            taken += len(chunk)
+            self.bytes += len(chunk)
+            self._content += chunk
+            del self._content[: -self._longest]
+            if time.monotonic() > until_s:
+                return
 
     def close(self) -> None:
         """Close the pipe."""

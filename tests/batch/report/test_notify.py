@@ -136,6 +136,21 @@ def test_telling_does_not_wait_and_what_is_not_delivered_in_time_is_given_up() -
     assert all("given up after 0.1 s" in warning for warning in given_up)
 
 
+def test_a_command_that_prints_tens_of_megabytes_ends_by_itself(tmp_path: Path) -> None:
+    """What it prints beyond the end that may be shown is read and dropped."""
+    program = (
+        "import sys\n"
+        "for _ in range(64): sys.stdout.write('x' * (1 << 20)); sys.stderr.write('y' * (1 << 20))\n"
+        "open(sys.argv[1], 'w').write('delivered')\n"
+        "sys.exit('no network')\n"
+    )
+    notifier = Notifier(command(program, str(tmp_path / "kept")), longest_s=50.0)
+    notifier.notify("end", "over", "")
+    (warning,) = notifier.close(CLOSING_S)
+    assert (tmp_path / "kept").read_text() == "delivered", warning
+    assert "exit code 1: yyyy" in warning
+
+
 @pytest.mark.thorough
 def test_one_that_hangs_and_one_that_floods_do_not_stop_later_messages(tmp_path: Path) -> None:
     """Each costs its own time limit; what it writes is read up to a bound."""
