@@ -27,7 +27,8 @@ if TYPE_CHECKING:
 LONGEST_LINE = 1 << 16
 """More bytes without a line's end are an error."""
 TIMEOUTS_PER_ANSWER = 2
-"""Longest wait for an answer, in time-outs: the port may have to be opened first."""
+"""Longest wait for an answer, in time-outs: before it, a connection may have to be made, or on a
+serial line the place to be found again."""
 QUIET_S = 0.02
 """Time in s for which a serial line has to be silent after a failure before it is used again."""
 
@@ -36,7 +37,12 @@ class LineLink:
     """One instrument's commands and answers; any thread may call any method.
 
     `device` is the instrument's role, for errors. `place` is a serial port or
-    ``socket://host:port``. The time-out is wall time. A lock is held for one exchange.
+    ``socket://host:port``. A lock is held for one exchange.
+
+    Each step of a command has a bound of its own, in wall time: to open the port may take
+    `timeout_s` over TCP, and on a serial line as long as the computer takes, which nothing here can
+    cut short; to find the place again after a failure, until the line is silent, `timeout_s` from
+    then on; and the answer `timeout_s` from the moment at which its command is sent.
     """
 
     def __init__(
@@ -122,7 +128,6 @@ class LineLink:
     # --- one exchange -------------------------------------------------------------------------
 
     def _exchange(self, command: str, answer: re.Pattern[str]) -> re.Match[str]:
-        deadline = time.monotonic() + self._timeout_s
         if self._port is None:
             self._port = open_port(
                 self._place, self._baudrate, self._timeout_s, self._serial_format
@@ -130,10 +135,15 @@ class LineLink:
             if self._resync is not None and not self._place.startswith(SOCKET):
                 begins = not self._used and command == self._resync[0]
                 if self._failed or begins:
-                    self._find_again(self._port, deadline)
+                    self._find_again(self._port)
         self._failed, self._used = False, True
+        deadline = self._deadline()
         self._port.write(command.encode("ascii") + self._terminator)
         return self._answer(self._port, command, answer, deadline)
+
+    def _deadline(self) -> float:
+        """Return the wall time by which a step that begins now has to be done."""
+        return time.monotonic() + self._timeout_s
 
     def _answer(
         self, port: Port, command: str, answer: re.Pattern[str], deadline: float
@@ -148,9 +158,10 @@ class LineLink:
     def _unexpected(self, command: str, line: str) -> InstrumentError:
         return self.error(command, f"the answer {line[:80]!r} is not what was expected")
 
-    def _find_again(self, port: Port, deadline: float) -> None:
+    def _find_again(self, port: Port) -> None:
         """Throw away what is left of earlier commands."""
         assert self._resync is not None
+        deadline = self._deadline()
         query, answer = self._resync
         port.write(query.encode("ascii") + self._terminator)
         line = None
@@ -161,17 +172,17 @@ class LineLink:
             if line is None:
                 raise
             raise self._unexpected(query, line) from None
-        self._fall_silent(port, query)
+        self._fall_silent(port, query, deadline)
 
-    def _fall_silent(self, port: Port, command: str) -> None:
+    def _fall_silent(self, port: Port, command: str, deadline: float) -> None:
         """Throw away what comes until nothing has come for `QUIET_S`. Raises InstrumentError where
-        that takes longer than the time-out."""
+        something still comes after the deadline."""
         self._input.clear()
-        heard_s = began_s = time.monotonic()
+        heard_s = time.monotonic()
         while True:
             looks_s = time.monotonic()
             if self._receive(port):
-                if looks_s - began_s > self._timeout_s:
+                if looks_s > deadline:
                     shown = self._input[-80:].decode("latin-1")
                     raise self.error(command, f"the instrument continues to send: {shown!r}")
                 heard_s = time.monotonic()

@@ -89,7 +89,7 @@ class LineStream(LineLink):
             self._closing_what_fails(command),
         ):
             if self._port is not None:
-                self._fall_silent(self._port, command)
+                self._fall_silent(self._port, command, self._deadline())
 
     def _exchange(self, command: str, answer: re.Pattern[str]) -> re.Match[str]:
         self._last_line = ""  # an earlier command's would be a wrong cause of this one's time-out

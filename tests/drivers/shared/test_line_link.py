@@ -28,6 +28,36 @@ class Line:
         pass
 
 
+class SlowLine(Line):
+    """A line whose time is its own: it takes 1 s to open, and each answer some ms to come."""
+
+    def __init__(self, answer_s: float):
+        super().__init__(b"", b"ACME W1\n")
+        self.now_s, self.answer_s, self.due_s = 0.0, answer_s, 0.0
+
+    def opened(self, *given: object) -> Line:
+        self.now_s += 1.0
+        return self
+
+    def monotonic(self) -> float:
+        return self.now_s
+
+    def write(self, data: bytes) -> None:
+        super().write(data)
+        self.due_s = self.now_s + self.answer_s
+
+    def read(self) -> bytes:
+        self.now_s += 0.005
+        return super().read() if self.now_s >= self.due_s else b""
+
+
+def slow_link(monkeypatch: pytest.MonkeyPatch, line: SlowLine) -> LineLink:
+    link = link_on(monkeypatch, line)
+    monkeypatch.setattr(line_link, "open_port", line.opened)
+    monkeypatch.setattr(line_link, "time", line)
+    return link
+
+
 def link_on(monkeypatch: pytest.MonkeyPatch, line: Line, place: str = "/dev/ttyUSB0") -> LineLink:
     monkeypatch.setattr(line_link, "open_port", lambda *given: line)
     return LineLink("generator", place, 0.05, WallClock(), resync=("ID?", r"ACME \S+"))
@@ -54,3 +84,21 @@ def test_a_stop_is_the_first_thing_that_is_sent_on_a_line_that_is_opened_for_it(
 ) -> None:
     line = Line(b"", b"")  # deaf to ID?
     assert link_on(monkeypatch, line).ask("OUT 0", "OK", charge=False)[0] == "OK"
+
+
+def test_a_port_that_opens_slowly_leaves_the_whole_time_out_to_each_answer(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The place is found again within one time-out of 50 ms, the answer comes within another."""
+    link = slow_link(monkeypatch, SlowLine(answer_s=0.04))
+    assert link.ask("ID?", r"ACME (\S+)")[1] == "W1"
+    assert link.ask("OUT 0", "OK")[0] == "OK"
+
+
+def test_an_instrument_without_an_answer_is_given_up_one_time_out_after_the_port_is_open(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    line = SlowLine(answer_s=9.0)
+    with pytest.raises(InstrumentTimeoutError, match=r"no answer within 0\.05 s"):
+        slow_link(monkeypatch, line).ask("ID?", r"ACME (\S+)", charge=False)
+    assert line.now_s == pytest.approx(1.05, abs=0.011)
