@@ -36,6 +36,7 @@ import numpy as np
 from pydantic import Field
 
 from drivers.shared.force_stream import ForceStream
+from drivers.shared.line_link import ECHO, ECHO_HINT, is_echo
 from drivers.shared.line_stream import STREAM, LineStream
 from drivers.shared.ports import READ_WAIT_S
 from rig.core.clock import Clock
@@ -293,11 +294,17 @@ class LineForceSensor(ForceStream, ABC):
         return values
 
     def _no_frame(self, line: bytes, why: str) -> InstrumentError:
+        rates = [self.rate_command.format(rate=rate) for rate in self.rates_S_s]
+        sent = [self.start_command, self.stop_command, self.identify[0], *filter(None, rates)]
+        if is_echo("\n".join(sent), line.decode("latin-1")):
+            cause = f"the line {line[:80]!r} is not a frame but {ECHO}"
+            return self._link.error(STREAM, cause, ECHO_HINT)
         return self._link.error(
             STREAM,
             f"the line {line[:80]!r} is not a frame of the {self.model} ({why})",
             f"check the cable, that nothing else talks to {self.settings.port}, and, on a serial "
-            "port, baudrate and serial_format of [force_sensor] in the bench file",
+            f"port, baudrate ({self.settings.baudrate}) and serial_format "
+            f"({self.settings.serial_format}) of [force_sensor] in the bench file",
         )
 
 

@@ -32,6 +32,10 @@ serial line the place to be found again."""
 QUIET_S = 0.02
 """Time in s for which a serial line has to be silent after a failure before it is used again."""
 
+ECHO = "the command itself: it is echoed"
+ECHO_HINT = "switch off the echo of the instrument or its adapter, and check their connection"
+"""Cause and hint where a command comes back in place of an answer."""
+
 
 class LineLink:
     """One instrument's commands and answers; any thread may call any method.
@@ -111,6 +115,17 @@ class LineLink:
         usual = f"check that {self._place} is switched on and that nothing else talks to it"
         return InstrumentError(self._device, _shown(command), cause, hint or usual)
 
+    def _settings_hint(self, state: str) -> str:
+        """Return what to check at an instrument whose answers are missing or wrong: that it is in
+        this state, and on a serial line the settings of the port."""
+        check = f"check that {self._place} {state}"
+        if self._place.startswith(SOCKET):
+            return check
+        return (
+            f"{check}, and that the instrument has the baud rate of this link, {self._baudrate}, "
+            f"and its format, {self._serial_format}"
+        )
+
     @contextlib.contextmanager
     def _closing_what_fails(self, command: str) -> Iterator[None]:
         """Close the port where the block fails, and name the device and the command; a TimeoutError
@@ -156,7 +171,13 @@ class LineLink:
         return found
 
     def _unexpected(self, command: str, line: str) -> InstrumentError:
-        return self.error(command, f"the answer {line[:80]!r} is not what was expected")
+        if is_echo(command, line):
+            return self.error(command, f"the answer {line[:80]!r} is {ECHO}", ECHO_HINT)
+        return self.error(
+            command,
+            f"the answer {line[:80]!r} is not what was expected",
+            self._settings_hint("is switched on and that nothing else talks to it"),
+        )
 
     def _find_again(self, port: Port) -> None:
         """Throw away what is left of earlier commands."""
@@ -221,13 +242,19 @@ class LineLink:
         return InstrumentTimeoutError(
             self._device,
             _shown(command),
-            self._no_answer(),
-            f"check that {self._place} is switched on and connected",
+            *self._no_answer(command),
         )
 
-    def _no_answer(self) -> str:
-        """Return the cause of a time-out in words."""
-        return f"no answer within {self._timeout_s:g} s"
+    def _no_answer(self, command: str) -> tuple[str, str]:
+        """Return the cause of a command's time-out in words, and the remedy."""
+        hint = self._settings_hint("is switched on and connected")
+        return f"no answer within {self._timeout_s:g} s", hint
+
+
+def is_echo(command: str, line: str) -> bool:
+    """Return whether a line is a command, or one of several lines that are sent as one: it is not
+    an answer, and comes from an instrument, an adapter or a plug that sends back what it gets."""
+    return line.strip() in map(str.strip, command.splitlines())
 
 
 def _shown(command: str) -> str:

@@ -10,7 +10,14 @@ import re
 import time
 from collections.abc import Callable
 
-from drivers.shared.line_link import LONGEST_LINE, TIMEOUTS_PER_ANSWER, LineLink
+from drivers.shared.line_link import (
+    ECHO,
+    ECHO_HINT,
+    LONGEST_LINE,
+    TIMEOUTS_PER_ANSWER,
+    LineLink,
+    is_echo,
+)
 from drivers.shared.ports import Port
 
 GIVES_WAY_S = 0.001
@@ -116,11 +123,13 @@ class LineStream(LineLink):
                 return found
             begin, self._last_line = after, line
 
-    def _no_answer(self) -> str:
+    def _no_answer(self, command: str) -> tuple[str, str]:
         """See `LineLink`."""
+        cause, hint = super()._no_answer(command)
         if not self._last_line:
-            return super()._no_answer()
-        return (
-            f"no answer of the expected form within {self._timeout_s:g} s; the last line that came "
-            f"is {self._last_line[:80]!r}"
-        )
+            return cause, hint
+        last = f"the last line that came is {self._last_line[:80]!r}"
+        cause = f"no answer of the expected form within {self._timeout_s:g} s; {last}"
+        if is_echo(command, self._last_line):
+            return f"{cause}, {ECHO}", ECHO_HINT
+        return cause, hint

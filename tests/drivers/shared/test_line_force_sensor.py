@@ -169,7 +169,7 @@ def test_a_line_that_is_not_a_frame_ends_the_stream_until_it_is_started_again(
     said = first.value.one_line()
     for words in (
         *("force_sensor", "stream", repr(line), "not a frame of the F10", why),
-        *("/dev/ttyUSB0", "baudrate and serial_format of [force_sensor] in the bench file"),
+        *("/dev/ttyUSB0", "baudrate (9600) and serial_format (8N1) of [force_sensor] in the bench"),
     ):
         assert words in said
     with pytest.raises(InstrumentError) as second:
@@ -239,6 +239,38 @@ def test_a_missing_answer_is_a_time_out_that_shows_what_came_instead(port: Talki
     with pytest.raises(InstrumentTimeoutError, match=r"no answer within 0\.3 s") as silent:
         sensor.start(100.0)
     assert "/dev/ttyUSB0" in str(silent.value.hint)
+
+
+def test_a_sensor_that_is_silent_or_garbled_at_connect_may_have_another_baud_rate(
+    port: TalkingSensor,
+) -> None:
+    checks = "that the instrument has the baud rate of this link, 9600, and its format, 8N1"
+    for answer in (b"", b"\xf0\x89", b"\xf0\x89\r\n"):
+        port.answers[b"*I"] = answer
+        with pytest.raises(InstrumentError) as failed:
+            connected()
+        assert checks in str(failed.value.hint)
+    settings = LineForceSensorSettings(port="socket://h:1", timeout_s=0.1, max_force_N=4.0)
+    with pytest.raises(InstrumentError) as failed:
+        F10.connect(settings, ClockByHand())
+    assert "baud" not in failed.value.one_line()
+
+
+def test_a_sensor_that_echoes_commands_is_refused_with_that_reason(port: TalkingSensor) -> None:
+    echoed = r"is (not a frame but )?the command itself: it is echoed"
+    port.answers.update({one: one + b"\r\n" for one in (b"*I", b"*S")})
+    with pytest.raises(InstrumentError, match=echoed) as at_connect:
+        connected()
+    assert "switch off the echo" in str(at_connect.value.hint)
+    port.answers.update({b"*I": IDENTITY, b"*C": b"*C\r\n"})
+    sensor = connected()
+    sensor.start(100.0)
+    with pytest.raises(InstrumentError, match=echoed) as streaming:
+        sensor.read()
+    assert "switch off the echo" in str(streaming.value.hint)
+    port.answers.update({b"*S": b"", b"*I": b"*I\r\n"})
+    with pytest.raises(InstrumentTimeoutError, match="'\\*I', the command itself: it is echoed"):
+        sensor.stop()
 
 
 def test_a_command_that_is_not_acknowledged_is_named_on_one_line(port: TalkingSensor) -> None:

@@ -79,6 +79,15 @@ def test_an_instrument_that_answers_otherwise_is_shown_with_its_answer(
     assert not isinstance(seen.value, InstrumentTimeoutError)
 
 
+def test_an_instrument_that_echoes_commands_is_refused_with_that_reason(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    with pytest.raises(InstrumentError) as seen:
+        link_on(monkeypatch, Line(b"", b"ID?\r\n")).ask("ID?", r"ACME (\S+)")
+    assert "the answer 'ID?\\r' is the command itself: it is echoed" in seen.value.message
+    assert "switch off the echo" in str(seen.value.hint)
+
+
 def test_a_stop_is_the_first_thing_that_is_sent_on_a_line_that_is_opened_for_it(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
