@@ -8,7 +8,13 @@ from pathlib import Path
 
 from rig.batch.folder import BatchFolder
 from rig.core.errors import ConfigurationError
-from rig.run.locks.lock_holder import holder_of
+from rig.run.locks.lock_holder import (
+    NotStoppedError,
+    ask_to_stop,
+    holder_of,
+    holders_by_path,
+    is_stopped,
+)
 
 
 def batch_of(journal: Path) -> BatchFolder | None:
@@ -48,3 +54,29 @@ def ask_batch(folder: BatchFolder, request: str) -> str:
     with Queue.open(folder.queue) as queue:
         queue.add_request(request)
         return queue.meta("name")
+
+
+def stop_without_the_disk(place: Path) -> BatchFolder:
+    """Stop the batch at once that runs in a folder, or in a folder of results, whose disk does not
+    answer; return it. `place` is absolute and without links.
+
+    Raises NotStoppedError if no batch of this user is known to run there, or several are.
+    """
+    locks = holders_by_path(BatchFolder(place).supervisor_lock.name)
+    running = [lock.parent for lock in locks if place in (lock.parent, lock.parent.parent)]
+    if len(running) > 1:
+        raise NotStoppedError(
+            f"{len(running)} batches run there: {', '.join(map(str, running))}",
+            "name the folder of one",
+        )
+    if not running:
+        raise NotStoppedError(
+            f"no process of yours on this computer is known to run a batch in {place}",
+            "press Ctrl-C in the terminal of the batch, or run: rig make-safe",
+        )
+    batch = BatchFolder(running[0])
+    supervisor = locks[batch.supervisor_lock]
+    # One that was stopped passes nothing on; its worker still takes the run under way.
+    lock = batch.worker_lock if is_stopped(supervisor.pid) else batch.supervisor_lock
+    ask_to_stop(lock, by_path=True)
+    return batch

@@ -70,6 +70,10 @@ class RigError(Exception):
         if code is not None:
             self.code = code
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle the error whatever its class is made of."""
+        return _restored, (type(self), self.args), self.__dict__
+
     def one_line(self) -> str:
         """Return the message and hint on one line, as a person reads it."""
         text = f"{self.message}; {self.hint}" if self.hint else self.message
@@ -79,6 +83,11 @@ class RigError(Exception):
         """Return the failures that this error consists of, to be reported one by one: itself
         only."""
         return (self,)
+
+
+def _restored(kind: type[RigError], args: tuple[Any, ...]) -> RigError:
+    """Return an error of a class without its constructor, whose arguments are not known."""
+    return kind.__new__(kind, *args)
 
 
 class SeveralFailuresError(RigError):

@@ -121,6 +121,64 @@ def test_a_stop_at_once_reaches_a_batch_whose_queue_cannot_be_opened(
     assert "rig batch stop --now works without the queue" in said
 
 
+@pytest.fixture
+def silent(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> BatchFolder:
+    """The folder of a batch on a disk that has stalled: what looks into it waits without end."""
+    folder = batch_in(tmp_path)
+    monkeypatch.setattr(batch, "ANSWER_S", 0.5)
+    monkeypatch.setattr(batch, "UNHEARD_NOW_S", 0.0)
+    monkeypatch.setattr("rig.batch.folder.find_folder", lambda *_: threading.Event().wait())
+    return folder
+
+
+@pytest.mark.parametrize("command", [batch.status, batch.pause, batch.stop])
+def test_a_folder_that_does_not_answer_is_reported_with_what_works_without_it(
+    command: Callable[..., None], silent: BatchFolder, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(typer.Exit) as ended:
+        command(silent.path)
+    assert ended.value.exit_code == ExitCode.INTERNAL
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(f"error: {silent.path} did not answer for ")
+    assert "its disk has stalled, or its network share is away; what works without it: " in line
+    assert line.endswith("Ctrl-C in the terminal of the batch, rig batch stop --now, rig make-safe")
+
+
+@pytest.mark.parametrize("stopped", [False, True])
+@pytest.mark.parametrize("named", [False, True])
+def test_a_stop_at_once_reaches_a_batch_whose_folder_does_not_answer(
+    silent: BatchFolder,
+    stopped: bool,
+    named: bool,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """The kernel knows its supervisor; where that was stopped, the worker is asked."""
+    asked: list[Path] = []
+    monkeypatch.setattr("rig.batch.running.is_stopped", lambda _: stopped)
+    monkeypatch.setattr("rig.batch.running.ask_to_stop", lambda path, **_: asked.append(path))
+    with silent.held_by("supervisor", 0.0):
+        batch.stop(silent.path if named else None, results=silent.path.parent, now=True)
+    assert asked == [silent.worker_lock if stopped else silent.supervisor_lock]
+    warning, said = capsys.readouterr().err.splitlines()
+    assert "did not answer for" in warning
+    assert "the process that runs the batch was asked directly" in warning
+    assert said == f"batch {silent.path}: stopping now"
+
+
+def test_a_stop_at_once_that_reaches_no_batch_says_so(
+    silent: BatchFolder, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(typer.Exit) as ended:
+        batch.stop(silent.path, now=True)
+    assert ended.value.exit_code == ExitCode.INTERNAL
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "did not answer for" in line
+    known = "no process of yours on this computer is known to run a batch"
+    assert f"; not stopped: {known} in {silent.path}; " in line
+    assert line.endswith("press Ctrl-C in the terminal of the batch, or run: rig make-safe")
+
+
 def test_a_batch_on_another_computer_whose_queue_is_damaged_is_stopped_there(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

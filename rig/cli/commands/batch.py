@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import time
-from contextlib import ExitStack
+from collections.abc import Callable
+from contextlib import ExitStack, suppress
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, TypeVar
 
 import typer
 
@@ -61,6 +63,11 @@ UNHEARD_S, UNHEARD_NOW_S, HEARD_CHECK_S = 5.0, 1.0, 0.05
 """Time in s after which a supervisor, which looks for requests every 0.1 s, is taken to be stopped
 or to hang; the same for a stop at once, which does no harm if it comes twice; and the interval at
 which it is checked whether it has taken them."""
+ANSWER_S, LINKS_S = 10.0, 2.0
+"""Longest time in s that a command waits for the folder of a batch; then for links on the way to
+it."""
+
+_Found = TypeVar("_Found")
 
 
 app.command()(batch_plan.plan)
@@ -251,15 +258,21 @@ def status(
 ) -> None:
     """Show the progress of a batch, from any terminal."""
     with reported(debug):
-        from rig.batch.folder import find_folder
-        from rig.batch.report.status import status_of
-
-        found = find_folder(folder, results)
+        found = folder
         while True:
-            _show(status_of(found), as_json, watch)
+            shown = _answered(folder, results, partial(_status, found, results))
+            _show(shown, as_json, watch)
             if not watch:
                 return
+            found = shown.folder.path
             time.sleep(WATCH_S)
+
+
+def _status(folder: Path | None, results: Path) -> BatchStatus:
+    from rig.batch.folder import find_folder
+    from rig.batch.report.status import status_of
+
+    return status_of(find_folder(folder, results))
 
 
 def _show(status: BatchStatus, as_json: bool, again: bool) -> None:
@@ -275,37 +288,101 @@ def _show(status: BatchStatus, as_json: bool, again: bool) -> None:
 
 def _request(command: str, shown: str, folder: Path | None, results: Path, debug: bool) -> None:
     with reported(debug):
-        from rig.batch.folder import find_folder
-        from rig.batch.queue import Queue
         from rig.batch.queue_file import QueueWriteError
-        from rig.batch.report.status import status_of
-        from rig.batch.running import require_own
 
-        found = find_folder(folder, results)
-        if not found.is_held("supervisor"):
-            status = status_of(found, running=False)
-            raise ConfigurationError(
-                f"batch {found.path} is not running ({status.state})",
-                "; ".join(status.to_continue()) or "it has ended",
-            )
-        require_own(found)
+        now = command == "stop-now"
+        within_s = UNHEARD_NOW_S if now else UNHEARD_S
         try:
-            with Queue.open(found.queue) as queue:
-                queue.add_request(command)
-                within_s = UNHEARD_NOW_S if command == "stop-now" else UNHEARD_S
-                heard = _is_heard(found, queue, within_s)
-        except (QueueWriteError, ConfigurationError) as error:  # a full disk; a damaged queue
-            if command == "stop-now":
+            found, heard, error = _answered(
+                folder, results, partial(_leave, command, folder, results, within_s), within_s
+            )
+        except FolderSilentError as silent:
+            if not now:
+                raise
+            found = _stop_without_the_disk(folder or results, silent)
+        else:
+            if error is None:
+                if not heard:
+                    _ask_the_worker(found, command, within_s)
+            elif now:
                 _stop_by_signal(found, error)
             else:
                 full = isinstance(error, QueueWriteError)
                 hint = "free some disk space and ask again" if full else error.hint or "ask again"
                 without = "rig batch stop --now works without the queue"
                 raise RigError(error.message, f"{hint}; {without}", error.code) from error
-        else:
-            if not heard:
-                _ask_the_worker(found, command, within_s)
         say(f"batch {found.path}: {shown}")
+
+
+def _leave(
+    command: str, folder: Path | None, results: Path, within_s: float
+) -> tuple[BatchFolder, bool, RigError | None]:
+    """Leave a request for the supervisor of a batch. Return the batch, whether its supervisor has
+    taken the request within a time, and the error of a queue that takes none."""
+    from rig.batch.folder import find_folder
+    from rig.batch.queue import Queue
+    from rig.batch.queue_file import QueueWriteError
+    from rig.batch.report.status import status_of
+    from rig.batch.running import require_own
+
+    found = find_folder(folder, results)
+    if not found.is_held("supervisor"):
+        status = status_of(found, running=False)
+        raise ConfigurationError(
+            f"batch {found.path} is not running ({status.state})",
+            "; ".join(status.to_continue()) or "it has ended",
+        )
+    require_own(found)
+    try:
+        with Queue.open(found.queue) as queue:
+            queue.add_request(command)
+            return found, _is_heard(found, queue, within_s), None
+    except (QueueWriteError, ConfigurationError) as error:  # a full disk; a damaged queue
+        return found, False, error
+
+
+class FolderSilentError(RigError):
+    """Raised where the folder of a batch, or of results, does not answer."""
+
+
+def _answered(
+    folder: Path | None, results: Path, work: Callable[[], _Found], more_s: float = 0.0
+) -> _Found:
+    """Return the result of work in the folder of a batch or of results; it may take `ANSWER_S`, and
+    `more_s` for what it waits for there. Raises FolderSilentError after that: no signal reaches a
+    process that waits for a disk that has stalled, or for a network share that is away."""
+    from rig.core.apart import GivenUpError, result_within
+
+    try:
+        return result_within(ANSWER_S + more_s, work)
+    except GivenUpError:
+        raise FolderSilentError(
+            f"{folder or results} did not answer for {ANSWER_S + more_s:g} s: its disk has "
+            "stalled, or its network share is away",
+            "what works without it: Ctrl-C in the terminal of the batch, rig batch stop --now, "
+            "rig make-safe",
+        ) from None
+
+
+def _stop_without_the_disk(place: Path, silent: FolderSilentError) -> BatchFolder:
+    """Stop a batch at once whose folder does not answer; return it."""
+    import os
+
+    from rig.batch.folder import QUEUE
+    from rig.batch.running import stop_without_the_disk
+    from rig.core.apart import GivenUpError, result_within
+    from rig.run.locks.lock_holder import NotStoppedError
+
+    place = place.parent if place.name == QUEUE else place
+    place = Path(os.path.abspath(place))  # noqa: PTH100 - `resolve` asks the disk
+    with suppress(GivenUpError):  # links that lie on the disk itself
+        place = result_within(LINKS_S, place.resolve)
+    try:
+        found = stop_without_the_disk(place)
+    except NotStoppedError as error:
+        raise RigError(f"{silent.message}; not stopped: {error.message}", error.hint) from error
+    say(f"warning: {silent.message}; the process that runs the batch was asked directly")
+    return found
 
 
 def _is_heard(folder: BatchFolder, queue: Queue, within_s: float) -> bool:

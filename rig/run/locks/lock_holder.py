@@ -97,23 +97,58 @@ def _carries(pid: int, status: os.stat_result) -> bool:
     """Return whether a descriptor of the process is this file, locked. Raises OSError."""
     for entry in os.scandir(PROC / str(pid) / "fd"):
         with contextlib.suppress(FileNotFoundError):  # it was closed meanwhile
-            if os.path.samestat(Path(entry.path).stat(), status):
-                text = (PROC / str(pid) / "fdinfo" / entry.name).read_text()
-                if any(
-                    line.startswith("lock:") and "FLOCK" in line and "WRITE" in line
-                    for line in text.splitlines()
-                ):
-                    return True
+            if os.path.samestat(Path(entry.path).stat(), status) and _locks(pid, entry.name):
+                return True
     return False
 
 
-def ask_to_stop(path: Path, number: signal.Signals = signal.SIGTERM) -> LockHolder:
+def _locks(pid: int, descriptor: str) -> bool:
+    """Return whether a descriptor of the process carries a lock. Raises OSError."""
+    text = (PROC / str(pid) / "fdinfo" / descriptor).read_text()
+    return any(
+        line.startswith("lock:") and "FLOCK" in line and "WRITE" in line
+        for line in text.splitlines()
+    )
+
+
+def holders_by_path(name: str) -> dict[Path, LockHolder]:
+    """Return the locked files of this name, by their absolute paths without links, with the
+    processes that hold the locks.
+
+    The kernel alone is asked, so it also works where the disk of these files does not answer. Left
+    out are processes that this program may not look into, and those that see other file systems (in
+    a container): with them the same path may be a different file.
+    """
+    found: dict[Path, LockHolder] = {}
+    for pid in {pid for pids in locked_inodes().values() for pid in pids}:
+        process = PROC / str(pid)
+        with contextlib.suppress(OSError):
+            if (process / "ns/mnt").readlink() != (PROC / "self/ns/mnt").readlink():
+                continue
+            user = user_name(process.stat().st_uid)
+            for entry in os.scandir(process / "fd"):
+                with contextlib.suppress(FileNotFoundError):  # it was closed meanwhile
+                    path = Path(entry.path).readlink()
+                    if path.name == name and _locks(pid, entry.name):
+                        found[path] = LockHolder(pid, user, True)
+    return found
+
+
+def holder_by_path(path: Path) -> LockHolder | None:
+    """Return the process that holds the lock of a file, as `holder_of` does, without the disk."""
+    return holders_by_path(path.name).get(path)
+
+
+def ask_to_stop(
+    path: Path, number: signal.Signals = signal.SIGTERM, *, by_path: bool = False
+) -> LockHolder:
     """Send a signal to the process that holds the lock of a file, and to no other; return it.
 
-    Raises NotStoppedError if no living process holds it, if it is another user's, or if it let the
-    lock go before the signal was sent.
+    With `by_path` the disk of the file is not asked. Raises NotStoppedError if no living process
+    holds it, if it is another user's, or if it let the lock go before the signal was sent.
     """
-    holder = holder_of(path)
+    find = holder_by_path if by_path else holder_of
+    holder = find(path)
     if holder is None:
         raise NotStoppedError(f"no process holds {path}: the run has ended or died")
     if not holder.own:
@@ -127,7 +162,7 @@ def ask_to_stop(path: Path, number: signal.Signals = signal.SIGTERM) -> LockHold
         raise NotStoppedError(f"process {holder.pid} has ended: {error.strerror}") from error
     try:
         # Only now is the number bound to a process: what held the lock a moment ago may be gone.
-        if holder_of(path) != holder:
+        if find(path) != holder:
             raise NotStoppedError(f"process {holder.pid} does not hold {path} any more")
         signal.pidfd_send_signal(process, number)
     except ProcessLookupError as error:
@@ -149,6 +184,14 @@ def lives(pid: int) -> bool:
     except OSError:
         return False
     return status.rpartition(")")[2].split()[0] not in "ZX"
+
+
+def is_stopped(pid: int) -> bool:
+    """Return whether a process was stopped, by Ctrl-Z for instance: it handles no signal."""
+    with contextlib.suppress(OSError):
+        status = (PROC / str(pid) / "stat").read_text(errors="replace")
+        return status.rpartition(")")[2].split()[0] in "Tt"
+    return False
 
 
 def guard_of(pid: int) -> int | None:

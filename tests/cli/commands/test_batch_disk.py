@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import shutil
 import stat
 import subprocess
 import sys
@@ -32,6 +33,26 @@ def small_disk(rig: Any) -> Iterator[Path]:
         pytest.skip("a small file system cannot be mounted here")
     yield rig.results
     subprocess.run(("umount", "-l", str(rig.results)), check=False)
+
+
+@pytest.fixture
+def stalling_disk(rig: Any) -> Iterator[Path]:
+    """The folder of results is a file system of its own, which `fsfreeze` can stall."""
+    rig.results.mkdir()
+    image = rig.folder / "disk.img"
+    with image.open("wb") as file:
+        file.truncate(64 << 20)
+    for command in (
+        ("mkfs.ext4", "-q", str(image)),
+        ("mount", "-o", "loop", str(image), str(rig.results)),
+    ):
+        if not shutil.which(command[0]) or subprocess.run(command, check=False).returncode:
+            pytest.skip("a disk that can be stalled cannot be made here")
+    try:
+        yield rig.results
+    finally:
+        subprocess.run(("fsfreeze", "-u", str(rig.results)), capture_output=True, check=False)
+        subprocess.run(("umount", "-l", str(rig.results)), check=False)
 
 
 def fill(folder: Path) -> Path:
@@ -114,6 +135,39 @@ settings = { frequencies_Hz = [160, 180, 200], settling_s = 4 }
     ended = running.finish()
     assert ended.code == 143, ended.stderr
     filler.unlink()
+    again = rig.run("batch", "resume", "--json")
+    assert again.code == 0, again.stderr
+    assert object_of(again.stdout)["runs"]["done"] == 1
+
+
+def test_a_batch_whose_disk_stalls_is_stopped_at_once_without_it(
+    rig: Any, stalling_disk: Path
+) -> None:
+    write_night(
+        rig,
+        NIGHT
+        + """
+hold_when = { free_disk_GB = 0 }
+[simulation]
+world = "world.toml"
+[[experiment]]
+procedure = "sweep"
+settings = { frequencies_Hz = [160, 180, 200], settling_s = 4 }
+""",
+    )
+    running = rig.start("batch", "run", "night.toml", "--json")
+    running.wait_for(r"^run 1/")
+    subprocess.run(("fsfreeze", "-f", str(stalling_disk)), check=True)
+    status = rig.run("batch", "status")
+    assert (status.code, len(status.errors)) == (1, 1)
+    assert "results did not answer for 10 s: its disk has stalled" in status.errors[0]
+    stopped = rig.run("batch", "stop", "--now")
+    assert stopped.code == 0, stopped.stderr
+    assert "the process that runs the batch was asked directly" in stopped.stderr
+    running.wait_for("stopping: making the bench safe")
+    subprocess.run(("fsfreeze", "-u", str(stalling_disk)), check=True)
+    ended = running.finish()
+    assert ended.code == 143, ended.stderr
     again = rig.run("batch", "resume", "--json")
     assert again.code == 0, again.stderr
     assert object_of(again.stdout)["runs"]["done"] == 1

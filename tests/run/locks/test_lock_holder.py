@@ -13,7 +13,14 @@ import time
 import pytest
 
 from rig.run.locks import lock_holder
-from rig.run.locks.lock_holder import NotStoppedError, ask_to_stop, holder_of
+from rig.run.locks.lock_holder import (
+    NotStoppedError,
+    ask_to_stop,
+    holder_by_path,
+    holder_of,
+    holders_by_path,
+    is_stopped,
+)
 
 HOLD = """
 import fcntl, os, signal, sys
@@ -50,6 +57,29 @@ def test_the_process_that_took_the_lock_is_asked_to_stop_whatever_the_file_says(
     assert process.wait(30) == -signal.SIGTERM
     with pytest.raises(NotStoppedError, match="no process holds"):
         ask_to_stop(path)
+
+
+def test_a_process_is_found_by_the_path_of_its_lock_without_a_look_at_the_file(
+    holding, monkeypatch, tmp_path
+):
+    """As where the disk of the file does not answer."""
+    path, process = holding
+    reader = os.open(path, os.O_RDONLY)
+    try:
+        with monkeypatch.context() as patched:
+            patched.setattr(os.path, "samestat", None)
+            assert list(holders_by_path("a.lock")) == [path]
+            assert holder_by_path(tmp_path / "b" / "a.lock") is None
+            assert not is_stopped(process.pid)
+            holder = ask_to_stop(path, signal.SIGSTOP, by_path=True)
+        assert (holder.pid, holder.own) == (process.pid, True)
+        os.waitid(os.P_PID, process.pid, os.WSTOPPED)
+        assert is_stopped(process.pid)
+        ask_to_stop(path, signal.SIGKILL, by_path=True)
+        assert process.wait(30) == -signal.SIGKILL
+        assert holder_by_path(path) is None
+    finally:
+        os.close(reader)
 
 
 def test_looking_takes_no_lock_that_a_run_may_want(holding, tmp_path):
