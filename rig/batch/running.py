@@ -7,6 +7,7 @@ import os
 from pathlib import Path
 
 from rig.batch.folder import BatchFolder
+from rig.core.apart import GivenUpError, result_within
 from rig.core.errors import ConfigurationError
 from rig.run.locks.lock_holder import (
     NotStoppedError,
@@ -15,6 +16,11 @@ from rig.run.locks.lock_holder import (
     holders_by_path,
     is_stopped,
 )
+
+LINKS_S = 2.0
+"""Longest time in s that the links in the path of a folder may take."""
+REQUEST_S = 2.0
+"""Longest time in s that a request may take where a stop must not wait for the disk."""
 
 
 def batch_of(journal: Path) -> BatchFolder | None:
@@ -56,12 +62,29 @@ def ask_batch(folder: BatchFolder, request: str) -> str:
         return queue.meta("name")
 
 
+def stop_batch_of(journal: Path) -> None:
+    """Stop the batch at once that takes the run of this journal, if one does, also where the disk
+    does not answer. Raises RigError if it could not be asked."""
+    try:
+        result_within(REQUEST_S, lambda: _ask_batch_of(journal))
+    except GivenUpError:
+        stop_without_the_disk(journal.parent.parent)
+
+
+def _ask_batch_of(journal: Path) -> None:
+    if (batch := batch_of(journal)) is not None:
+        ask_batch(batch, "stop-now")
+
+
 def stop_without_the_disk(place: Path) -> BatchFolder:
     """Stop the batch at once that runs in a folder, or in a folder of results, whose disk does not
-    answer; return it. `place` is absolute and without links.
+    answer; return it.
 
     Raises NotStoppedError if no batch of this user is known to run there, or several are.
     """
+    place = Path(os.path.abspath(place))  # noqa: PTH100 - `resolve` asks the disk
+    with contextlib.suppress(GivenUpError):  # on the disk itself there may be links as well
+        place = result_within(LINKS_S, place.resolve)
     locks = holders_by_path(BatchFolder(place).supervisor_lock.name)
     running = [lock.parent for lock in locks if place in (lock.parent, lock.parent.parent)]
     if len(running) > 1:

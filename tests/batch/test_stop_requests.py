@@ -14,6 +14,7 @@ from typing import Any
 import pytest
 import typer
 
+from rig.batch import running
 from rig.batch.execute import worker_link
 from rig.batch.execute.supervisor import Supervisor
 from rig.batch.execute.worker import Worker
@@ -22,7 +23,6 @@ from rig.batch.plan.conditions import BatchPlan
 from rig.batch.queue import Queue
 from rig.batch.queue_file import QueueWriteError
 from rig.batch.queue_records import WAITS_FOR_A_PERSON
-from rig.batch.running import require_own
 from rig.cli.commands import batch
 from rig.core.errors import ExitCode
 from rig.run.locks import lock_holder
@@ -179,6 +179,19 @@ def test_a_stop_at_once_that_reaches_no_batch_says_so(
     assert line.endswith("press Ctrl-C in the terminal of the batch, or run: rig make-safe")
 
 
+def test_making_safe_stops_the_batch_of_a_run_although_its_folder_does_not_answer(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = batch_in(tmp_path)
+    asked: list[Path] = []
+    monkeypatch.setattr(running, "REQUEST_S", 0.5)
+    monkeypatch.setattr(running, "batch_of", lambda _: threading.Event().wait())
+    monkeypatch.setattr(running, "ask_to_stop", lambda path, **_: asked.append(path))
+    with folder.held_by("supervisor", 0.0):
+        running.stop_batch_of(folder.journal(1, "sweep"))
+    assert asked == [folder.supervisor_lock]
+
+
 def test_a_batch_on_another_computer_whose_queue_is_damaged_is_stopped_there(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -204,7 +217,7 @@ def test_a_batch_is_ones_own_although_its_process_cannot_be_looked_into(
     unseen = lock_holder.LockHolder(4242, "bob", own=False)
     monkeypatch.setattr("rig.batch.running.holder_of", lambda _: unseen)
     with folder.held_by("supervisor", 0.0):
-        require_own(folder)
+        running.require_own(folder)
 
 
 def test_a_batch_whose_status_cannot_be_read_at_its_end_still_says_that_its_bench_is_not_safe(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, TypeVar
@@ -63,9 +63,8 @@ UNHEARD_S, UNHEARD_NOW_S, HEARD_CHECK_S = 5.0, 1.0, 0.05
 """Time in s after which a supervisor, which looks for requests every 0.1 s, is taken to be stopped
 or to hang; the same for a stop at once, which does no harm if it comes twice; and the interval at
 which it is checked whether it has taken them."""
-ANSWER_S, LINKS_S = 10.0, 2.0
-"""Longest time in s that a command waits for the folder of a batch; then for links on the way to
-it."""
+ANSWER_S = 10.0
+"""Longest time in s that a command waits for the folder of a batch."""
 
 _Found = TypeVar("_Found")
 
@@ -366,19 +365,12 @@ def _answered(
 
 def _stop_without_the_disk(place: Path, silent: FolderSilentError) -> BatchFolder:
     """Stop a batch at once whose folder does not answer; return it."""
-    import os
-
     from rig.batch.folder import QUEUE
     from rig.batch.running import stop_without_the_disk
-    from rig.core.apart import GivenUpError, result_within
     from rig.run.locks.lock_holder import NotStoppedError
 
-    place = place.parent if place.name == QUEUE else place
-    place = Path(os.path.abspath(place))  # noqa: PTH100 - `resolve` asks the disk
-    with suppress(GivenUpError):  # links that lie on the disk itself
-        place = result_within(LINKS_S, place.resolve)
     try:
-        found = stop_without_the_disk(place)
+        found = stop_without_the_disk(place.parent if place.name == QUEUE else place)
     except NotStoppedError as error:
         raise RigError(f"{silent.message}; not stopped: {error.message}", error.hint) from error
     say(f"warning: {silent.message}; the process that runs the batch was asked directly")

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterator, Mapping, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rig.cli.options.shared import BENCH_TOML, BenchToml, Debug
@@ -131,17 +130,11 @@ def _stop_users(names: Sequence[str], requests: StopRequests) -> None:
     for error in requests.failures:
         _say_first(f"warning: it could not be asked: {error.one_line()}")
     for journal in requests.runs:
-        with _only_warning():
-            _stop_batch(journal)
+        with _only_warning():  # a batch would take its next run
+            from rig.batch.running import stop_batch_of
+
+            stop_batch_of(journal)
     await_users(names, requests)
-
-
-def _stop_batch(journal: Path) -> None:
-    """End the whole batch where the run is one of a batch, which would take its next run."""
-    from rig.batch.running import ask_batch, batch_of
-
-    if (batch := batch_of(journal)) is not None:
-        ask_batch(batch, "stop-now")
 
 
 def _report_what_is_known(names: Sequence[str]) -> None:

@@ -79,16 +79,19 @@ def test_where_it_is_not_known_who_uses_the_bench_it_is_not_called_safe(
 
 def test_the_batch_of_a_run_is_ended_and_not_only_the_run(acted, monkeypatch, tmp_path) -> None:
     """Its supervisor would have another worker take the run again."""
-    asked: list[tuple[Path, str]] = []
+    asked = tmp_path / "asked"
 
     def ask_users(_, requests) -> None:
         requests.runs.add(tmp_path / "night" / "runs" / "r00001_sweep.rigj")
+
+    def ask_batch(batch: Path, request: str) -> None:  # in a process of its own
+        asked.write_text(f"{request} {batch}")
 
     in_use = ["it is in use"]
     monkeypatch.setattr("rig.run.locks.lock.names_in_use", lambda _: in_use[0])
     monkeypatch.setattr(bench_users, "names_in_use", lambda _: None)
     monkeypatch.setattr(bench_users, "ask_users", ask_users)
     monkeypatch.setattr("rig.batch.running.batch_of", lambda journal: journal.parent.parent)
-    monkeypatch.setattr("rig.batch.running.ask_batch", lambda *given: asked.append(given))
+    monkeypatch.setattr("rig.batch.running.ask_batch", ask_batch)
     assert ended() == ExitCode.DONE
-    assert asked == [(tmp_path / "night", "stop-now")]
+    assert asked.read_text() == f"stop-now {tmp_path / 'night'}"
