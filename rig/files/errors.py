@@ -79,6 +79,11 @@ class JournalMovedError(RecordingError):
         self.now_at = now_at
 
 
+class DiskLateError(RecordingError):
+    """The disk has acknowledged nothing for a time. Nothing is lost as long as the run lives: it
+    still waits to be written."""
+
+
 class RunFileError(FoundWrongError):
     """A file that is not a sound run file or processed file. Names the file and the reason."""
 

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 from rig.core.errors import RigError
-from rig.files.errors import RecordingError
+from rig.files.errors import DiskLateError, RecordingError
 from rig.files.journal.reader import read_journal
 from rig.files.runfile.compile import compile_run
 from rig.run.checked_procedure import CheckedProcedure, internal
@@ -60,18 +60,28 @@ class RunSaving:
             self._observers.saving()
         self._keep_references()
         outcome.warnings = self._run.warnings + outcome.warnings
+        late: DiskLateError | None = None
         with self._saving():
             for failure in outcome.failures:
                 if failure in self._run.failures:
                     continue  # it is in the journal
                 self._run.event("error", type(failure).__name__, failure.one_line())
             self._recorder.put_end(self._journal.end(outcome, self._run.elapsed_s()))
-            self._recorder.barrier()
-        if outcome.status == "failed":
+            try:
+                self._recorder.barrier()
+            except DiskLateError as error:  # what it has to write is complete, and in memory
+                late = error
+        if outcome.status == "failed" and late is None:
             self._forget_what_is_not_in_the_journal()
         self._summarise()
         with self._saving():
-            self._recorder.close()
+            self._recorder.close()  # waits for the disk, however long that takes
+            if late is not None:
+                outcome.warnings.append(f"{late.message}; it answered later, and nothing was lost")
+                late = None
+        if late is not None:
+            self._forget_what_is_not_in_the_journal()
+            outcome.summary, outcome.in_brief = {}, ()
         if compiled:
             with self._saving():
                 outcome.file = compile_run(self._journal.path, retire=True)

@@ -13,7 +13,9 @@ from made_up import Example, run_of
 
 from rig.core.errors import ExitCode
 from rig.core.settings import Settings
+from rig.files.errors import RecordingError
 from rig.files.journal.recorder import Recorder
+from rig.files.journal.writer import JournalWriter
 from rig.files.runfile.reader import RunFile
 from rig.run import execute, saving
 from rig.run import observers as observing
@@ -252,6 +254,43 @@ def test_where_saving_waits_for_the_disk_it_is_shown_that_the_bench_is_safe(
     outcome = run_of(Example(Settings()), tmp_path, monkeypatch, noting, Waiting())
     assert outcome.code is ExitCode.DONE, outcome.failures
     assert ("event", ("info", execute.SLOW_SAVING[True])) in noting.said
+
+
+@pytest.mark.parametrize("answers", [True, False])
+def test_a_disk_that_answers_late_costs_no_reading_and_one_that_fails_those_not_on_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, answers: bool
+) -> None:
+    given_up = threading.Event()
+    append, barrier = JournalWriter.append, Recorder.barrier
+
+    def append_late(journal: JournalWriter, records: list[bytes]) -> None:
+        if threading.current_thread().name == "recorder":
+            assert given_up.wait(30)
+            if not answers:
+                raise RecordingError(journal.path, "Input/output error")
+        append(journal, records)
+
+    def wait_shortly(recorder: Recorder) -> None:
+        try:
+            barrier(recorder, 0.2)
+        finally:
+            given_up.set()
+
+    monkeypatch.setattr(JournalWriter, "append", append_late)
+    monkeypatch.setattr(Recorder, "barrier", wait_shortly)
+    outcome = run_of(Example(Settings()), tmp_path, monkeypatch)
+    late = "the disk has not acknowledged anything for 0.2 s; it answered later, and nothing was"
+    if answers:
+        assert (outcome.status, outcome.code) == ("complete", ExitCode.DONE), outcome.failures
+        assert (outcome.points_done, outcome.summary) == (2, {"points": 2})
+        assert [late in warning for warning in outcome.warnings] == [True]
+        assert outcome.file is not None
+        with RunFile.open(outcome.file) as file:
+            assert len(file.readings()) == 2
+    else:
+        assert (outcome.status, outcome.code) == ("failed", ExitCode.INTERNAL)
+        assert "Input/output error" in outcome.failures[0].message
+        assert (outcome.points_done, outcome.summary) == (0, {})
 
 
 def test_what_is_shown_unless_the_run_is_over_is_not_shown_after_its_end() -> None:

@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping
 from typing import Any, Self
 
 from rig.core.threads import start_thread
-from rig.files.errors import JournalMovedError, RecordingError
+from rig.files.errors import DiskLateError, JournalMovedError, RecordingError
 from rig.files.journal.values import End, JournalEvent, Results, StreamState
 from rig.files.journal.writer import JournalWriter, encode_or_raise
 
@@ -118,8 +118,8 @@ class Recorder:
             raise moved
 
     def barrier(self, timeout_s: float = 60.0) -> None:
-        """Block until everything that was put before is on the disk. Raises RecordingError if that
-        takes longer than `timeout_s`.
+        """Block until everything that was put before is on the disk. Raises DiskLateError if that
+        takes longer than `timeout_s`, and the first error of the thread if there is one.
         """
         with self._lock:
             ticket = self._put
@@ -130,7 +130,7 @@ class Recorder:
             )
             self.check()
         if not done:
-            raise RecordingError(
+            raise DiskLateError(
                 self._journal.path,
                 f"the disk has not acknowledged anything for {timeout_s:g} s",
                 "check the disk; the run can be resumed",
