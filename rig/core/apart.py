@@ -53,13 +53,14 @@ def result_within(seconds: float, work: Callable[[], Result]) -> Result:
         ended_s = time.monotonic() + ENDING_S
     except BaseException:
         ended_s = 0.0
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(pid, signal.SIGKILL)
         raise
     finally:
         os.close(answer)
-        with contextlib.suppress(ProcessLookupError):
-            os.kill(pid, signal.SIGKILL)
-        while os.waitpid(pid, os.WNOHANG) == (0, 0) and time.monotonic() < ended_s:
-            time.sleep(CHECK_EVERY_S)
+        with contextlib.suppress(ChildProcessError):  # whoever started this one ignores SIGCHLD
+            while os.waitpid(pid, os.WNOHANG) == (0, 0) and time.monotonic() < ended_s:
+                time.sleep(CHECK_EVERY_S)
     if not content:
         raise RigError("the process that was to do this has died", "give the command again")
     result, error = pickle.loads(content)

@@ -70,3 +70,12 @@ def test_where_no_process_can_be_made_the_work_is_done_in_this_one(
 
     monkeypatch.setattr(os, "fork", refuse)
     assert result_within(PATIENCE_S, os.getpid) == os.getpid()
+
+
+def test_an_answer_comes_also_where_the_ends_of_processes_are_not_kept() -> None:
+    """Who starts a command may have it ignore SIGCHLD."""
+    before = signal.signal(signal.SIGCHLD, signal.SIG_IGN)
+    try:
+        assert result_within(PATIENCE_S, lambda: "done") == "done"
+    finally:
+        signal.signal(signal.SIGCHLD, before)
