@@ -96,9 +96,9 @@ class ZaberLink:
     # --- one transaction ---------------------------------------------------------------------
 
     def _transact(self, axis: int, words: str) -> Reply:
-        deadline = time.monotonic() + self._timeout_s
         if self._port is None:
             self._port = open_port(self._path, self._baudrate, self._timeout_s)
+        deadline = time.monotonic() + self._timeout_s  # some adapters take a second to open
         self._last_id = (self._last_id + 1) % zaber_frames.IDS
         self._port.write(zaber_frames.command(self._device, axis, self._last_id, words))
         wanted = (self._device, axis, self._last_id)

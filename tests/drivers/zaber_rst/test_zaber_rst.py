@@ -4,6 +4,7 @@ can go wrong; angles are judged by the World."""
 from __future__ import annotations
 
 import re
+import time
 from collections.abc import Callable, Iterable
 from typing import Any
 
@@ -15,6 +16,7 @@ from stages.zaber import OWN, Service, saying, service, signed, suffering
 
 from drivers.simulated.ports import Exchange
 from drivers.zaber_rst import driver as zaber_rst
+from drivers.zaber_rst import link
 from drivers.zaber_rst.driver import ZaberAxis, ZaberRstSettings
 from drivers.zaber_rst.frames import ZaberFrameError, command, reply
 from rig.core.errors import InstrumentError, InstrumentTimeoutError, LimitError
@@ -98,6 +100,20 @@ def test_connecting_word_for_word() -> None:
         assert axis.identity.serial_number == "SIM00001"
         assert axis.identity.simulated
         assert axis.limits()["acceleration"].low == pytest.approx(0.9537, abs=1e-4)
+
+
+def test_a_port_that_opens_slowly_leaves_the_whole_time_out_to_the_answer(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def slowly(path: str, baudrate: int, timeout_s: float) -> link.Port:
+        port = open_port(path, baudrate, timeout_s)
+        time.sleep(1.2 * timeout_s)
+        return port
+
+    open_port = link.open_port
+    monkeypatch.setattr(link, "open_port", slowly)
+    with service(timeout_s=TIMEOUT_S) as it:
+        assert it.connect().identity.serial_number == "SIM00001"
 
 
 def test_connecting_again_writes_nothing() -> None:
