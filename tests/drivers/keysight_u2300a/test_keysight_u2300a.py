@@ -284,6 +284,70 @@ def test_a_reader_who_is_behind_asks_for_blocks_without_asking_whether_they_are_
         daq.close()
 
 
+def test_a_unit_whose_clock_is_slow_is_not_asked_for_a_block_before_it_is_there() -> None:
+    """A clock that is 1 % slow, and a block of 3 rows that is asked for 3.01 ms after the last."""
+    exchanges = (
+        *hello("U2331A"),
+        (STREAM, SET_UP),
+        ("RUN;:SYST:ERR?", NO_ERROR),
+        ("WAV:STAT?", "DATA"),
+        ("WAV:DATA?", block()),
+        ("WAV:STAT?", "FRAG"),
+    )
+    clock = StoppedClock()
+    with playing("hislip", *exchanges) as resource:
+        daq = connect(settings(resource), clock)
+        daq.start(THREE_ROWS)
+        assert daq.read() is not None
+        clock.now_s = 0.00301
+        assert daq.read() is None
+        daq.close()
+
+
+def test_an_overrun_is_named_where_a_block_was_requested_without_asking_for_it() -> None:
+    exchanges = (
+        *hello("U2331A"),
+        (STREAM, SET_UP),
+        ("RUN;:SYST:ERR?", NO_ERROR),
+        ("WAV:STAT?", "DATA"),
+        ("WAV:DATA?", block()),
+        ("WAV:DATA?", b"#10"),
+        REOPENED,
+        ("WAV:STAT?", "OVER"),
+    )
+    clock = StoppedClock()
+    with playing("hislip", *exchanges) as resource:
+        daq = connect(settings(resource), clock)
+        daq.start(THREE_ROWS)
+        assert daq.read() is not None
+        clock.now_s = 0.05
+        with pytest.raises(InstrumentError, match="overran after row 3; samples are lost"):
+            daq.read()
+        daq.close()
+
+
+def test_a_spoilt_block_that_was_not_asked_about_is_not_blamed_on_an_overrun() -> None:
+    exchanges = (
+        *hello("U2331A"),
+        (STREAM, SET_UP),
+        ("RUN;:SYST:ERR?", NO_ERROR),
+        ("WAV:STAT?", "DATA"),
+        ("WAV:DATA?", block()),
+        ("WAV:DATA?", block()[:-5]),
+        REOPENED,
+        ("WAV:STAT?", "DATA"),
+    )
+    clock = StoppedClock()
+    with playing("hislip", *exchanges) as resource:
+        daq = connect(settings(resource), clock)
+        daq.start(THREE_ROWS)
+        assert daq.read() is not None
+        clock.now_s = 0.05
+        with pytest.raises(InstrumentError, match="announced bytes"):
+            daq.read()
+        daq.close()
+
+
 def test_an_overrun_buffer_is_an_error_never_a_gap() -> None:
     exchanges = (
         *hello("U2331A"),
