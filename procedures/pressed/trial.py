@@ -32,7 +32,7 @@ from procedures.pressed.grip import Grip
 from procedures.pressed.hold import ForceHold
 from procedures.pressed.links import TrialLinks
 from procedures.pressed.press import Press
-from procedures.pressed.record.block_length import BEHIND_S, longer_block_s
+from procedures.pressed.record.block_length import BEHIND_S, FAR_BEHIND_S, longer_block_s
 from procedures.pressed.record.commanded_x import CommandedX
 from procedures.pressed.record.detection import slips_in_words
 from procedures.pressed.record.reading import CONTACT_N, DECIMATED_Hz
@@ -128,7 +128,11 @@ class PressedTrial:
 
     def press(self) -> None:
         """Press the object with the normal force, no faster than the force allows; tap, and rest
-        under the servo. The contact's stiffness is learnt on the way."""
+        under the servo. The contact's stiffness is learnt on the way.
+
+        Raises RetakeError as `begin_motion` does: a rest may be longer than the strips' samples may
+        be late.
+        """
         settings, record = self.settings, self.record
         earlier = EarlierPress(self.run, record.normal_force_N, settings.kind_of_press)
         press = Press(
@@ -162,7 +166,21 @@ class PressedTrial:
             servo, self.z, self.links, force, record, ticks, at_rest_s, self.torque,
             settings.largest_force_N,
         )  # fmt: skip
-        self.hold(settings.rest_s)
+        self._rest()
+
+    def _rest(self) -> None:
+        """Hold the normal force for the rest before the motion."""
+        late: str | None = None
+
+        def rest(tick: Tick) -> bool:
+            nonlocal late
+            self.hold_tick(tick)
+            late = self._lengthen_late_blocks(FAR_BEHIND_S)
+            return late is None
+
+        self.run_ticks(self.settings.rest_s, rest)
+        if late is not None:
+            self._give_up(late)
 
     def hold(self, seconds: float) -> None:
         """Hold the normal force for some time."""
@@ -196,12 +214,8 @@ class PressedTrial:
         for that.
         """
         self._ticks.wait()
-        if (late := self._lengthen_late_blocks()) is not None:
-            self.x.in_motion = False
-            self._commanded_x.end()
-            self.recorder.give_up()
-            self.lift()
-            raise RetakeError(late)
+        if (late := self._lengthen_late_blocks(BEHIND_S)) is not None:
+            self._give_up(late)
         self.record.motion_from_s = self.since_s()
         self._held().begin_motion(expected)
         self.grip.begin(self._held().set_force_N)
@@ -210,23 +224,34 @@ class PressedTrial:
         """Note that the motion is over; alarms from now on raise no force."""
         self.grip.end()
         self.record.motion_to_s = self.since_s()
-        if (late := self._lengthen_late_blocks()) is not None:
+        if (late := self._lengthen_late_blocks(BEHIND_S)) is not None:
             self.run.event("warning", "late-samples", f"{self.record.point}: {late}")
 
-    def _lengthen_late_blocks(self) -> str | None:
-        """Where the strips' samples come too late for the grip, let later trials read longer
-        blocks; return what was found, None where nothing was or nothing can be changed."""
+    def _give_up(self, late: str) -> None:
+        """Lift the skin and raise RetakeError: the strips' samples come too late for the grip."""
+        self.x.in_motion = False
+        self._commanded_x.end()
+        self.recorder.give_up()
+        self.lift()
+        raise RetakeError(late)
+
+    def _lengthen_late_blocks(self, beyond_s: float) -> str | None:
+        """Where the strips' samples come later than `beyond_s`, too late for the grip, let later
+        trials read longer blocks; return what was found, None where nothing was or nothing can be
+        changed."""
         settings, strips = self.settings, self.recorder.strips
         if not settings.answers_alarms or settings.block_s is not None:
             return None
         behind_s, read_s = strips.behind_s, strips.mean_read_s
-        if behind_s <= BEHIND_S or (longer_s := longer_block_s(self._block_s, read_s)) is None:
+        if behind_s <= beyond_s or (longer_s := longer_block_s(self._block_s, read_s)) is None:
             return None
         self.series.block_s = longer_s
+        blocks = f"blocks of {1e3 * longer_s:g} ms from here on"
+        # At once: a pause or a trip in the lift takes the place of the reason for it.
+        self.run.event("info", "block-length", f"{self.record.point}: {blocks}")
         return (
             f"the strips are read {behind_s:.2g} s late, too late for the grip: a block of "
-            f"{1e3 * self._block_s:g} ms takes {1e3 * read_s:.2g} ms on the DAQ's link; blocks of "
-            f"{1e3 * longer_s:g} ms from here on"
+            f"{1e3 * self._block_s:g} ms takes {1e3 * read_s:.2g} ms on the DAQ's link; {blocks}"
         )
 
     def move_x(self, to_mm: float, speed_mm_s: float) -> None:

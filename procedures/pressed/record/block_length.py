@@ -12,6 +12,9 @@ LENGTHS_S = (0.002, 0.005, 0.01, 0.02)
 """Lengths of a block in s that are chosen from."""
 BEHIND_S = 0.05
 """Time in s for which a block has waited to be read, beyond which blocks are too short."""
+FAR_BEHIND_S = 0.5
+"""The same in the rest before the motion, which is not interrupted for a stall that may be made up
+for: well before the DAQ's stream ends the run (`rig.run.streams.sample_stream`)."""
 READING_SHARE = 0.5
 """Largest share of a block's length that reading it is to take."""
 

@@ -67,6 +67,9 @@ class StripRecorder:
         self._reading_s = 0.0
         self._next_s = math.inf
         """Time on the run's clock at which the next block is asked for between ticks."""
+        self._caught_up_s = -math.inf
+        """Time on the run's clock at which the DAQ was last asked for a block that was not there
+        yet."""
         self._blocks: deque[tuple[Record, Volts]] = deque()
         """Read and not recorded yet: raw, and decimated."""
 
@@ -87,11 +90,17 @@ class StripRecorder:
     @property
     def behind_s(self) -> float:
         """Time in s for which the oldest block that has not been read has been there; 0 where
-        nothing is sampled."""
+        nothing is sampled.
+
+        It is not longer than the time since the DAQ had no further block: a DAQ whose clock is slow
+        is not read late.
+        """
         if math.isinf(self._next_s):
             return 0.0
-        since_s = self._run.clock.now() - self._record.begun_s
-        return max(0.0, since_s - self._block_s - self._rows_read / self._settings.rate_S_s)
+        now_s = self._run.clock.now()
+        sampled_s = now_s - self._record.begun_s - self._block_s
+        read_s = self._rows_read / self._settings.rate_S_s
+        return max(0.0, min(sampled_s - read_s, now_s - self._caught_up_s))
 
     @property
     def mean_read_s(self) -> float:
@@ -144,6 +153,7 @@ class StripRecorder:
         asked_s = self._run.clock.now()
         block = self._samples.read()
         if block is None:
+            self._caught_up_s = asked_s
             return False
         self._reading_s += self._run.clock.now() - asked_s
         self._blocks_read += 1

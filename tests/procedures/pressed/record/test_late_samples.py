@@ -5,23 +5,29 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
+import numpy as np
 import pytest
 from test_pressed_reading import reading_of_record
 from test_pressed_reading import record as a_record
 
 from procedures.pressed.grip_summary import grip_summary
 from procedures.pressed.record.block_length import longer_block_s
+from procedures.pressed.record.reading import TrialRecord
+from procedures.pressed.record.strips import StripRecorder
 from procedures.pressed.settings import PressedSettings
 from procedures.slip_trial.settings import SlipTrialSettings
 from rig.files.journal.detections import SLIP, Detection
 from rig.files.runfile.reader import RunFile
+from rig.instruments.roles import Acquisition, Record, Scaling
 
 ALARM = Detection(SLIP, 1500, 1.5, 1.502, 0.9)
 GRIP = SlipTrialSettings(regrip=True)
 WEIGHT = (
     "--regrip", "--loading", "ramp", "--hold-at", "3N", "--speed", "2mm/s", "--distance", "2mm",
-    "--rest", "0.1s", "--rehearsal", "never", "--json", "--no-figures",
+    "--rehearsal", "never", "--json", "--no-figures",
 )  # fmt: skip
 
 
@@ -40,6 +46,45 @@ def test_a_longer_block_takes_at_most_half_of_its_length_to_be_read(
     block_s: float, read_s: float, longer_s: float | None
 ) -> None:
     assert longer_block_s(block_s, read_s) == longer_s
+
+
+class SlowClockDaq:
+    """Samples at a rate that is 1 % lower than it says."""
+
+    def __init__(self, now: Any):
+        self._now, self._rows = now, 0
+
+    def start(self, acquisition: Acquisition) -> Scaling:
+        self._begun_s, self._block = self._now(), acquisition.samples
+        names = tuple(channel.name for channel in acquisition.channels)
+        ones = (1.0, 1.0)
+        self._scaling = Scaling(names, acquisition.rate_S_s, ones, ones, ones, ones, -1, 1)
+        return self._scaling
+
+    def read(self) -> Record | None:
+        sampled = 0.99 * self._scaling.rate_S_s * (self._now() - self._begun_s)
+        if sampled < self._rows + self._block:
+            return None
+        first, self._rows = self._rows, self._rows + self._block
+        return Record(np.zeros((self._block, 2), np.int16), self._scaling, first)
+
+
+def test_a_daq_whose_clock_is_slow_is_not_read_late_where_it_has_no_further_block() -> None:
+    bench_s = 5.0
+    clock = SimpleNamespace(now=lambda: bench_s)
+    run: Any = SimpleNamespace(
+        settings=GRIP, clock=clock, bench=SimpleNamespace(daq=SlowClockDaq(clock.now))
+    )
+    links: Any = SimpleNamespace(add=lambda role: None, ask=lambda role, what, work: work())
+    detection: Any = SimpleNamespace(begin=lambda: None, judge=lambda volts: None)
+    strips = StripRecorder(run, TrialRecord(1, 100.0, 1000.0, 4.0), links, detection, 0.002)
+    strips.start()
+    for number in range(1, 10_000):
+        bench_s = 5.0 + 0.001 * number
+        strips.ask_block()
+    assert strips.behind_s < 0.01
+    bench_s += 0.2  # now nothing is read for a while
+    assert strips.behind_s == pytest.approx(0.2, abs=0.01)
 
 
 def doubts(settings: PressedSettings, *alarms: Detection) -> str:
@@ -73,13 +118,17 @@ def test_weights_of_invalid_trials_are_not_among_the_lost_ones() -> None:
 
 @pytest.mark.thorough
 @pytest.mark.stages("festo", because="what is slow here is the DAQ")
-def test_a_daq_too_slow_for_short_blocks_is_read_in_longer_ones_before_the_motion(rig) -> None:
-    """Every block takes 3 ms longer, of which there are 500 a second."""
+@pytest.mark.parametrize("rest", ["0.1s", "12s"])
+def test_a_daq_too_slow_for_short_blocks_is_read_in_longer_ones_before_the_motion(
+    rig, rest: str
+) -> None:
+    """Every block takes 3 ms longer, of which there are 500 a second. A long rest is interrupted:
+    at its end the DAQ's stream would have been so late that the run had ended."""
     plan = rig.fault(
         '[[fault]]\ndevice = "daq"\nkind = "late"\ncommand = "WAV:DATA"\nby_s = 0.003\ncount = 0\n'
     )
     with rig.served("--fixture", "plate", "--fault", plan, ways="as usual"):
-        ended = rig.run("slip-trial", "--bench", "bench.toml", *WEIGHT)
+        ended = rig.run("slip-trial", "--bench", "bench.toml", *WEIGHT, "--rest", rest)
     assert ended.code in (0, 5), ended.stderr  # 5: a busy computer makes a trial invalid
     (line,) = [
         line
