@@ -224,6 +224,8 @@ class PressedTrial:
         """Note that the motion is over; alarms from now on raise no force."""
         self.grip.end()
         self.record.motion_to_s = self.since_s()
+        assert self.series.detection is not None
+        self.record.detection_ended = self.series.detection.has_ended
         if (late := self._lengthen_late_blocks(BEHIND_S)) is not None:
             self.run.event("warning", "late-samples", f"{self.record.point}: {late}")
 

@@ -82,6 +82,11 @@ class LiveDetection:
                 name, RATE_Hz, patient=patient, woken=self.woken.set, beat=clock.beat
             )
 
+    @property
+    def has_ended(self) -> bool:
+        """Whether there was a detector and it is not used any more."""
+        return self._live is not None and not self._live.in_use
+
     def begin(self) -> None:
         """Begin a record: the rows count from 0 again."""
         self._rows, self.commands = 0, []

@@ -118,6 +118,8 @@ class TrialRecord:
     """What was commanded, as the detector was given it."""
     squeezes: list[Squeeze] = field(default_factory=list)
     """Rises of the set point by the grip (`procedures.pressed.grip`)."""
+    detection_ended: bool = False
+    """Whether the detector was not used any more when the motion ended."""
     unanswered: list[float] = field(default_factory=list)
     """Times in s, since the record began, of alarms that the grip did not answer."""
 
@@ -374,7 +376,11 @@ def _doubts(
     if settings.answers_alarms and (late_s := record.latest_alarm_s) > STALE_S:
         doubts.append(
             f"an alarm came {late_s:.2g} s after its sample, more than {STALE_S:g} s: too late for "
-            "the grip; longer blocks (--block) take less of the DAQ's link"
+            f"the grip, because the DAQ's link or the computer was busy{_longer_blocks(settings)}"
+        )
+    if settings.answers_alarms and record.detection_ended:
+        doubts.append(
+            f"detector {settings.detector} was no longer used, so that the grip had no alarms"
         )
     if reading["lost_frames"]:
         doubts.append(
@@ -387,6 +393,11 @@ def _doubts(
         if missing > MISSING_S * rate:
             doubts.append(f"{missing:.0f} {name} are missing")
     return doubts
+
+
+def _longer_blocks(settings: PressedSettings) -> str:
+    """Return how to relieve the DAQ's link, where the program does not do that itself."""
+    return "" if settings.block_s is None else "; longer blocks (--block) take less of the link"
 
 
 def _stretch(

@@ -104,6 +104,23 @@ def test_a_trial_whose_alarm_came_too_late_for_the_grip_is_invalid() -> None:
     assert doubts(GRIP, before) == ""  # it would not have been answered in time either
 
 
+def test_longer_blocks_are_proposed_only_where_their_length_is_fixed() -> None:
+    late = replace(ALARM, decided_s=3.1)
+    assert "--block" not in doubts(GRIP, late)
+    assert "longer blocks (--block)" in doubts(GRIP.model_copy(update={"block_s": 0.002}), late)
+
+
+def test_a_trial_whose_detector_has_ended_is_invalid_if_the_grip_needs_it() -> None:
+    """Without alarms every weight is lost, and the grip would seem to have failed."""
+    record = a_record(0)
+    record.detection_ended = True
+    judged = reading_of_record(record, settings=GRIP)["invalid"]
+    assert judged == "detector paper-hp was no longer used, so that the grip had no alarms"
+    assert reading_of_record(record)["invalid"] == ""
+    on_motion = GRIP.model_copy(update={"regrip_on": "motion"})
+    assert reading_of_record(record, settings=on_motion)["invalid"] == ""
+
+
 def test_weights_of_invalid_trials_are_not_among_the_lost_ones() -> None:
     trials = [
         {"outcome": "lost", "invalid": "an alarm came 1.6 s after its sample"},

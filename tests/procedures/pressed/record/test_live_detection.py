@@ -155,7 +155,9 @@ def test_a_detector_that_raises_ends_with_a_warning_and_blocks_continue() -> Non
     live = LiveDetection("paper-hp", WallClock())
     volts = trials.slipping()
     live.judge(volts[:700])
+    assert not live.has_ended
     live.judge(np.full((5, 2), np.nan))
+    assert live.has_ended
     live.judge(volts[700:])
     live.finish()
     record, journal = recorded(live)
@@ -172,6 +174,7 @@ def test_without_a_detector_nothing_is_found() -> None:
     live.judge(trials.slipping())
     live.finish()
     assert not live.woken.is_set()
+    assert not live.has_ended
     assert recorded(live)[0].detections == []
 
 
