@@ -40,7 +40,7 @@ class _Eta(ProgressColumn):
 
 
 class ConsoleObserver(RunObserver):
-    """Shows a progress bar on a terminal, else one plain line per point."""
+    """Shows a progress bar on a terminal that can redraw one, else one plain line per point."""
 
     def __init__(self, procedure: type[Procedure], simulated: bool = False):
         self._procedure = procedure
@@ -84,7 +84,7 @@ class ConsoleObserver(RunObserver):
         self._say(f"{self._procedure.name}: {what}, about {about}{self._bench_time}")
         if self._progress is not None:  # The earlier plan is done.
             self._progress.stop()
-        if self._console.is_terminal:
+        if self._console.is_terminal and not self._console.is_dumb_terminal:
             self._progress = Progress(
                 TextColumn("{task.description}", markup=False),
                 BarColumn(),

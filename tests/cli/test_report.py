@@ -171,6 +171,19 @@ def test_a_points_name_is_shown_as_it_is_on_a_terminal_too(
     assert r"1/1 v[/1] [red]\x1b" in capsys.readouterr().err
 
 
+def test_a_terminal_that_cannot_redraw_a_line_shows_one_for_each_point(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Nothing but empty lines came there, because a bar is drawn in place only."""
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    monkeypatch.setenv("TERM", "dumb")
+    with ConsoleObserver(SlipTrial) as console:
+        console.planned(POINTS[:1], set(), 0.0)
+        console.point_recorded(1, 1, POINTS[0], {})
+        console.saving()
+    assert capsys.readouterr().err.splitlines() == ["slip-trial: 1 trial, about 2.0 s", "1/1 p0"]
+
+
 class Drawing(DrawingProcess):
     """Draws one picture of each file that it is asked to draw, with one warning."""
 

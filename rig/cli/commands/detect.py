@@ -271,7 +271,7 @@ class _DetectionProgress:
 
         The bar, which is a thread, begins here: by then every process has been forked.
         """
-        if not self._console.is_terminal:
+        if not self._console.is_terminal or self._console.is_dumb_terminal:
             say(f"{number}/{self._files} {file.name}")
             return
         if self._bar is None:
