@@ -11,6 +11,7 @@ from __future__ import annotations
 import importlib.util
 import json
 import logging
+import resource
 import shutil
 import sys
 import time
@@ -32,6 +33,9 @@ LONGEST = 4000
 """Characters of a title or text: a program's arguments are limited."""
 LONGEST_REASON = 300
 """Characters of a receiver's complaint in a warning."""
+MOST_MEMORY = 512 << 20
+"""Bytes of memory of the process that reports to an address, which keeps all of the answer: an
+endless one must not take the memory of a run."""
 POLL_EVERY_S = 0.1
 APPRISE_KINDS = {"start": "info", "failure": "failure", "hold": "warning", "end": "info"}
 """apprise's kind of notification by occasion."""
@@ -207,6 +211,9 @@ def main() -> None:
     """
     import apprise
 
+    _, most = resource.getrlimit(resource.RLIMIT_DATA)
+    allowed = MOST_MEMORY if most == resource.RLIM_INFINITY else min(MOST_MEMORY, most)
+    resource.setrlimit(resource.RLIMIT_DATA, (allowed, most))
     message = json.load(sys.stdin)
     sender = apprise.Apprise()
     with apprise.LogCapture(level=logging.WARNING, fmt="%(message)s") as captured:

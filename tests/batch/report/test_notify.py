@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import sys
 import threading
@@ -15,7 +16,7 @@ import pytest
 
 from rig.batch.plan.settings import NotifySettings
 from rig.batch.report import notify as notification
-from rig.batch.report.notify import Notifier, require_usable
+from rig.batch.report.notify import MOST_MEMORY, Notifier, require_usable
 from rig.core.errors import ConfigurationError
 
 KEEPS = (
@@ -198,6 +199,10 @@ def listener() -> Iterator[ThreadingHTTPServer]:
             server.said.append(json.loads(body))  # type: ignore[attr-defined]
             self.send_response(500 if self.path == "/refuses" else 200)
             self.end_headers()
+            if self.path == "/endless":
+                with contextlib.suppress(OSError):  # who has asked has given up
+                    for _ in range(2 * MOST_MEMORY >> 20):
+                        self.wfile.write(bytes(1 << 20))
 
         def log_message(self, *_: object) -> None:
             pass
@@ -225,6 +230,15 @@ def test_an_address_of_apprise_is_reported_and_one_that_refuses_is_a_warning(lis
     ]
     assert "notify.urls: address 1: 'night-1: on hold' was not sent: exit code 1: " in warning
     assert "secret" not in warning
+
+
+@pytest.mark.thorough
+def test_an_address_that_answers_without_end_does_not_take_the_memory_of_a_run(listener) -> None:
+    url = f"json://127.0.0.1:{listener.server_address[1]}/endless"
+    notifier = Notifier(NotifySettings(urls=(url,)), longest_s=CLOSING_S)
+    notifier.notify("end", "night-1: end", "all is well")
+    (warning,) = notifier.close(CLOSING_S)
+    assert "notify.urls: address 1: 'night-1: end' was not sent: exit code 1: " in warning
 
 
 def test_what_could_never_be_delivered_is_refused_beforehand(monkeypatch) -> None:
