@@ -84,7 +84,7 @@ class TooSlowError(RigError):
             f"the computer or a link to an instrument cannot keep {rate_Hz:g} Hz: for "
             f"{behind_s:.1f} s at least every second tick had to be left out, the latest came "
             f"{largest_s * 1e3:.0f} ms late",
-            "end other programs, or ask for fewer ticks and samples a second",
+            "end other programs, or ask for fewer ticks (--tick) and samples (--rate) a second",
         )
 
 

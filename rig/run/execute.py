@@ -59,6 +59,10 @@ log = logging.getLogger("rig")
 
 BARRIER_S = 1.0
 """Longest wall time in s that the journal may take before a run leaves its bench to the guard."""
+NOT_IN_REAL_TIME = (
+    "a simulated bench that the command starts for itself, without --bench, waits for the computer"
+)
+"""What helps where the computer is too slow for a simulated bench in real time."""
 SLOW_SAVING_S = 10.0
 """Time in s after which a person learns how the bench is although its data are not saved yet."""
 SLOW_SAVING = {
@@ -265,6 +269,8 @@ class _Execution:
         """End the run because its ticks came too late; or as stopped, with the late ticks as a
         warning, where a person asked for that before the loop looked for a stop again."""
         if self.stop.requested is None:
+            if self.bench.simulated and not self.bench.clock.is_virtual:
+                late.hint = f"{late.hint}; {NOT_IN_REAL_TIME}"
             self.outcome.end_with(late)
             return
         self.outcome.end_with(StopRequestedError(self.stop.requested))

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 from made_up import Example, run_of
 
+from rig.bench.connected import Bench
 from rig.control.tick_loop import BEHIND_FOR_S, Tick, tick_loop
 from rig.core.clock import Clock
 from rig.core.errors import ExitCode
@@ -67,6 +68,24 @@ class Late(Example):
         self._run.check_watchers()
         if self._asks and self.clock.now_s - self._begun_s > TICK_S + BEHIND_FOR_S:
             self._stop._remember(signal.SIGINT, None)
+
+
+class RealClock(VirtualClock):
+    """The same, for real time."""
+
+    is_virtual = False
+
+
+@pytest.mark.parametrize("clock", [VirtualClock, RealClock])
+def test_who_simulates_in_real_time_on_a_slow_computer_learns_of_virtual_time(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, clock: type[VirtualClock]
+) -> None:
+    monkeypatch.setattr(Bench, "simulated", True)
+    procedure = Late(made := clock(), StopFlag(), asks=False)
+    outcome = run_of(procedure, tmp_path, monkeypatch, clock=made)
+    hint = str(outcome.failures[0].hint)
+    assert "end other programs" in hint
+    assert ("without --bench" in hint) == (clock is RealClock)
 
 
 @pytest.mark.parametrize(
