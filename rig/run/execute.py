@@ -60,7 +60,8 @@ log = logging.getLogger("rig")
 BARRIER_S = 1.0
 """Longest wall time in s that the journal may take before a run leaves its bench to the guard."""
 NOT_IN_REAL_TIME = (
-    "a simulated bench that the command starts for itself, without --bench, waits for the computer"
+    "a simulated bench that the command starts for itself, without --bench and bench.toml, waits "
+    "for the computer"
 )
 """What helps where the computer is too slow for a simulated bench in real time."""
 SLOW_SAVING_S = 10.0
