@@ -42,7 +42,7 @@ PATIENCE_S = 1.0
 """Time in s that an acquisition may take longer than its nominal duration."""
 ASKED_EVERY_S = 0.1
 """Longest time in s for which blocks are read without asking whether the buffer has overrun."""
-CLOCKS_DIFFER = 0.02
+UNIT_BEHIND = 0.02
 """Far more than the clocks of unit and computer do: a block that is asked for too early ends the
 acquisition, and one more question costs a reader who is behind little."""
 WIDE_RANGES_V = (10.0, 5.0, 2.5, 1.25)
@@ -286,7 +286,7 @@ class U2300ADaq:
         assert self._running is not None
         at_s, rows = self._seen
         since_s = self._clock.now() - at_s
-        sampled = rows + since_s * self._scaling_now().rate_S_s * (1 - CLOCKS_DIFFER)
+        sampled = rows + since_s * self._scaling_now().rate_S_s * (1 - UNIT_BEHIND)
         return since_s < ASKED_EVERY_S and sampled >= self._rows_read + self._running.samples
 
     def _says_complete(self) -> bool:

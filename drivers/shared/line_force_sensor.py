@@ -295,8 +295,8 @@ class LineForceSensor(ForceStream, ABC):
 
     def _no_frame(self, line: bytes, why: str) -> InstrumentError:
         rates = [self.rate_command.format(rate=rate) for rate in self.rates_S_s]
-        sent = [self.start_command, self.stop_command, self.identify[0], *filter(None, rates)]
-        if is_echo("\n".join(sent), line.decode("latin-1")):
+        sent = [self.start_command, self.stop_command, self.identify[0], *rates]
+        if is_echo("\n".join(filter(None, sent)), line.decode("latin-1")):
             cause = f"the line {line[:80]!r} is not a frame but {ECHO}"
             return self._link.error(STREAM, cause, ECHO_HINT)
         return self._link.error(

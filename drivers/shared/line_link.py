@@ -193,7 +193,7 @@ class LineLink:
             if line is None:
                 raise
             raise self._unexpected(query, line) from None
-        self._fall_silent(port, query, deadline)
+        self._fall_silent(port, query, max(deadline, time.monotonic() + 2 * QUIET_S))
 
     def _fall_silent(self, port: Port, command: str, deadline: float) -> None:
         """Throw away what comes until nothing has come for `QUIET_S`. Raises InstrumentError where

@@ -76,13 +76,13 @@ class GripSettings(PressedSettings):
 
     @property
     def usual_block_s(self) -> float:
-        """See `PressedSettings`; an alarm comes at most a block late."""
-        return 0.002 if self.regrip else super().usual_block_s
+        """See `PressedSettings`; an alarm that is answered comes at most a block late."""
+        return 0.002 if self.alarms_answered else super().usual_block_s
 
     @property
-    def answers_alarms(self) -> bool:
+    def alarms_answered(self) -> int:
         """See `PressedSettings`."""
-        return self.regrip and self.regrip_on == "alarm"
+        return self.regrip_times if self.regrip and self.regrip_on == "alarm" else 0
 
     @property
     def regrip_step_N(self) -> float:  # noqa: N802 - the unit keeps its capital, here and below

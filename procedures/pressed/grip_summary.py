@@ -24,7 +24,11 @@ def grip_summary(readings: Sequence[Reading]) -> dict[str, Any]:
             f"Grip: {counted(times, 'squeeze')} in {len(squeezed)} of "
             f"{counted(len(readings), 'trial')}."
         )
-    latencies_ms = [1e3 * float(s) for r in squeezed if (s := r.get("squeeze_risen_s")) is not None]
+    latencies_ms = [
+        1e3 * float(s)
+        for r in squeezed
+        if not r.get("invalid") and (s := r.get("squeeze_risen_s")) is not None
+    ]
     if latencies_ms:
         sentences.append(
             "From the alarm's sample to F_n + 10 % of the step: "
@@ -39,7 +43,7 @@ def grip_summary(readings: Sequence[Reading]) -> dict[str, Any]:
         invalid = len(hung) - outcomes.total()
         left_out = f"; {counted(invalid, 'invalid trial')} left out" if invalid else ""
         sentences.append(f"Weights: {counts}{meaning}{left_out}.")
-    kept = [r for r in readings if r.get("outcome") in ("held", "averted")]
+    kept = [r for r in hung if not r.get("invalid") and r["outcome"] in ("held", "averted")]
     if shown := _ratios(kept, "least_force_N"):
         text = f"at least {statistics.median(shown):.2f} by the largest F_t/F_n that a trial showed"
         if true := _ratios(kept, "least_force_true_N"):

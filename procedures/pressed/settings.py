@@ -163,9 +163,10 @@ class PressedSettings(BaseSettings):
         return 0.02
 
     @property
-    def answers_alarms(self) -> bool:
-        """Whether the normal force answers the detector's alarms."""
-        return False
+    def alarms_answered(self) -> int:
+        """Largest number of the detector's alarms upon which the normal force rises in a trial; 0
+        where it answers none."""
+        return 0
 
     @property
     def read_block_s(self) -> float:

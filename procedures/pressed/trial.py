@@ -32,7 +32,13 @@ from procedures.pressed.grip import Grip
 from procedures.pressed.hold import ForceHold
 from procedures.pressed.links import TrialLinks
 from procedures.pressed.press import Press
-from procedures.pressed.record.block_length import BEHIND_S, FAR_BEHIND_S, longer_block_s
+from procedures.pressed.record.block_length import (
+    BEHIND_S,
+    CATCH_UP_S,
+    FAR_BEHIND_S,
+    READING_SHARE,
+    longer_block_s,
+)
 from procedures.pressed.record.commanded_x import CommandedX
 from procedures.pressed.record.detection import slips_in_words
 from procedures.pressed.record.reading import CONTACT_N, DECIMATED_Hz
@@ -41,7 +47,7 @@ from procedures.pressed.settings import AFTER_S
 from procedures.pressed.ticks import TrialTicks
 from rig.bench.limits import require
 from rig.control.force_servo import ForceServo, settings_from
-from rig.core.errors import InstrumentError
+from rig.core.errors import InstrumentError, RigError
 from rig.detector.commands import HeldForce
 from rig.run.points import RetakeError
 
@@ -108,7 +114,18 @@ class PressedTrial:
 
     def make_ready(self, start_mm: float) -> None:
         """Move z up and x to `start_mm`, zero the force in free air, and come close to the
-        object."""
+        object.
+
+        Raises RigError, before anything moves, where the grip is to answer the alarms of a detector
+        that is not used any more.
+        """
+        assert self.series.detection is not None
+        if self.settings.alarms_answered and self.series.detection.has_ended:
+            raise RigError(
+                f"detector {self.settings.detector} is no longer used (see the warning about it), "
+                "so that the grip has no alarms to answer",
+                "choose another --detector; the run can be resumed",
+            )
         parked_mm = self.run.bench.settings.fixture.parked_mm
         self.z.stage.move_to(parked_mm, travel_mm_s(self.z.stage))
         self.x.stage.move_to(start_mm, travel_mm_s(self.x.stage))
@@ -130,8 +147,8 @@ class PressedTrial:
         """Press the object with the normal force, no faster than the force allows; tap, and rest
         under the servo. The contact's stiffness is learnt on the way.
 
-        Raises RetakeError as `begin_motion` does: a rest may be longer than the strips' samples may
-        be late.
+        Raises RetakeError as `begin_motion` does: in a long rest the samples may fall further
+        behind than the DAQ's stream tolerates.
         """
         settings, record = self.settings, self.record
         earlier = EarlierPress(self.run, record.normal_force_N, settings.kind_of_press)
@@ -213,6 +230,7 @@ class PressedTrial:
         the grip could not answer an alarm, and longer blocks are possible: nothing is to be lost
         for that.
         """
+        self._catch_up()
         self._ticks.wait()
         if (late := self._lengthen_late_blocks(BEHIND_S)) is not None:
             self._give_up(late)
@@ -226,15 +244,30 @@ class PressedTrial:
         self.record.motion_to_s = self.since_s()
         assert self.series.detection is not None
         self.record.detection_ended = self.series.detection.has_ended
+        strips = self.recorder.strips
+        if strips.mean_read_s <= READING_SHARE * self._block_s:
+            return  # a stall, which longer blocks would not have prevented
         if (late := self._lengthen_late_blocks(BEHIND_S)) is not None:
             self.run.event("warning", "late-samples", f"{self.record.point}: {late}")
+
+    def _catch_up(self) -> None:
+        """Hold the force until the strips' samples are read in time, for `CATCH_UP_S` at most: the
+        computer or the link may have stalled for a moment."""
+        strips = self.recorder.strips
+
+        def hold(tick: Tick) -> bool:
+            self.hold_tick(tick)
+            return strips.behind_s > BEHIND_S
+
+        if self.settings.alarms_answered and strips.behind_s > BEHIND_S:
+            self.run_ticks(CATCH_UP_S, hold)
 
     def _give_up(self, late: str) -> None:
         """Lift the skin and raise RetakeError: the strips' samples come too late for the grip."""
         self.x.in_motion = False
         self._commanded_x.end()
         self.recorder.give_up()
-        self.lift()
+        self._lift_off()
         raise RetakeError(late)
 
     def _lengthen_late_blocks(self, beyond_s: float) -> str | None:
@@ -242,7 +275,7 @@ class PressedTrial:
         trials read longer blocks; return what was found, None where nothing was or nothing can be
         changed."""
         settings, strips = self.settings, self.recorder.strips
-        if not settings.answers_alarms or settings.block_s is not None:
+        if not settings.alarms_answered or settings.block_s is not None:
             return None
         behind_s, read_s = strips.behind_s, strips.mean_read_s
         if behind_s <= beyond_s or (longer_s := longer_block_s(self._block_s, read_s)) is None:
@@ -303,13 +336,16 @@ class PressedTrial:
 
     def lift(self) -> None:
         """Move z up, off the object; then see where the force sensor's zero is."""
+        self._lift_off()
+        self._report_slips()
+
+    def _lift_off(self) -> None:
         self.z.stage.stop()
         parked_mm = self.run.bench.settings.fixture.parked_mm
         self.z.stage.move_to(parked_mm, travel_mm_s(self.z.stage))
         self.recorder.force.count_later_frames(2 * SETTLED_S)
         shift_N = self.run.force.mean_N(SETTLED_S)
         self.record.zero_shift_N = (float(shift_N[0]), float(shift_N[1]), float(shift_N[2]))
-        self._report_slips()
 
     def _report_slips(self) -> None:
         """Show the slips that were detected: only now, since a terminal may make the run wait."""

@@ -7,9 +7,11 @@ import os
 from pathlib import Path
 
 from rig.batch.folder import BatchFolder
+from rig.batch.queue_file import QueueWriteError
 from rig.core.apart import GivenUpError, result_within
 from rig.core.errors import ConfigurationError
 from rig.run.locks.lock_holder import (
+    LockHolder,
     NotStoppedError,
     ask_to_stop,
     holder_of,
@@ -18,7 +20,7 @@ from rig.run.locks.lock_holder import (
 )
 
 LINKS_S = 2.0
-"""Longest time in s that the links in the path of a folder may take."""
+"""Longest time in s for resolving the links in the path of a folder."""
 REQUEST_S = 2.0
 """Longest time in s that a request may take where a stop must not wait for the disk."""
 
@@ -64,11 +66,15 @@ def ask_batch(folder: BatchFolder, request: str) -> str:
 
 def stop_batch_of(journal: Path) -> None:
     """Stop the batch at once that takes the run of this journal, if one does, also where the disk
-    does not answer. Raises RigError if it could not be asked."""
+    does not answer or takes no request. Raises RigError if it could not be asked. `journal` is the
+    path without links."""
     try:
         result_within(REQUEST_S, lambda: _ask_batch_of(journal))
-    except GivenUpError:
-        stop_without_the_disk(journal.parent.parent)
+    except (GivenUpError, OSError, QueueWriteError):
+        batch = BatchFolder(journal.parent.parent)
+        locks = holders_by_path(batch.supervisor_lock.name)
+        if batch.supervisor_lock in locks:  # else the run, which is asked itself, is of no batch
+            _signal(batch, locks[batch.supervisor_lock])
 
 
 def _ask_batch_of(journal: Path) -> None:
@@ -98,8 +104,12 @@ def stop_without_the_disk(place: Path) -> BatchFolder:
             "press Ctrl-C in the terminal of the batch, or run: rig make-safe",
         )
     batch = BatchFolder(running[0])
-    supervisor = locks[batch.supervisor_lock]
+    _signal(batch, locks[batch.supervisor_lock])
+    return batch
+
+
+def _signal(batch: BatchFolder, supervisor: LockHolder) -> None:
+    """Send the signal that stops a batch at once to the process that can act on it."""
     # One that was stopped passes nothing on; its worker still takes the run under way.
     lock = batch.worker_lock if is_stopped(supervisor.pid) else batch.supervisor_lock
     ask_to_stop(lock, by_path=True)
-    return batch

@@ -25,6 +25,7 @@ ENDING_S = 1.0
 """Longest wait in s for the end of a process that has given its answer."""
 CHECK_EVERY_S = 0.005
 STANDARD_FILES = (0, 1, 2)
+_DIED = ("the process that was to do this has died", "give the command again")
 
 
 class GivenUpError(Exception):
@@ -62,8 +63,11 @@ def result_within(seconds: float, work: Callable[[], Result]) -> Result:
             while os.waitpid(pid, os.WNOHANG) == (0, 0) and time.monotonic() < ended_s:
                 time.sleep(CHECK_EVERY_S)
     if not content:
-        raise RigError("the process that was to do this has died", "give the command again")
-    result, error = pickle.loads(content)
+        raise RigError(*_DIED)
+    try:
+        result, error = pickle.loads(content)
+    except Exception as broken:
+        raise RigError(*_DIED) from broken
     if error is not None:
         raise error
     return cast("Result", result)
@@ -82,8 +86,14 @@ def _do(work: Callable[[], object], sender: int) -> NoReturn:
         except Exception as error:  # noqa: BLE001 - it is raised in the other process
             error.add_note(traceback.format_exc())
             answer = None, error
+        try:
+            content = pickle.dumps(answer)
+            pickle.loads(content)
+        except Exception as error:  # noqa: BLE001 - what cannot be sent is stated in words
+            cannot = RigError(f"{type(answer[1] or error).__name__}: {answer[1] or error}")
+            content = pickle.dumps((None, cannot))
         with open(sender, "wb") as pipe:
-            pickle.dump(answer, pipe)
+            pipe.write(content)
     finally:
         os._exit(0)
 

@@ -168,7 +168,12 @@ class PointLoop:
             except RetakeError as reason:
                 given_up += 1
                 if given_up > MOST_RETAKES:
-                    raise
+                    raise RigError(
+                        f"{point.id}: given up {given_up} times, the last time because "
+                        f"{reason.message}",
+                        reason.hint,
+                        reason.code,
+                    ) from reason
                 self._run.event("warning", "retake", f"{point.id}: {reason.message}")
                 self._observers.event("warning", f"{point.id}: {reason.message}; retaking it")
             except InvalidReadingError as invalid:

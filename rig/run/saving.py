@@ -109,7 +109,7 @@ class RunSaving:
         if not self._readings:
             return
         try:
-            # A run that was resumed and ended before its plan has those of before.
+            # A run that was resumed and ended before its plan has those recorded earlier.
             readings = self._loop.readings() or list(self._readings.values())
             found = results_of(self._job.procedure, readings, self._run.bench.simulated)
             self._outcome.summary = found.values

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import signal
@@ -140,7 +141,9 @@ def test_a_folder_that_does_not_answer_is_reported_with_what_works_without_it(
     assert ended.value.exit_code == ExitCode.INTERNAL
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith(f"error: {silent.path} did not answer for ")
-    assert "its disk has stalled, or its network share is away; what works without it: " in line
+    assert "its disk has stalled, or its network share is away; " in line
+    assert ("the request may still be carried out" in line) is (command is not batch.status)
+    assert "; what works without it: " in line
     assert line.endswith("Ctrl-C in the terminal of the batch, rig batch stop --now, rig make-safe")
 
 
@@ -186,6 +189,28 @@ def test_making_safe_stops_the_batch_of_a_run_although_its_folder_does_not_answe
     asked: list[Path] = []
     monkeypatch.setattr(running, "REQUEST_S", 0.5)
     monkeypatch.setattr(running, "batch_of", lambda _: threading.Event().wait())
+    monkeypatch.setattr(running, "ask_to_stop", lambda path, **_: asked.append(path))
+    with folder.held_by("supervisor", 0.0):
+        running.stop_batch_of(folder.journal(1, "sweep"))
+        running.stop_batch_of(tmp_path.parent / "films" / "x.rigj")  # of no batch
+    assert asked == [folder.supervisor_lock]
+
+
+def _fails(_: object) -> None:
+    raise OSError(errno.EIO, "Input/output error")
+
+
+def _is_full(_: object) -> None:
+    raise QueueWriteError("the disk is full")
+
+
+@pytest.mark.parametrize("fails", [_fails, _is_full])
+def test_making_safe_stops_the_batch_of_a_run_whose_disk_takes_no_request(
+    fails: Callable[[object], None], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = batch_in(tmp_path)
+    asked: list[Path] = []
+    monkeypatch.setattr(running, "batch_of", fails)
     monkeypatch.setattr(running, "ask_to_stop", lambda path, **_: asked.append(path))
     with folder.held_by("supervisor", 0.0):
         running.stop_batch_of(folder.journal(1, "sweep"))

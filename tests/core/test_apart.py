@@ -8,6 +8,7 @@ import signal
 import threading
 import time
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -46,15 +47,37 @@ def test_work_without_end_is_given_up_and_its_process_killed(tmp_path: Path) -> 
     number = tmp_path / "pid"
 
     def wait() -> None:
-        number.write_text(str(os.getpid()))
+        number.with_suffix(".new").write_text(str(os.getpid()))
+        number.with_suffix(".new").replace(number)
         threading.Event().wait()
 
     with pytest.raises(GivenUpError):
-        result_within(1.0, wait)
+        result_within(3.0, wait)
+    assert number.exists()
     deadline_s = time.monotonic() + PATIENCE_S
-    while number.exists() and lives(int(number.read_text())):
+    while lives(int(number.read_text())):
         assert time.monotonic() < deadline_s
         time.sleep(0.01)
+
+
+class TwoPartsError(Exception):
+    """An error that cannot be pickled."""
+
+    def __init__(self, one: str, two: str) -> None:
+        super().__init__(f"{one}, {two}")
+
+
+def _two_parts() -> None:
+    raise TwoPartsError("no disk", "no network")
+
+
+@pytest.mark.parametrize(
+    ("work", "words"),
+    [(_two_parts, "TwoPartsError: no disk, no network"), (threading.Lock, "cannot pickle")],
+)
+def test_an_answer_that_cannot_be_sent_is_stated_in_words(work: Any, words: str) -> None:
+    with pytest.raises(RigError, match=words):
+        result_within(PATIENCE_S, work)
 
 
 def test_a_process_that_dies_at_work_is_an_error() -> None:

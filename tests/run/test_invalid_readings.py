@@ -87,7 +87,9 @@ def test_a_procedure_that_gives_up_every_attempt_ends_the_run(
     procedure.attempts = 1000
     outcome = run_of(procedure, tmp_path, monkeypatch)
     assert outcome.code != ExitCode.DONE
-    assert outcome.failures[0].message == "the samples came too late"
+    (failure,) = outcome.failures
+    words = "first: given up 11 times, the last time because the samples came too late"
+    assert failure.message == words
     assert procedure.log.count("first") == 11
 
 

@@ -15,6 +15,8 @@ BEHIND_S = 0.05
 FAR_BEHIND_S = 0.5
 """The same in the rest before the motion, which is not interrupted for a stall that may be made up
 for: well before the DAQ's stream ends the run (`rig.run.streams.sample_stream`)."""
+CATCH_UP_S = 0.3
+"""Longest time in s that a motion waits for the samples to be read in time."""
 READING_SHARE = 0.5
 """Largest share of a block's length that reading it is to take."""
 

@@ -143,11 +143,11 @@ class TrialRecord:
             if one.kind == SLIP and self.motion_from_s <= one.time_s <= to_s
         ]
 
-    @property
-    def latest_alarm_s(self) -> float:
-        """Longest time in s from the sample of an alarm in the motion until the program had it; 0
-        without one."""
-        return max((one.decided_s - one.time_s for one in self.alarms), default=0.0)
+    def latest_alarm_s(self, answered: int) -> float:
+        """Return the longest time in s from the sample of one of the first `answered` alarms in the
+        motion until the program had it; 0 without one."""
+        first = sorted(self.alarms, key=lambda one: one.time_s)[:answered]
+        return max((one.decided_s - one.time_s for one in first), default=0.0)
 
     @property
     def point(self) -> str:
@@ -373,12 +373,12 @@ def _doubts(
                 f"{axis} was not seen for {unseen_s:.2g} s of its motion, more than {oldest_s:.2g} "
                 f"s ({OLDEST_LOOK} looks): its answers, or the computer's ticks, came late"
             )
-    if settings.answers_alarms and (late_s := record.latest_alarm_s) > STALE_S:
+    if (late_s := record.latest_alarm_s(settings.alarms_answered)) > STALE_S:
         doubts.append(
             f"an alarm came {late_s:.2g} s after its sample, more than {STALE_S:g} s: too late for "
             f"the grip, because the DAQ's link or the computer was busy{_longer_blocks(settings)}"
         )
-    if settings.answers_alarms and record.detection_ended:
+    if settings.alarms_answered and record.detection_ended:
         doubts.append(
             f"detector {settings.detector} was no longer used, so that the grip had no alarms"
         )

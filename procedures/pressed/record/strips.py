@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
     Volts = npt.NDArray[np.float64]
 
-CLOCKS_DIFFER = 1e-3
+UNIT_AHEAD = 1e-3
 """Far more than the clocks of DAQ and computer do: a block is asked for when it may be there."""
 LINK_ROOM_S = 0.0002
 """Time after the instant at which a block may be there, at which it is asked for: the acquisition
@@ -143,7 +143,7 @@ class StripRecorder:
         """Return the largest number of rows that the DAQ may have sampled by now, since its clock
         may run ahead."""
         since_s = self._run.clock.now() - self._record.begun_s
-        return since_s * self._settings.rate_S_s * (1 + CLOCKS_DIFFER)
+        return since_s * self._settings.rate_S_s * (1 + UNIT_AHEAD)
 
     def _block_due(self) -> bool:
         return bool(self._rows_read + self._block_samples <= self._rows_by_now())

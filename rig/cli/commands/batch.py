@@ -259,7 +259,13 @@ def status(
     with reported(debug):
         found = folder
         while True:
-            shown = _answered(folder, results, partial(_status, found, results))
+            try:
+                shown = _answered(folder, results, partial(_status, found, results))
+            except FolderSilentError as silent:
+                if not watch:
+                    raise
+                say(f"warning: {silent.message}")  # disks spin up, and shares come back
+                continue
             _show(shown, as_json, watch)
             if not watch:
                 return
@@ -295,7 +301,7 @@ def _request(command: str, shown: str, folder: Path | None, results: Path, debug
             found, heard, error = _answered(
                 folder, results, partial(_leave, command, folder, results, within_s), within_s
             )
-        except FolderSilentError as silent:
+        except (FolderSilentError, OSError) as silent:
             if not now:
                 raise
             found = _stop_without_the_disk(folder or results, silent)
@@ -355,25 +361,27 @@ def _answered(
     try:
         return result_within(ANSWER_S + more_s, work)
     except GivenUpError:
+        later = "; the request may still be carried out once it answers" if more_s else ""
         raise FolderSilentError(
             f"{folder or results} did not answer for {ANSWER_S + more_s:g} s: its disk has "
-            "stalled, or its network share is away",
+            f"stalled, or its network share is away{later}",
             "what works without it: Ctrl-C in the terminal of the batch, rig batch stop --now, "
             "rig make-safe",
         ) from None
 
 
-def _stop_without_the_disk(place: Path, silent: FolderSilentError) -> BatchFolder:
-    """Stop a batch at once whose folder does not answer; return it."""
+def _stop_without_the_disk(place: Path, silent: FolderSilentError | OSError) -> BatchFolder:
+    """Stop a batch at once whose folder does not answer, or with an error only; return it."""
     from rig.batch.folder import QUEUE
     from rig.batch.running import stop_without_the_disk
     from rig.run.locks.lock_holder import NotStoppedError
 
+    trouble = silent.message if isinstance(silent, FolderSilentError) else f"{place}: {silent}"
     try:
         found = stop_without_the_disk(place.parent if place.name == QUEUE else place)
     except NotStoppedError as error:
-        raise RigError(f"{silent.message}; not stopped: {error.message}", error.hint) from error
-    say(f"warning: {silent.message}; the process that runs the batch was asked directly")
+        raise RigError(f"{trouble}; not stopped: {error.message}", error.hint) from error
+    say(f"warning: {trouble}; the process that runs the batch was asked directly")
     return found
 
 

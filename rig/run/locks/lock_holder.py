@@ -125,12 +125,13 @@ def holders_by_path(name: str) -> dict[Path, LockHolder]:
         with contextlib.suppress(OSError):
             if (process / "ns/mnt").readlink() != (PROC / "self/ns/mnt").readlink():
                 continue
-            user = user_name(process.stat().st_uid)
+            uid = process.stat().st_uid
             for entry in os.scandir(process / "fd"):
                 with contextlib.suppress(FileNotFoundError):  # it was closed meanwhile
                     path = Path(entry.path).readlink()
                     if path.name == name and _locks(pid, entry.name):
-                        found[path] = LockHolder(pid, user, True)
+                        # The name of a user may be asked of a server: for a holder only.
+                        found[path] = LockHolder(pid, user_name(uid), True)
     return found
 
 

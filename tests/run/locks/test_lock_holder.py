@@ -68,7 +68,7 @@ def test_a_process_is_found_by_the_path_of_its_lock_without_a_look_at_the_file(
     try:
         with monkeypatch.context() as patched:
             patched.setattr(os.path, "samestat", None)
-            assert list(holders_by_path("a.lock")) == [path]
+            assert path in holders_by_path("a.lock")
             assert holder_by_path(tmp_path / "b" / "a.lock") is None
             assert not is_stopped(process.pid)
             holder = ask_to_stop(path, signal.SIGSTOP, by_path=True)

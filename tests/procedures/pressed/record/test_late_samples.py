@@ -102,6 +102,8 @@ def test_a_trial_whose_alarm_came_too_late_for_the_grip_is_invalid() -> None:
     assert doubts(GRIP.model_copy(update={"regrip_on": "motion"}), late) == ""
     before = replace(late, time_s=0.5)
     assert doubts(GRIP, before) == ""  # it would not have been answered in time either
+    last = replace(late, time_s=1.6)  # all steps have been made before
+    assert doubts(GRIP, *[ALARM] * GRIP.regrip_times, last) == ""
 
 
 def test_longer_blocks_are_proposed_only_where_their_length_is_fixed() -> None:
@@ -122,15 +124,18 @@ def test_a_trial_whose_detector_has_ended_is_invalid_if_the_grip_needs_it() -> N
 
 
 def test_weights_of_invalid_trials_are_not_among_the_lost_ones() -> None:
+    late, forces = "an alarm came 1.6 s after its sample", {"least_force_N": 4.0}
     trials = [
-        {"outcome": "lost", "invalid": "an alarm came 1.6 s after its sample"},
-        {"outcome": "lost", "invalid": ""},
-        {"outcome": "averted", "invalid": ""},
+        {"outcome": "averted", "invalid": late, "force_used_N": 8.0, **forces},
+        {"outcome": "lost", "invalid": "", "force_used_N": 4.0, **forces},
+        {"outcome": "averted", "invalid": "", "force_used_N": 4.8, **forces},
     ]
-    assert grip_summary(trials)["grip"] == [
+    weights, force = grip_summary(trials)["grip"]
+    assert weights == (
         "Weights: held 0, averted 1, lost 1 (averted: at rest after a squeeze); 1 invalid trial "
         "left out."
-    ]
+    )
+    assert "at least 1.20 by" in force
 
 
 @pytest.mark.thorough
@@ -147,13 +152,13 @@ def test_a_daq_too_slow_for_short_blocks_is_read_in_longer_ones_before_the_motio
     with rig.served("--fixture", "plate", "--fault", plan, ways="as usual"):
         ended = rig.run("slip-trial", "--bench", "bench.toml", *WEIGHT, "--rest", rest)
     assert ended.code in (0, 5), ended.stderr  # 5: a busy computer makes a trial invalid
-    (line,) = [
+    first, *_ = [  # there are more where the computer is busy
         line
         for line in ended.stderr.splitlines()
         if "too late for the grip" in line and line.endswith("retaking it")
     ]
-    assert "a block of 2 ms takes" in line
-    assert re.search(r"blocks of (10|20) ms from here on", line)
+    assert "a block of 2 ms takes" in first
+    assert re.search(r"blocks of (10|20) ms from here on", first)
     with RunFile.open(rig.only("*.h5")) as run:
         (reading,) = run.readings()
         assert reading["samples"] > 0
