@@ -117,13 +117,13 @@ class PressedTrial:
         object.
 
         Raises RigError, before anything moves, where the grip is to answer the alarms of a detector
-        that is not used any more.
+        that was dropped.
         """
         assert self.series.detection is not None
         if self.settings.alarms_answered and self.series.detection.has_ended:
             raise RigError(
-                f"detector {self.settings.detector} is no longer used (see the warning about it), "
-                "so that the grip has no alarms to answer",
+                f"detector {self.settings.detector} was dropped (see the warning about it), so the "
+                "grip gets no alarms",
                 "choose another --detector; the run can be resumed",
             )
         parked_mm = self.run.bench.settings.fixture.parked_mm

@@ -379,9 +379,7 @@ def _doubts(
             f"the grip, because the DAQ's link or the computer was busy{_longer_blocks(settings)}"
         )
     if settings.alarms_answered and record.detection_ended:
-        doubts.append(
-            f"detector {settings.detector} was no longer used, so that the grip had no alarms"
-        )
+        doubts.append(f"detector {settings.detector} was dropped, so the grip got no alarms")
     if reading["lost_frames"]:
         doubts.append(
             f"{reading['lost_frames']} frames of the force sensor were lost: what follows in the "

@@ -24,6 +24,20 @@ open({path!r}, "a").write(json.dumps(json.load(sys.stdin)) + "\\n")
 """
 
 
+SLOW_SWEEP = (
+    NIGHT
+    + """
+hold_when = { free_disk_GB = 0 }
+[simulation]
+world = "world.toml"
+[[experiment]]
+procedure = "sweep"
+settings = { frequencies_Hz = [160, 180, 200], settling_s = 4 }
+"""
+)
+"""A batch whose run takes long enough to be disturbed."""
+
+
 @pytest.fixture
 def small_disk(rig: Any) -> Iterator[Path]:
     """The folder of results is a file system of its own, of 24 MB."""
@@ -121,18 +135,7 @@ settings = {{ frequencies_Hz = [160, 180, 200, 220], settling_s = 4 }}
 def test_a_batch_that_is_held_by_a_full_disk_stops_when_it_is_asked_to(
     rig: Any, small_disk: Path
 ) -> None:
-    write_night(
-        rig,
-        NIGHT
-        + """
-hold_when = { free_disk_GB = 0 }
-[simulation]
-world = "world.toml"
-[[experiment]]
-procedure = "sweep"
-settings = { frequencies_Hz = [160, 180, 200], settling_s = 4 }
-""",
-    )
+    write_night(rig, SLOW_SWEEP)
     running = rig.start("batch", "run", "night.toml", "--json")
     running.wait_for(r"^run 1/")
     await_point(folder_of(rig.results), 1)
@@ -150,18 +153,7 @@ settings = { frequencies_Hz = [160, 180, 200], settling_s = 4 }
 def test_a_batch_whose_disk_stalls_is_stopped_at_once_without_it(
     rig: Any, stalling_disk: Path
 ) -> None:
-    write_night(
-        rig,
-        NIGHT
-        + """
-hold_when = { free_disk_GB = 0 }
-[simulation]
-world = "world.toml"
-[[experiment]]
-procedure = "sweep"
-settings = { frequencies_Hz = [160, 180, 200], settling_s = 4 }
-""",
-    )
+    write_night(rig, SLOW_SWEEP)
     running = rig.start("batch", "run", "night.toml", "--json")
     running.wait_for(r"^run 1/")
     subprocess.run(("fsfreeze", "-f", str(stalling_disk)), check=True)

@@ -338,11 +338,11 @@ def test_a_run_whose_grip_needs_one_that_has_ended_presses_nothing_more(rig: Any
         "--distance", "0.4mm", "--rest", "100ms", "--force-error-peak", "100",
     )  # fmt: skip
     assert done.code == 1, done.stderr
-    assert "detector lab-level is no longer used" in done.stderr
+    assert "detector lab-level was dropped (see the warning about it)" in done.stderr
     assert "Bench is safe" in done.stderr
     with RunFile.open(rig.folder / done.object["file"]) as run:
         (reading,) = run.readings()
-    assert "no longer used, so that the grip had no alarms" in str(reading["invalid"])
+    assert "was dropped, so the grip got no alarms" in str(reading["invalid"])
 
 
 @pytest.mark.thorough

@@ -304,16 +304,25 @@ def test_a_unit_whose_clock_is_slow_is_not_asked_for_a_block_before_it_is_there(
         daq.close()
 
 
-def test_an_overrun_is_named_where_a_block_was_requested_without_asking_for_it() -> None:
+@pytest.mark.parametrize(
+    ("sent", "state", "named"),
+    [
+        (b"#10", "OVER", "overran after row 3; samples are lost"),
+        (block()[:-5], "DATA", "announced bytes"),
+    ],
+)
+def test_a_block_that_fails_without_a_question_before_is_blamed_on_an_overrun_only_where_it_was(
+    sent: bytes, state: str, named: str
+) -> None:
     exchanges = (
         *hello("U2331A"),
         (STREAM, SET_UP),
         ("RUN;:SYST:ERR?", NO_ERROR),
         ("WAV:STAT?", "DATA"),
         ("WAV:DATA?", block()),
-        ("WAV:DATA?", b"#10"),
+        ("WAV:DATA?", sent),
         REOPENED,
-        ("WAV:STAT?", "OVER"),
+        ("WAV:STAT?", state),
     )
     clock = StoppedClock()
     with playing("hislip", *exchanges) as resource:
@@ -321,29 +330,7 @@ def test_an_overrun_is_named_where_a_block_was_requested_without_asking_for_it()
         daq.start(THREE_ROWS)
         assert daq.read() is not None
         clock.now_s = 0.05
-        with pytest.raises(InstrumentError, match="overran after row 3; samples are lost"):
-            daq.read()
-        daq.close()
-
-
-def test_a_spoilt_block_that_was_not_asked_about_is_not_blamed_on_an_overrun() -> None:
-    exchanges = (
-        *hello("U2331A"),
-        (STREAM, SET_UP),
-        ("RUN;:SYST:ERR?", NO_ERROR),
-        ("WAV:STAT?", "DATA"),
-        ("WAV:DATA?", block()),
-        ("WAV:DATA?", block()[:-5]),
-        REOPENED,
-        ("WAV:STAT?", "DATA"),
-    )
-    clock = StoppedClock()
-    with playing("hislip", *exchanges) as resource:
-        daq = connect(settings(resource), clock)
-        daq.start(THREE_ROWS)
-        assert daq.read() is not None
-        clock.now_s = 0.05
-        with pytest.raises(InstrumentError, match="announced bytes"):
+        with pytest.raises(InstrumentError, match=named):
             daq.read()
         daq.close()
 

@@ -117,7 +117,7 @@ def test_a_trial_whose_detector_has_ended_is_invalid_if_the_grip_needs_it() -> N
     record = a_record(0)
     record.detection_ended = True
     judged = reading_of_record(record, settings=GRIP)["invalid"]
-    assert judged == "detector paper-hp was no longer used, so that the grip had no alarms"
+    assert judged == "detector paper-hp was dropped, so the grip got no alarms"
     assert reading_of_record(record)["invalid"] == ""
     on_motion = GRIP.model_copy(update={"regrip_on": "motion"})
     assert reading_of_record(record, settings=on_motion)["invalid"] == ""
