@@ -30,15 +30,10 @@ from procedures.pressed.approach.way_down import held_speed_bound, travel_mm_s
 from procedures.pressed.axes import ArrivalWatch, PolledStage, PressingStage, SentMove
 from procedures.pressed.grip import Grip
 from procedures.pressed.hold import ForceHold
+from procedures.pressed.late_samples import LateSamples
 from procedures.pressed.links import TrialLinks
 from procedures.pressed.press import Press
-from procedures.pressed.record.block_length import (
-    BEHIND_S,
-    CATCH_UP_S,
-    FAR_BEHIND_S,
-    READING_SHARE,
-    longer_block_s,
-)
+from procedures.pressed.record.block_length import BEHIND_S, CATCH_UP_S, FAR_BEHIND_S
 from procedures.pressed.record.commanded_x import CommandedX
 from procedures.pressed.record.detection import slips_in_words
 from procedures.pressed.record.reading import CONTACT_N, DECIMATED_Hz
@@ -94,10 +89,11 @@ class PressedTrial:
         poll_rate_Hz = min(rates.poll_rate_Hz, most_polls_Hz)
         assert series.detection is not None, "the series is begun when the run is armed"
         stages = (self.z, self.x)
-        self._block_s = series.block_s or self.settings.read_block_s
+        block_s = series.block_s or self.settings.read_block_s
         self.recorder = TickRecorder(
-            run, record, self.links, stages, poll_rate_Hz, series.detection, self._block_s
+            run, record, self.links, stages, poll_rate_Hz, series.detection, block_s
         )
+        self._late_samples = LateSamples(run, series, record, self.recorder.strips)
         self._commanded_x = CommandedX(run.clock, record, series.detection)
         self.x.on_command = self._commanded_x.command
         self._ticks = TrialTicks(run, self.links, self.recorder, record.loops, rates.tick_s)
@@ -192,7 +188,7 @@ class PressedTrial:
         def rest(tick: Tick) -> bool:
             nonlocal late
             self.hold_tick(tick)
-            late = self._lengthen_late_blocks(FAR_BEHIND_S)
+            late = self._late_samples.lengthen_blocks(FAR_BEHIND_S)
             return late is None
 
         self.run_ticks(self.settings.rest_s, rest)
@@ -232,7 +228,7 @@ class PressedTrial:
         """
         self._catch_up()
         self._ticks.wait()
-        if (late := self._lengthen_late_blocks(BEHIND_S)) is not None:
+        if (late := self._late_samples.lengthen_blocks(BEHIND_S)) is not None:
             self._give_up(late)
         self.record.motion_from_s = self.since_s()
         self._held().begin_motion(expected)
@@ -244,22 +240,18 @@ class PressedTrial:
         self.record.motion_to_s = self.since_s()
         assert self.series.detection is not None
         self.record.detection_ended = self.series.detection.has_ended
-        strips = self.recorder.strips
-        if strips.mean_read_s <= READING_SHARE * self._block_s:
-            return  # a stall, which longer blocks would not have prevented
-        if (late := self._lengthen_late_blocks(BEHIND_S)) is not None:
-            self.run.event("warning", "late-samples", f"{self.record.point}: {late}")
+        self._late_samples.end_motion()
 
     def _catch_up(self) -> None:
         """Hold the force until the strips' samples are read in time, for `CATCH_UP_S` at most: the
         computer or the link may have stalled for a moment."""
-        strips = self.recorder.strips
+        late = self._late_samples
 
         def hold(tick: Tick) -> bool:
             self.hold_tick(tick)
-            return strips.behind_s > BEHIND_S
+            return late.too_late_for_grip
 
-        if self.settings.alarms_answered and strips.behind_s > BEHIND_S:
+        if late.too_late_for_grip:
             self.run_ticks(CATCH_UP_S, hold)
 
     def _give_up(self, late: str) -> None:
@@ -269,25 +261,6 @@ class PressedTrial:
         self.recorder.give_up()
         self._lift_off()
         raise RetakeError(late)
-
-    def _lengthen_late_blocks(self, beyond_s: float) -> str | None:
-        """Where the strips' samples come later than `beyond_s`, too late for the grip, let later
-        trials read longer blocks; return what was found, None where nothing was or nothing can be
-        changed."""
-        settings, strips = self.settings, self.recorder.strips
-        if not settings.alarms_answered or settings.block_s is not None:
-            return None
-        behind_s, read_s = strips.behind_s, strips.mean_read_s
-        if behind_s <= beyond_s or (longer_s := longer_block_s(self._block_s, read_s)) is None:
-            return None
-        self.series.block_s = longer_s
-        blocks = f"blocks of {1e3 * longer_s:g} ms from here on"
-        # At once: a pause or a trip in the lift takes the place of the reason for it.
-        self.run.event("info", "block-length", f"{self.record.point}: {blocks}")
-        return (
-            f"the strips are read {behind_s:.2g} s late, too late for the grip: a block of "
-            f"{1e3 * self._block_s:g} ms takes {1e3 * read_s:.2g} ms on the DAQ's link; {blocks}"
-        )
 
     def move_x(self, to_mm: float, speed_mm_s: float) -> None:
         """Move x to a position at a speed, under the held normal force, and wait until it is there.

@@ -332,7 +332,8 @@ def draw_rows(axes: Axes, instants: SlipInstants, seen: tuple[float, float]) -> 
             # Not "none": a motion of which this cannot be computed may have slipped all the same.
             # A row has no room for more than the first clause of the reason.
             reason = instants.why_not_measured.partition(", ")[0]
-            never = ": ".join(filter(None, ("not evaluated", reason)))
+            symbols = reason.replace("F_t/F_n", "$F_t/F_n$")
+            never = ": ".join(filter(None, ("not evaluated", symbols)))
             _instant(axes, row, instants.measured_s, "v", MEASURED, seen, never)
     rows.append(("detected", DETECTED))
     last = len(rows) - 1

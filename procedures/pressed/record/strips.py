@@ -61,7 +61,8 @@ class StripRecorder:
         self._samples = SampleStream(run.bench.daq, run.clock)
         self._decimator = Decimator(self._settings.rate_S_s, len(STRIPS))
         self._detection = detection
-        self._block_s = block_s
+        self.block_s = block_s
+        """Length in s of the blocks that are read."""
         self._block_samples = round(self._settings.rate_S_s * block_s)
         self._rows_read = self._blocks_read = 0
         self._reading_s = 0.0
@@ -79,7 +80,7 @@ class StripRecorder:
         self._samples.start(replace(self._settings.acquisition, samples=self._block_samples))
         self._record.begun_s = self._run.clock.now()
         self._record.filter_delay_s = self._decimator.delay_s
-        self._next_s = self._record.begun_s + self._block_s + LINK_ROOM_S
+        self._next_s = self._record.begun_s + self.block_s + LINK_ROOM_S
 
     @property
     def next_s(self) -> float:
@@ -98,7 +99,7 @@ class StripRecorder:
         if math.isinf(self._next_s):
             return 0.0
         now_s = self._run.clock.now()
-        sampled_s = now_s - self._record.begun_s - self._block_s
+        sampled_s = now_s - self._record.begun_s - self.block_s
         read_s = self._rows_read / self._settings.rate_S_s
         return max(0.0, min(sampled_s - read_s, now_s - self._caught_up_s))
 
@@ -109,7 +110,7 @@ class StripRecorder:
 
     def ask_block(self) -> None:
         """Ask for the block that may be there, to be judged as soon as it is."""
-        block_s = self._block_s
+        block_s = self.block_s
         late = max(0, math.floor((self._run.clock.now() - self._next_s) / block_s))  # blocks
         self._next_s += (1 + late) * block_s
         if self._block_due():
@@ -166,7 +167,7 @@ class StripRecorder:
 
     def _read_blocks(self, interval_s: float) -> None:
         """Read the blocks that may be there, of many a few."""
-        coming = interval_s / self._block_s
+        coming = interval_s / self.block_s
         for _ in range(max(BLOCKS_A_POLL, math.ceil(CATCHING_UP * coming))):
             if not (self._block_due() and self._read_block()):
                 return
