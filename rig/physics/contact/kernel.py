@@ -66,14 +66,17 @@ RESIDUAL_MM = 1e-10
 PATIENCE = 12
 ITERATIONS = 60
 RESCUES_A_STEP = 30
-FRICTION_REFRESH = 0.004
+FRICTION_TOLERANCE_N = 1e-14
+"""Change of a tangential force at which the correction for changed coefficients has settled."""
+FRICTION_ITERATIONS = 60
+FRICTION_REFRESH = 0.05
 """Change of a coefficient from which the inverse is updated for it."""
 FRICTION_SETTLES = 0.1
 """The inverse is also updated when the remaining change is less than this share of the change so
 far."""
 FRICTION_SETTLED = 1e-9
 """Smaller changes wait until the coefficient has stopped changing."""
-EAGER = 4.0
+EAGER = 2.0
 """Factor used by `_outdated`. It trades more updates of the inverse for fewer whole steps; chosen
 by measurement."""
 NEGLIGIBLE_SHARE = 1e-18
@@ -140,6 +143,31 @@ def _products(A: Any, rows: Any, count: int, b: Any, n: int, out: Any) -> None:
         for c in range(n):
             t0 += A[r0, c] * b[c]
         out[q] = t0
+        q += 1
+
+
+@njit(cache=True, error_model="numpy", fastmath=_FAST)
+def _add_products(A: Any, row: int, count: int, column: int, b: Any, n: int, out: Any) -> None:
+    """Add A[row + q, column : column + n] b[:n] to out[q] for q < count, like `_products`."""
+    q = 0
+    while q + 4 <= count:
+        r = row + q
+        t0, t1, t2, t3 = 0.0, 0.0, 0.0, 0.0
+        for c in range(n):
+            t0 += A[r, column + c] * b[c]
+            t1 += A[r + 1, column + c] * b[c]
+            t2 += A[r + 2, column + c] * b[c]
+            t3 += A[r + 3, column + c] * b[c]
+        out[q] += t0
+        out[q + 1] += t1
+        out[q + 2] += t2
+        out[q + 3] += t3
+        q += 4
+    while q < count:
+        r, total = row + q, 0.0
+        for c in range(n):
+            total += A[r, column + c] * b[c]
+        out[q] += total
         q += 1
 
 
@@ -499,37 +527,78 @@ def _needed(status: Any, owner: Any, n: int, rows: Any) -> int:
     return count
 
 
+@njit(cache=True, error_model="numpy", fastmath=_FAST)
+def _correct_friction(
+    effect: Any, row: int, column: int, press: Any, lack: Any, count: int, extra: Any,
+    corrected: Any,
+) -> bool:  # fmt: skip
+    """Find the tangential forces `extra` (count,) that slipping nodes bear beyond the stored
+    slopes; return False if the iteration does not settle.
+
+    `lack` (count,) is what each stored slope lacks of the node's friction, `press` the pressing
+    forces with the stored slopes, and `effect[row + s, column + c]` the change of the pressing
+    force at node s by a unit of tangential force at node c. Only these few entries of the inverse
+    take part in the iteration, so that coefficients may change far before it has to be updated.
+    """
+    for _ in range(FRICTION_ITERATIONS):
+        worst = 0.0
+        _copy(press[:count], corrected)
+        _add_products(effect, row, count, column, extra, count, corrected)
+        for s in range(count):
+            moved = lack[s] * corrected[s] - extra[s]
+            extra[s] += moved
+            worst = max(worst, abs(moved))
+        if worst < FRICTION_TOLERANCE_N:
+            return True
+    return False
+
+
 @njit(cache=True, error_model="numpy")
 def _solve(
     status: Any, slopes: Any, mu: Any, slots: Any, owner: Any, ints: Any, inverse: Any,
-    force: Any, b: Any, solution: Any, rows: Any, needed: int,
+    force: Any, b: Any, solution: Any, rows: Any, needed: int, small: Any, work: Any, which: Any,
 ) -> bool:  # fmt: skip
-    """Solve with the stored inverse; coefficients that changed since then are corrected by
-    iteration.
+    """Solve with the stored inverse, corrected for coefficients that have changed since then;
+    return False if the correction does not settle.
 
     `solution` receives d, Δx and the results of the further `rows`.
     """
     n, m = ints[N], status.size
-    for _ in range(60):
-        worst = 0.0
-        for i in range(m):
-            if status[i] >= SLIP_PLUS:
-                b[slots[1][i]] = (_slope(status[i], mu[i]) - slopes[i]) * force[i]
-        _products(inverse, rows, needed, b, n, solution)
+    lack, press, extra = work[13], work[14], work[15]
+    lacking, settled = 0, True
+    for i in range(m):
+        if status[i] >= SLIP_PLUS:
+            b[slots[1][i]] = 0.0
+            lack[lacking] = _slope(status[i], mu[i]) - slopes[i]
+            if lack[lacking] != 0.0:
+                which[lacking] = i
+                lacking += 1
+    _products(inverse, rows, needed, b, n, solution)
+    if lacking > 0:
         for q in range(2, needed):
             k = rows[q]
-            i = owner[k, 1]
-            if owner[k, 0] == 1:
-                force[m + i] = solution[q]
-                continue
-            if status[i] >= SLIP_PLUS:
-                moved = (_slope(status[i], mu[i]) - slopes[i]) * (solution[q] - force[i])
-                worst = max(worst, abs(moved))
-                force[m + i] = slopes[i] * solution[q] + b[slots[1][i]]
-            force[i] = solution[q]
-        if worst < 1e-14:
-            return True
-    return False
+            if owner[k, 0] == 0:
+                press[owner[k, 1]] = solution[q]
+        for s in range(lacking):
+            press[s] = press[which[s]]  # the nodes are in order: none is overwritten too early
+            extra[s] = lack[s] * force[which[s]]
+            source = inverse[slots[0][which[s]]]
+            for c in range(lacking):
+                small[s, c] = source[slots[1][which[c]]]
+        settled = _correct_friction(small, 0, 0, press, lack, lacking, extra, work[3])
+        for s in range(lacking):
+            b[slots[1][which[s]]] = extra[s]
+        _products(inverse, rows, needed, b, n, solution)
+    for q in range(2, needed):
+        k = rows[q]
+        i = owner[k, 1]
+        if owner[k, 0] == 1:
+            force[m + i] = solution[q]
+            continue
+        if status[i] >= SLIP_PLUS:
+            force[m + i] = slopes[i] * solution[q] + b[slots[1][i]]
+        force[i] = solution[q]
+    return settled
 
 
 @njit(cache=True, error_model="numpy")
@@ -913,7 +982,8 @@ def _again(
     b, x, moved, lack = work[4], work[5], work[11], work[6]
     marked = nodes[MARKED]
     b[0], b[1] = normal, tangent
-    columns, holding = needed, False
+    base, extra = work[0], b[2 + count + sticking :]
+    lacking, holding = False, False
     for j in range(count):
         i = nodes[NODES, j]
         b[2 + j] = (-height[i] - beta * w[i]) / alpha
@@ -924,17 +994,25 @@ def _again(
             return 0
         marked[j - sticking] = 1 if status[i] == STICK else 0
         holding = holding or status[i] == STICK
-        lack[j] = _slope(held[i], mu[i]) - slopes[i]
-        if lack[j] != 0.0:
-            columns = n
+        lack[j - sticking] = _slope(held[i], mu[i]) - slopes[i]
+        lacking = lacking or lack[j - sticking] != 0.0
+    _products(packed, nodes[COUNTING], needed, b, needed, base)
+    for s in range(sliding):
+        lacks = marked[s] == 0
+        extra[s] = lack[s] * force[nodes[NODES, sticking + s]] if lacks else 0.0
     tried, settled = 1, False
-    for _ in range(60):
+    for _ in range(FRICTION_ITERATIONS):
+        if lacking and not holding:
+            press = base[2 + sticking :]
+            if not _correct_friction(
+                packed, 2 + sticking, needed, press, lack, sliding, extra, work[13]
+            ):
+                return 0
+        _copy(base[:needed], x)
+        if lacking:
+            _add_products(packed, 0, needed, needed, extra, sliding, x)
         for j in range(sticking, count):
-            lacks = marked[j - sticking] == 0
-            b[2 + count + j] = lack[j] * force[nodes[NODES, j]] if lacks else 0.0
-        _products(packed, nodes[COUNTING], needed, b, columns, x)
-        for j in range(sticking, count):
-            x[2 + count + j] = slopes[nodes[NODES, j]] * x[2 + j] + b[2 + count + j]
+            x[2 + count + j] = slopes[nodes[NODES, j]] * x[2 + j] + extra[j - sticking]
         if holding:
             _products(compact, nodes[COUNTING], sliding, x, n, moved)
             sets = _hold_back(
@@ -944,15 +1022,13 @@ def _again(
             if sets == 0:
                 return 0
             tried += sets - 1
-        worst = 0.0
-        for j in range(sticking, count):
-            if marked[j - sticking] == 0:
-                worst = max(worst, abs(lack[j] * x[2 + j] - b[2 + count + j]))
-            force[nodes[NODES, j]] = x[2 + j]
-        if worst >= 1e-14:
-            continue
-        settled = True
-        if not holding:
+            worst = 0.0
+            for s in range(sliding):
+                wanted = lack[s] * x[2 + sticking + s] if marked[s] == 0 else 0.0
+                worst = max(worst, abs(wanted - extra[s]))
+                extra[s] = wanted
+            settled = worst < FRICTION_TOLERANCE_N
+        else:
             _products(compact, nodes[COUNTING], sliding, x, n, moved)
             holding = _slides_back(alpha, spin, u, mu, held, sticking, count, nodes, x[1], moved)
             settled = not holding
@@ -1021,7 +1097,7 @@ def _step(
     C: Any, constants: Any, height: Any, spin: Any, normal: float, tangent: float, w: Any, u: Any,
     mu: Any, slopes: Any, status: Any, held: Any, force: Any, slots: Any, owner: Any, ints: Any,
     inverse: Any, work: Any, new_w: Any, new_u: Any, motion: Any, loaded: Any, wanted: Any,
-    rows: Any,
+    rows: Any, small: Any, which: Any,
 ) -> int:  # fmt: skip
     """Solve one step; return the number of active sets tried, or -1 if none is consistent."""
     m = status.size
@@ -1047,8 +1123,9 @@ def _step(
             )  # fmt: skip
             needed = _needed(status, owner, ints[N], rows)
             settled = _solve(
-                status, slopes, mu, slots, owner, ints, inverse, force, b, solution, rows, needed
-            )
+                status, slopes, mu, slots, owner, ints, inverse, force, b, solution, rows, needed,
+                small, work, which,
+            )  # fmt: skip
             count = ints[N] - 2
             for k in range(count):
                 loaded[k] = owner[k + 2, 1] + m * owner[k + 2, 0]
@@ -1186,7 +1263,7 @@ def advance(
                 iterations = _step(
                     C, constants, height, spin, normal[step], drive, w, u, mu, slopes, status, held,
                     force, slots, owner, ints, inverse, work, new_w, new_u, motion, loaded, wanted,
-                    nodes[ORDER],
+                    nodes[ORDER], small, nodes[WHICH],
                 )  # fmt: skip
                 if ints[UPDATES] != updates or ints[REBUILDS] != rebuilds:
                     listed[PACKED] = 0

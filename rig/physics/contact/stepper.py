@@ -9,7 +9,9 @@ raises ``ConvergenceError`` and leaves the state unchanged.
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
+from functools import cache
 from pathlib import Path
+from types import ModuleType
 from typing import Literal
 
 import numpy as np
@@ -200,11 +202,7 @@ class ContactStepper:
         Raises ValueError for inputs out of range, and ConvergenceError if a step has no consistent
         solution; the steps before it remain done.
         """
-        from rig.core.cache import place_numba_cache
-
-        place_numba_cache(Path(__file__).parent)
-        from rig.physics.contact import kernel
-
+        kernel = _kernel()
         normals, tangents = _paired(normal, tangential)
         rotations = self._rotations(rotation_rad, normals.size)
         if normal_control == "force" and normals.size and normals.min() < 0:
@@ -294,6 +292,17 @@ class ContactStepper:
             scalars=np.array([0.0, position_mm, 0.0, 0.0]),
             inverse=_aligned(n, n),
         )
+
+
+@cache
+def _kernel() -> ModuleType:
+    """Return the compiled step, which takes its time to load."""
+    from rig.core.cache import place_numba_cache
+
+    place_numba_cache(Path(__file__).parent)
+    from rig.physics.contact import kernel
+
+    return kernel
 
 
 def _aligned(rows: int, columns: int) -> Floats:
