@@ -28,7 +28,8 @@ NOISE_MV_V = 2e-5
 """Standard deviation of a value at 1000 frames/s, as the root of the rate (UNCONFIRMED)."""
 NOISE_CHUNK = 256
 BRIDGE_RANGES_MV_V = (INPUT_RANGE_MV_V, 7.0, 14.0)
-"""Input range by input type: bridge at 5, 2.5 and 1.25 V (UNCONFIRMED beyond the first)."""
+"""Input range by input type, the smallest first: bridge at 5, 2.5 and 1.25 V (UNCONFIRMED beyond
+the first)."""
 
 
 def input_range(input_type: int) -> float:
@@ -60,20 +61,21 @@ class Sensor:
         inverse, zero, *_ = _inverse(self.matrix, self.zero_mV_V)
         return np.asarray(force_N @ inverse.T + zero)
 
-    def largest_bridge(self, force_N: npt.NDArray[np.float64]) -> float:
-        """Return the bound in mV/V of all bridges' outputs while no component of the force exceeds
-        these, (3,) in N."""
-        *_, sizes, zero_sizes = _inverse(self.matrix, self.zero_mV_V)
-        return float((sizes @ force_N + zero_sizes).max())
+    def largest_bridge(self, force_N: float) -> float:
+        """Return a bound in mV/V of all bridges' outputs while no component of the force exceeds
+        `force_N`."""
+        _, _, most_mV_V_N, most_zero_mV_V = _inverse(self.matrix, self.zero_mV_V)
+        return most_mV_V_N * force_N + most_zero_mV_V
 
 
 @cache
 def _inverse(
     matrix: tuple[tuple[float, ...], ...], zero: tuple[float, ...]
-) -> tuple[npt.NDArray[np.float64], ...]:
-    """Return the inverse and the zero, and the sizes of both."""
-    of, at = np.linalg.inv(np.array(matrix)), np.array(zero)
-    return of, at, np.abs(of), np.abs(at)
+) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64], float, float]:
+    """Return the inverse and the zero; by how much a bridge's output can rise with the largest
+    component of the force, in mV/V per N; and the largest zero."""
+    inverse, at = np.linalg.inv(np.array(matrix)), np.array(zero)
+    return inverse, at, float(np.abs(inverse).sum(axis=1).max()), float(np.abs(at).max())
 
 
 class BridgeConverter:
@@ -126,7 +128,8 @@ class BridgeConverter:
         full = _input_range_of_each(input_types)
         saturated = np.zeros((count, CHANNELS), bool)
         ranges = self._noise_of(count) / full
-        if self._all_below(OVERRANGE * min(full[:3].tolist()), np.abs(force)):
+        largest_mV_V = self.sensor.largest_bridge(float(np.abs(force).max()))
+        if largest_mV_V < OVERRANGE * INPUT_RANGE_MV_V:
             by_conversion = force.swapaxes(0, 1).reshape(per_frame, -1)
             mean = np.add.reduce(by_conversion).reshape(count, 3) / per_frame
             ranges[:, :3] += self.sensor.bridges(mean) / full[:3]  # of the mean: it is linear
@@ -137,15 +140,6 @@ class BridgeConverter:
         np.minimum(np.maximum(ranges, -OVERRANGE, out=ranges), OVERRANGE, out=ranges)
         self._disturbed.apply(ends_s, ranges, saturated)
         return ranges, saturated
-
-    def _all_below(self, bridge_mV_V: float, sizes_N: npt.NDArray[np.float64]) -> bool:
-        """Return whether no bridge can reach this under forces of these sizes (n, m, 3): mostly all
-        three components may be as large as the largest, which is found sooner than each one's."""
-        most = self.sensor.largest_bridge
-        return (
-            most(np.full(3, sizes_N.max())) < bridge_mV_V
-            or most(sizes_N.max(axis=(0, 1))) < bridge_mV_V
-        )
 
     def _noise_of(self, count: int) -> npt.NDArray[np.float64]:
         """Return the noise of the next frames in mV/V, (n, 8): by key and by number of frames since

@@ -16,7 +16,7 @@ from drivers.simulated.faults.wire import WireFaults
 from drivers.simulated.ports import SerialInstrument, TimePort
 from drivers.simulated.transports.tcp import TcpPeer, TcpServer
 
-TICK_S = 0.001
+TICK_S = 0.002
 """Interval in s at which a server in real time polls whether its instrument has something to
 send."""
 

@@ -66,7 +66,7 @@ RESIDUAL_MM = 1e-10
 PATIENCE = 12
 ITERATIONS = 60
 RESCUES_A_STEP = 30
-FRICTION_TOLERANCE_N = 1e-14
+FRICTION_TOLERANCE_N = 1e-12
 """Change of a tangential force at which the correction for changed coefficients has settled."""
 FRICTION_ITERATIONS = 60
 FRICTION_REFRESH = 0.05
