@@ -114,6 +114,8 @@ class _Connecting:
                 raise failure
         known = [failure for failure in failures if isinstance(failure, RigError)]
         if known:
+            if self._plan.settings.simulation is not None and not self._instruments:
+                raise _ended_simulation(self._plan, known[0])
             raise known[0] if len(known) == 1 else SeveralFailuresError(known)
 
     def start(self) -> None:
@@ -171,6 +173,18 @@ class _Connecting:
                     self.one(part)
                 except BaseException as error:  # noqa: BLE001 - raised by raise_failures()
                     self._failures[part.role] = error
+
+
+def _ended_simulation(plan: BenchPlan, first: RigError) -> RigError:
+    """Return the failure where nothing on a simulated bench can be reached; cables and switches,
+    which the instruments' own errors name, have no part in it."""
+    return RigError(
+        f"nothing on the simulated bench of {plan.source} answers ({first.message})",
+        "it is not running, or not at these addresses: start it again with rig simulate --write "
+        "and this file's name, or remove the file: a command without a bench file starts a "
+        "simulated bench of its own",
+        code=first.code,
+    )
 
 
 def by_link(parts: Sequence[InstrumentPlan]) -> list[list[InstrumentPlan]]:

@@ -334,6 +334,19 @@ def test_a_make_safe_that_fails_keeps_runs_from_starting(rig: Any) -> None:
     assert simulator.finish().code == 0
 
 
+def test_a_run_on_a_simulated_bench_that_has_ended_says_what_to_do(rig: Any) -> None:
+    simulator = rig.start("simulate", "--write", "sim.toml")
+    simulator.wait_for("drive it")
+    simulator.send(signal.SIGTERM)
+    assert simulator.finish().code == 0
+
+    refused = rig.run("sweep", *SHORT, "--bench", "sim.toml")
+    assert refused.code == 3
+    (error,) = refused.errors
+    assert "nothing on the simulated bench of sim.toml answers (generator: *IDN?: " in error
+    assert "start it again with rig simulate --write" in error
+
+
 def test_make_safe_on_a_file_without_instruments_says_that_nothing_was_there(rig: Any) -> None:
     (rig.folder / "empty.toml").write_text('name = "b"\n[fixture]\nmounted = "plate"\n')
     nothing = rig.run("make-safe", "--bench", "empty.toml")
