@@ -20,6 +20,7 @@ from rig.bench.link_worker import LinkWorkers
 from rig.bench.plan import BenchPlan, InstrumentPlan, longest_call_s
 from rig.core.clock import WAIT_SLICE_S, Clock
 from rig.core.errors import (
+    InstrumentError,
     RigError,
     SeveralFailuresError,
 )
@@ -113,9 +114,10 @@ class _Connecting:
             if not isinstance(failure, RigError):
                 raise failure
         known = [failure for failure in failures if isinstance(failure, RigError)]
+        silent = all(isinstance(failure, InstrumentError) for failure in known)
+        if known and silent and not self._instruments and self._plan.settings.simulation:
+            raise _ended_simulation(self._plan, known[0])
         if known:
-            if self._plan.settings.simulation is not None and not self._instruments:
-                raise _ended_simulation(self._plan, known[0])
             raise known[0] if len(known) == 1 else SeveralFailuresError(known)
 
     def start(self) -> None:
