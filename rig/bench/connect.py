@@ -114,9 +114,9 @@ class _Connecting:
             if not isinstance(failure, RigError):
                 raise failure
         known = [failure for failure in failures if isinstance(failure, RigError)]
-        silent = all(isinstance(failure, InstrumentError) for failure in known)
-        if known and silent and not self._instruments and self._plan.settings.simulation:
-            raise _ended_simulation(self._plan, known[0])
+        none = not self._instruments and all(isinstance(one, InstrumentError) for one in known)
+        if known and none and self._plan.settings.simulation is not None:
+            raise _unconnected_simulation(self._plan, known[0])
         if known:
             raise known[0] if len(known) == 1 else SeveralFailuresError(known)
 
@@ -177,14 +177,14 @@ class _Connecting:
                     self._failures[part.role] = error
 
 
-def _ended_simulation(plan: BenchPlan, first: RigError) -> RigError:
-    """Return the failure where nothing on a simulated bench can be reached; cables and switches,
+def _unconnected_simulation(plan: BenchPlan, first: RigError) -> RigError:
+    """Return the failure where nothing on a simulated bench can be connected; cables and switches,
     which the instruments' own errors name, have no part in it."""
+    command = f"rig simulate --fixture {plan.mounted[0]} --write {plan.source}"
     return RigError(
-        f"nothing on the simulated bench of {plan.source} answers ({first.message})",
-        "it is not running, or not at these addresses: start it again with rig simulate --write "
-        "and this file's name, or remove the file: a command without a bench file starts a "
-        "simulated bench of its own",
+        f"no instrument of the simulated bench of {plan.source} can be connected ({first.message})",
+        f"if it has ended, start it again with {command}, or remove the file: a command without a "
+        "bench file starts a simulated bench of its own",
         code=first.code,
     )
 

@@ -29,7 +29,8 @@ from drivers.simulated.transports.port_folder import PortFolder
 LONGEST_BACKLOG = 64 * 1024
 TICK_S = 0.002
 """Interval in s at which a server in real time polls whether its instrument has something to send,
-and whether the kernel accepts more of the queue: a serial adapter bundles what it receives, too."""
+and whether the kernel accepts more of the queue. Half of it takes a twentieth of a processor more
+(docs/decisions/0142)."""
 READ_BYTES = 65536
 GONE_US = 300_000
 """Bench time in us for which a port that is reset does not exist."""

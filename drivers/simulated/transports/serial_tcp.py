@@ -14,11 +14,8 @@ from collections.abc import Callable
 from drivers.simulated.faults.plan import FaultPlan
 from drivers.simulated.faults.wire import WireFaults
 from drivers.simulated.ports import SerialInstrument, TimePort
+from drivers.simulated.transports.serial_server import TICK_S
 from drivers.simulated.transports.tcp import TcpPeer, TcpServer
-
-TICK_S = 0.002
-"""Interval in s at which a server in real time polls whether its instrument has something to
-send."""
 
 
 class SerialTcpServer(TcpServer):

@@ -343,8 +343,8 @@ def test_a_run_on_a_simulated_bench_that_has_ended_says_what_to_do(rig: Any) -> 
     refused = rig.run("sweep", *SHORT, "--bench", "sim.toml")
     assert refused.code == 3
     (error,) = refused.errors
-    assert "nothing on the simulated bench of sim.toml answers (generator: *IDN?: " in error
-    assert "start it again with rig simulate --write" in error
+    assert "the simulated bench of sim.toml can be connected (generator: *IDN?: " in error
+    assert "start it again with rig simulate --fixture film-clamp --write sim.toml, " in error
 
 
 def test_make_safe_on_a_file_without_instruments_says_that_nothing_was_there(rig: Any) -> None:
