@@ -115,7 +115,10 @@ class _Connecting:
                 raise failure
         known = [failure for failure in failures if isinstance(failure, RigError)]
         none = not self._instruments and all(isinstance(one, InstrumentError) for one in known)
-        if known and none and self._plan.settings.simulation is not None:
+        simulated_elsewhere = (
+            self._plan.file is not None and self._plan.settings.simulation is not None
+        )
+        if known and none and simulated_elsewhere:
             raise _unconnected_simulation(self._plan, known[0])
         if known:
             raise known[0] if len(known) == 1 else SeveralFailuresError(known)
@@ -178,11 +181,11 @@ class _Connecting:
 
 
 def _unconnected_simulation(plan: BenchPlan, first: RigError) -> RigError:
-    """Return the failure where nothing on a simulated bench can be connected; cables and switches,
-    which the instruments' own errors name, have no part in it."""
-    command = f"rig simulate --fixture {plan.mounted[0]} --write {plan.source}"
+    """Return the failure where nothing on the simulated bench of a bench file can be connected;
+    cables and switches, which the instruments' own errors name, have no part in it."""
+    command = f"rig simulate --fixture {plan.mounted[0]} --write {plan.file}"
     return RigError(
-        f"no instrument of the simulated bench of {plan.source} can be connected ({first.message})",
+        f"no instrument of the simulated bench of {plan.file} can be connected ({first.message})",
         f"if it has ended, start it again with {command}, or remove the file: a command without a "
         "bench file starts a simulated bench of its own",
         code=first.code,

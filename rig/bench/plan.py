@@ -67,6 +67,8 @@ class BenchPlan:
     """Origin of the plan, for messages and the run file."""
     stand_ins: tuple[str, ...] = ()
     """Lines of a dry run on simulated instruments that replace those of the bench file."""
+    file: Path | None = None
+    """The bench file; None for a simulated bench that the command started itself."""
 
     @property
     def mounted(self) -> tuple[Fixture, ...]:
@@ -106,7 +108,8 @@ def longest_call_s(settings: Settings) -> float:
 def read_bench(path: Path) -> BenchPlan:
     """Read and validate a bench file. Raises ConfigurationError, which lists every fault of it."""
     hint = "give the file with --bench, or leave it out for the simulated bench"
-    return parse_bench(read_text(path, "bench file", MAX_TOML_BYTES, hint), str(path))
+    plan = parse_bench(read_text(path, "bench file", MAX_TOML_BYTES, hint), str(path))
+    return replace(plan, file=path)
 
 
 def parse_bench(text: str, source: str) -> BenchPlan:
