@@ -54,6 +54,7 @@ def test_a_process_that_cannot_be_started_is_said_in_one_line(rig: Any) -> None:
     assert "processes (ulimit -u)" in done.errors[0]
 
 
+@pytest.mark.thorough
 def test_a_run_in_a_time_zone_a_day_away_from_utc_is_recorded_in_utc(rig: Any) -> None:
     rig.env["TZ"] = "UTC+24"
     done = rig.run("sweep", "--frequencies", "80Hz", "--no-figures", "--json")

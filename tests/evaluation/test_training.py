@@ -182,6 +182,7 @@ def test_networks_that_are_averaged_answer_with_the_mean_of_their_log_odds():
     assert np.abs(apart[0] - apart[1]).max() > 0.1
 
 
+@pytest.mark.thorough
 def test_rows_that_do_not_count_teach_nothing():
     rows = plain_problem()
     spoilt = TrainingRows(rows.inputs, rows.right.copy(), rows.weight.copy(), rows.slip)
@@ -191,6 +192,7 @@ def test_rows_that_do_not_count_teach_nothing():
     assert (answers(rows, hidden, output) == rows.right).mean() > 0.93
 
 
+@pytest.mark.thorough
 def test_what_is_taught_of_a_slip_is_that_some_of_its_rows_say_so():
     """The evidence comes at one row of each slip, early or late; the others look like a hold."""
     chance = np.random.default_rng(7)

@@ -238,6 +238,7 @@ def test_a_live_run_is_shown_and_stopped_and_the_page_is_red_until_its_end_recor
         writer.wait()
 
 
+@pytest.mark.thorough
 def test_a_run_that_was_killed_is_unsafe_until_its_guard_has_reported(page):
     path = page.results / "2026-11-22" / "2026-11-22T11-00-00_sweep_r002.rigj"
     path.parent.mkdir(exist_ok=True)

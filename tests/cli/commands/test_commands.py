@@ -165,6 +165,7 @@ def test_an_import_of_a_missing_file_says_so_in_the_same_words(rig: Any) -> None
     assert (ended.code, ended.errors) == (2, ["error: missing.csv: no such file"])
 
 
+@pytest.mark.thorough
 def test_a_file_without_its_checksum_is_not_called_damaged(rig: Any, run_file: Path) -> None:
     shutil.copy(run_file, rig.folder / "alone.h5")
     verified = rig.run("verify", "alone.h5")

@@ -194,6 +194,7 @@ def test_a_folder_that_cannot_be_written_to_is_reported(rig: Any, runs: list[str
     assert "--to" in done.errors[0]
 
 
+@pytest.mark.thorough
 def test_a_processed_file_is_shown_drawn_and_verified(rig: Any, runs: list[str]) -> None:
     done = rig.run("detect", *HP, "--json", runs[0])
     file = done.object["file"]

@@ -62,6 +62,7 @@ def recorded(rig: Any, rate_Hz: float = 1000.0) -> Path:
     return trials.write_trials(rig.folder / "a_r001.rigj", made, rate_Hz=rate_Hz)
 
 
+@pytest.mark.thorough
 def test_it_judges_files_and_the_file_says_whose_it_was(rig: Any) -> None:
     installed(rig)
     file = recorded(rig)

@@ -121,6 +121,7 @@ def shown(*arguments: str | Path) -> str:
     return result.stdout
 
 
+@pytest.mark.thorough
 def test_rig_show_sums_up_what_was_computed(kept_slide: Path):
     said = shown("show", kept_slide)
     assert "title: SIMULATED Slide at 0.5 mm/s under 1 N" in said

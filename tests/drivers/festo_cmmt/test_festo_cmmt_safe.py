@@ -66,6 +66,7 @@ def test_make_safe_gets_through_on_a_second_connection() -> None:
         assert it.drive.fault == 0
 
 
+@pytest.mark.thorough
 def test_make_safe_that_does_not_get_through_says_so_after_one_time_out() -> None:
     with service() as it:
         axis = it.homed()

@@ -202,6 +202,7 @@ def test_a_late_beat_ends_the_run_and_then_makes_the_bench_safe(
     assert [on for on, _ in bench.outputs()] == [True, False]
 
 
+@pytest.mark.thorough
 def test_a_guard_that_reads_late_of_a_run_that_is_gone_kills_nothing(
     bench: Bench, guard: Guard, run: subprocess.Popen[bytes]
 ) -> None:
@@ -313,6 +314,7 @@ def test_an_instrument_that_hangs_keeps_no_other_from_being_made_safe(
     assert done == ["stage_z"]
 
 
+@pytest.mark.thorough
 def test_an_instrument_that_only_measures_leaves_no_bench_unsafe(
     monkeypatch: pytest.MonkeyPatch, bench: Bench
 ) -> None:
