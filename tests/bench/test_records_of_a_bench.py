@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import sys
 from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
+from calibrated import write_record
 
 from rig.bench.apply_calibrations import check_records
 from rig.bench.plan import BenchPlan, read_bench
 from rig.core.errors import ConfigurationError
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "batch" / "plan"))
-from calibrated import write_record
 
 NOW = datetime(2026, 11, 28, tzinfo=UTC)
 BENCH = """

@@ -22,8 +22,6 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).parents[1]))
-
 from benchmarks.measured import machine
 from nights import ask, folder_of, taken
 from soak.trials import DOOR, as_toml, fault

@@ -12,13 +12,12 @@ from __future__ import annotations
 
 import math
 import re
-import sys
 from collections import defaultdict
-from pathlib import Path
 
 import numpy as np
 import pytest
 from measured import heading, repeats, row, target
+from recorded_film import beside_truth, print_estimates
 
 from rig.analysis.film.gain_curve import analyse
 from rig.analysis.response.curve import points_of
@@ -26,9 +25,6 @@ from rig.files.runfile.reader import RunFile
 from rig.physics.film_clamp import FilmClampSettings, preload_gain
 from rig.physics.front_end import FrontEndSettings
 from rig.physics.vibrator import drawn_film, true_response, vibrator_line
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "analysis" / "film"))
-from recorded_film import beside_truth, print_estimates
 
 pytestmark = [pytest.mark.benchmark, pytest.mark.timeout(3600)]
 

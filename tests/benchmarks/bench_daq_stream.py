@@ -88,7 +88,6 @@ def cpu_s(thread_ident: int) -> float:
 
 
 def test_a_minute_of_a_million_samples_a_second_loses_none(tmp_path: Path) -> None:
-    sys.path.insert(0, str(Path(__file__).parents[1] / "files"))
     import recorded_run
     from measured import heading, row
 

@@ -6,16 +6,12 @@ Run with ``pytest -m benchmark -n 0 -s tests/benchmarks/bench_detect.py``.
 from __future__ import annotations
 
 import subprocess
-import sys
 import time
 from pathlib import Path
 
 import pytest
-from measured import heading, row
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "files"))
-
 import recorded_trials as trials
+from measured import heading, row
 
 pytestmark = [pytest.mark.benchmark, pytest.mark.short, pytest.mark.timeout(900)]
 

@@ -13,14 +13,10 @@ for fewer films.
 from __future__ import annotations
 
 import math
-import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
 from measured import heading, repeats, row, target
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "analysis" / "film"))
 from recorded_film import judge, print_estimates
 
 pytestmark = [pytest.mark.benchmark, pytest.mark.timeout(1800)]

@@ -19,13 +19,10 @@ from __future__ import annotations
 import contextlib
 import os
 import subprocess
-import sys
 import tempfile
 import time
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
-
-sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from benchmarks.bench_batch_night import RIG, RUNS, injected, night_toml, simulation, wrong
 from benchmarks.measured import machine

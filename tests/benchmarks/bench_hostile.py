@@ -7,11 +7,11 @@ for fewer journals and a quarter as many run files.
 from __future__ import annotations
 
 import collections
-import sys
 import time
-from pathlib import Path
 
 import pytest
+import recorded_run as run
+from hostile import damaged, journals
 from hypothesis import HealthCheck, given, settings
 from measured import heading, repeats
 
@@ -20,10 +20,6 @@ from rig.files.errors import RunFileError
 from rig.files.runfile.compile import compile_run
 from rig.files.runfile.recover import recover
 from rig.files.verify import verify, verify_in_child
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "files"))
-import recorded_run as run
-from hostile import damaged, journals
 
 pytestmark = [pytest.mark.benchmark, pytest.mark.timeout(7200)]
 

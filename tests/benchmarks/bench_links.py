@@ -13,16 +13,16 @@ from __future__ import annotations
 
 import contextlib
 import itertools
-import sys
 import time
 from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Callable, Iterator
-from pathlib import Path
 from typing import Any
 
 import pytest
 from measured import heading, repeats, row, target
+from simulated.axis_bench import AxisBench
+from simulated.ideal import IdealBench, serving
 
 from drivers.festo_cmmt import driver as festo_cmmt
 from drivers.keysight_33500b import driver as keysight_33500b
@@ -49,10 +49,6 @@ from drivers.simulated.transports.serial_tcp import SerialTcpServer
 from drivers.zaber_rst import driver as zaber_rst
 from rig.core.clock import WallClock
 from rig.core.errors import InstrumentError
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "drivers"))
-from simulated.axis_bench import AxisBench
-from simulated.ideal import IdealBench, serving
 
 pytestmark = [pytest.mark.benchmark, pytest.mark.timeout(14_400)]
 

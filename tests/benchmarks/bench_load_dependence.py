@@ -20,12 +20,12 @@ from __future__ import annotations
 import json
 import math
 import os
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 from measured import heading, repeats, row
+from recorded_film import PLAN, beside_truth, print_estimates, record
 from scipy.stats import binom
 
 from rig.analysis.film.frequency_plan import scan_frequencies_Hz
@@ -37,9 +37,6 @@ from rig.analysis.verdict import Bounds
 from rig.files.runfile.reader import RunFile
 from rig.physics.film_clamp import FilmClampSettings, load_gain, preload_gain
 from rig.physics.vibrator import drawn_film, true_response
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "analysis" / "film"))
-from recorded_film import PLAN, beside_truth, print_estimates, record
 
 pytestmark = [pytest.mark.benchmark, pytest.mark.timeout(3600)]
 

@@ -12,13 +12,12 @@ from __future__ import annotations
 import math
 import os
 import signal
-import sys
 import time
 from collections import defaultdict
-from pathlib import Path
 
 import numpy as np
 import pytest
+from clients import python_with, seen_by
 from measured import heading, row, target
 
 from drivers.shared.visa_link import VisaLink
@@ -43,9 +42,6 @@ from rig.run.observers import RunObserver
 from rig.run.points import Point
 from rig.run.procedure import Procedure
 from rig.run.stopping import StopFlag
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "foreign"))
-from clients import python_with, seen_by
 
 pytestmark = [pytest.mark.benchmark, pytest.mark.timeout(900)]
 

@@ -24,7 +24,6 @@ import random
 import re
 import signal
 import socket
-import sys
 import threading
 import time
 from collections.abc import Iterator
@@ -36,7 +35,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+import recorded_run
+from chromium import chromium
 from measured import heading, repeats, row
+from nights import ask, folder_of
+from test_server import Page, serve
 
 import rig.page
 from rig.files.journal.follow import JournalTail
@@ -44,13 +47,6 @@ from rig.files.journal.recorder import Recorder
 from rig.files.journal.values import End
 from rig.files.journal.writer import JournalWriter
 from rig.files.runfile.reader import RunFile
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "page"))
-sys.path.insert(0, str(Path(__file__).parents[1] / "files"))
-import recorded_run
-from chromium import chromium
-from nights import ask, folder_of
-from test_server import Page, serve
 
 pytestmark = [pytest.mark.benchmark, pytest.mark.timeout(7200)]
 

@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import itertools
 import os
-import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -23,11 +22,8 @@ from typing import IO
 
 import numpy as np
 import pytest
-from measured import heading, repeats
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "files"))
-
 import recorded_trials as trials
+from measured import heading, repeats
 
 from rig.batch.execute.postprocess import PostprocessJob, PostprocessQueue, PostprocessResult
 from rig.control.tick_loop import LATE, tick_loop

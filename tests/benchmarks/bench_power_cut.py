@@ -12,22 +12,18 @@ from __future__ import annotations
 
 import multiprocessing
 import random
-import sys
 import time
 from multiprocessing.connection import Connection
-from pathlib import Path
 
 import numpy as np
 import pytest
+import recorded_run
 from measured import heading, repeats
+from power_cut import JournalStates, Sync, Tally, hdf5_power_cuts, recovered_samples, trace_rig
 
 from rig.core.errors import RigError
 from rig.files.journal.recorder import Recorder
 from rig.files.journal.writer import JournalWriter
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "files"))
-import recorded_run
-from power_cut import JournalStates, Sync, Tally, hdf5_power_cuts, recovered_samples, trace_rig
 
 pytestmark = [pytest.mark.benchmark, pytest.mark.timeout(7200)]
 

@@ -3,12 +3,11 @@
 Run with ``pytest -m benchmark -n 0 -s tests/benchmarks/bench_recording.py``.
 """
 
-import sys
 import time
-from pathlib import Path
 
 import numpy as np
 import pytest
+import recorded_run as run
 from measured import heading
 
 from rig.files.journal.reader import read_journal
@@ -16,9 +15,6 @@ from rig.files.journal.recorder import Recorder
 from rig.files.journal.writer import JournalWriter
 from rig.files.runfile.compile import compile_run, journal_equals_file
 from rig.files.verify import verify
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "files"))
-import recorded_run as run
 
 pytestmark = [pytest.mark.benchmark, pytest.mark.short]
 

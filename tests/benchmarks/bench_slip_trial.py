@@ -12,11 +12,11 @@ import subprocess
 import sys
 import time
 from multiprocessing import get_context
-from pathlib import Path
 
 import numpy as np
 import pytest
 from measured import heading, repeats, row, target
+from slip_model import compare
 
 from procedures.pressed import ticks as pressed_ticks
 from procedures.slip_trial import SlipTrial
@@ -27,9 +27,6 @@ from rig.files.runfile.reader import RunFile
 from rig.run.execute import execute
 from rig.run.job import RunJob
 from rig.run.stopping import StopFlag
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "safety_contract"))
-from slip_model import compare
 
 pytestmark = [pytest.mark.benchmark, pytest.mark.timeout(7200)]
 

@@ -3,16 +3,11 @@
 from __future__ import annotations
 
 import re
-import sys
-from pathlib import Path
 from typing import Any
 
 import pytest
-from page import Page
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "figures"))
-
 import recorded
+from page import Page
 
 from procedures.pressed.record.layout import STREAMS
 from rig.figures import style

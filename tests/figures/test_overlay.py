@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shutil
-import sys
 from collections.abc import Callable
 from contextlib import ExitStack
 from importlib import invalidate_caches
@@ -12,13 +11,10 @@ from pathlib import Path
 import matplotlib as mpl
 import numpy as np
 import pytest
+import recorded_trials as trials
 from legible import faults
 from matplotlib.axes import Axes
 from recorded import FAST_SLIDE, ROLL, SWEEP, TWO_SLIDES, unpack
-
-sys.path.insert(0, str(Path(__file__).parent.parent / "files"))
-
-import recorded_trials as trials
 
 from rig.core.errors import ConfigurationError
 from rig.figures.overlay import (

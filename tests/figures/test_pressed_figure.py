@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
-from matplotlib.figure import Figure
-
-sys.path.insert(0, str(Path(__file__).parent.parent / "files"))
-
 import recorded_trials as trials
+from matplotlib.figure import Figure
 from recorded import FAST_SLIDE, ROLL, unpack
 
 from rig.figures.circumstances import statements

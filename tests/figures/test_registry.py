@@ -8,9 +8,6 @@ from importlib import invalidate_caches
 from pathlib import Path
 
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parent.parent / "files"))
-
 import recorded_trials as trials
 
 from rig.figures import drawing

@@ -4,16 +4,12 @@ from __future__ import annotations
 
 import json
 import os
-import sys
 from pathlib import Path
 from typing import Any
 
 import pytest
-from packages import install, on_path
-
-sys.path.insert(0, str(Path(__file__).parent.parent / "files"))
-
 import recorded_trials as trials
+from packages import install, on_path
 
 from rig.files.runfile.reader import RunFile
 from rig.processing.analyses import analyse

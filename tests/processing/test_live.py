@@ -13,12 +13,9 @@ from typing import TypeVar
 
 import numpy as np
 import pytest
+import recorded_trials as trials
 from packages import install
 from tiers import mostly_thorough
-
-sys.path.insert(0, str(Path(__file__).parent.parent / "files"))
-
-import recorded_trials as trials
 
 from rig.core.errors import RigError
 from rig.detector.commands import XMove

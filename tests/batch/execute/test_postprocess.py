@@ -15,12 +15,9 @@ from types import SimpleNamespace
 from typing import IO, Any
 
 import pytest
-from packages import install
-
-sys.path.insert(0, str(Path(__file__).parents[2] / "files"))
-
 import recorded_run
 import recorded_trials as trials
+from packages import install
 
 from rig.batch.execute.postprocess import (
     PostprocessJob,
