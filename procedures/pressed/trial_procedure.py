@@ -23,7 +23,7 @@ from procedures.pressed.settings import (
     truth_of,
 )
 from rig.core.units import counted
-from rig.run.in_brief import single_values
+from rig.run.in_brief import DEVIATION, MEAN, single_values
 from rig.run.points import Reading
 from rig.run.procedure import DriftFigure, Procedure, StreamPlan
 
@@ -65,7 +65,8 @@ class TrialProcedure(Procedure):
             *("mean_touch_gain_1_dB", "mean_touch_gain_2_dB"),
         }
     )
-    """Values of the summary that are no results of the run, or that another line contains."""
+    """Values of the summary that are no results of the run, or that another line contains; of a
+    mean the standard deviation is left out with it."""
 
     put_in_label = "each point of the simulated contact"
     """The friction that is put in is that of each point; the whole contact begins to slide at a
@@ -147,7 +148,10 @@ class TrialProcedure(Procedure):
             first = ", ".join(f"{time_s:.3f} s" for _, time_s in found[:FIRST_SLIPS])
             more = f" and {len(found) - FIRST_SLIPS} more" if len(found) > FIRST_SLIPS else ""
             lines.append(f"incipient slips found during the trials at {first}{more}")
-        others = {name: one for name, one in summary.items() if name not in self.not_in_brief}
+        left_out = self.not_in_brief | {
+            name.replace(MEAN, DEVIATION, 1) for name in self.not_in_brief if name.startswith(MEAN)
+        }
+        others = {name: one for name, one in summary.items() if name not in left_out}
         values = single_values(
             others, put_in, self.summary_labels, self.put_in_label,
             digits=DIGITS, of_one_trial=summary.get("valid_trials") == 1,

@@ -87,3 +87,13 @@ def test_the_summary_says_what_the_world_put_in() -> None:
     assert "a cylinder of 30 mm radius, not the paper's semi-spherical head" in text
     assert "calibrated so that all nine ridges touch at 4 N" in text
     assert "ASSUMED" in text
+
+
+def test_what_the_sentence_on_high_frequencies_says_has_no_line_of_its_own() -> None:
+    procedure = RollTrial(RollTrialSettings())
+    two = procedure.summarise([rolled(0.3, scale) | {"invalid": ""} for scale in (1.0, 1.1)])
+    assert "standard_deviation_high_roll_rms_mV" in two
+    said = procedure.in_brief(two, {})
+    assert [line for line in said if "rms" in line and "force" not in line] == two[
+        "high_frequencies"
+    ]
