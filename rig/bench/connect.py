@@ -8,6 +8,7 @@ repeatable to the byte.
 
 from __future__ import annotations
 
+import shlex
 import threading
 import time
 from collections.abc import Callable, Sequence
@@ -181,13 +182,19 @@ class _Connecting:
 
 
 def _unconnected_simulation(plan: BenchPlan, first: RigError) -> RigError:
-    """Return the failure where nothing on the simulated bench of a bench file can be connected;
-    cables and switches, which the instruments' own errors name, have no part in it."""
-    command = f"rig simulate --fixture {plan.mounted[0]} --write {plan.file}"
+    """Return the failure where none of the instruments of `plan`, perhaps a part of the simulated
+    bench of a bench file, can be connected; cables and switches, which the instruments' own errors
+    name, have no part in it. `rig simulate` writes the file anew, hence the warning.
+    """
+    *others, last = [part.role for part in plan.instruments]
+    roles = f"{', '.join(others)} and {last}" if others else last
+    file = shlex.quote(str(plan.file))
     return RigError(
-        f"no instrument of the simulated bench of {plan.file} can be connected ({first.message})",
-        f"if it has ended, start it again with {command}, or remove the file: a command without a "
-        "bench file starts a simulated bench of its own",
+        f"{roles} of the simulated bench of {plan.file} cannot be connected ({first.message})",
+        f"if it has ended, start one again with rig simulate --fixture {plan.mounted[0]} --write "
+        f"{file} and the other options that it had; this replaces the file, with what was added to "
+        "it, such as [calibrations]. A command that is given no bench file starts a simulated "
+        "bench of its own",
         code=first.code,
     )
 

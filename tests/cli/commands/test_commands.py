@@ -336,16 +336,17 @@ def test_a_make_safe_that_fails_keeps_runs_from_starting(rig: Any) -> None:
 
 
 def test_a_run_on_a_simulated_bench_that_has_ended_says_what_to_do(rig: Any) -> None:
-    simulator = rig.start("simulate", "--write", "sim.toml")
+    simulator = rig.start("simulate", "--write", "my sim.toml")
     simulator.wait_for("drive it")
     simulator.send(signal.SIGTERM)
     assert simulator.finish().code == 0
 
-    refused = rig.run("sweep", *SHORT, "--bench", "sim.toml")
+    refused = rig.run("sweep", *SHORT, "--bench", "my sim.toml")
     assert refused.code == 3
     (error,) = refused.errors
-    assert "the simulated bench of sim.toml can be connected (generator: *IDN?: " in error
-    assert "start it again with rig simulate --fixture film-clamp --write sim.toml, " in error
+    assert "force_sensor of the simulated bench of my sim.toml cannot be connected (gen" in error
+    assert "with rig simulate --fixture film-clamp --write 'my sim.toml' and the other" in error
+    assert "this replaces the file" in error
 
 
 def test_make_safe_on_a_file_without_instruments_says_that_nothing_was_there(rig: Any) -> None:
