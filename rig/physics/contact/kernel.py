@@ -568,7 +568,6 @@ def _solve(
     lacking, settled = 0, True
     for i in range(m):
         if status[i] >= SLIP_PLUS:
-            b[slots[1][i]] = 0.0
             lack[lacking] = _slope(status[i], mu[i]) - slopes[i]
             if lack[lacking] != 0.0:
                 which[lacking] = i
@@ -1147,7 +1146,8 @@ def _step(
                 if wanted[i] != status[i]:
                     changes += 1
             if not settled or not residual <= RESIDUAL_MM:
-                if ints[UPDATES] == 0:
+                # Without updates the inverse may still be older than the coefficients.
+                if settled and ints[UPDATES] == 0:
                     break
                 ints[VALID] = 0
                 continue

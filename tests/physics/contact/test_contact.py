@@ -493,3 +493,29 @@ def test_what_a_sphere_cannot_do_is_refused_by_name(skin6: CondensedSkin):
         stepper.advance(9.0, 0.0)
     with pytest.raises(ValueError, match="sphere radius_mm 900"):
         SlicedStepper(skin6, ContactSettings(), Sphere(radius_mm=900.0))
+
+
+def test_friction_that_cannot_be_corrected_has_a_new_inverse_not_a_rescue(skin_cache):
+    """Close to the coefficient at which the contact jams, a coefficient that has moved by less than
+    FRICTION_REFRESH is too far for the correction, even if the inverse was new a step before."""
+    skin = build_skin(SkinSettings(ridges=5, elements_per_ridge=4), skin_cache)
+    law = FrictionSettings(
+        static_coefficient=1.36443, kinetic_coefficient=0.409329, weakening_distance_um=88.23
+    )
+    settings = ContactSettings(friction=law, relaxation_time_ms=2.0, step_us=50.0)
+    stepper = ContactStepper(skin, settings, Plate())
+    n = 2.95822 * np.minimum(1, np.arange(1, 67) / 30)
+    x = np.maximum(0, np.arange(-29, 37)) * 200 * 50e-6
+    stepper.advance(n[:64], x[:64])
+    state = stepper.state
+    state.integers[kernel.VALID] = 0
+    stepper.state = state
+    stepper.advance(n[64], x[64])
+    state = stepper.state
+    assert state.integers[kernel.UPDATES] == 0
+    slips = state.held_status > STICK
+    state.friction[slips] = np.abs(state.slopes[slips]) + 0.0499
+    stepper.state = state
+    stepper.advance(n[65], x[65])
+    assert stepper.state.integers[kernel.REBUILDS] > state.integers[kernel.REBUILDS]
+    assert stepper.state.integers[kernel.RESCUES] == state.integers[kernel.RESCUES]
