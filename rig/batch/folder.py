@@ -13,6 +13,7 @@ from datetime import datetime
 from pathlib import Path
 
 from rig.core.errors import ConfigurationError
+from rig.core.text import in_shell
 from rig.files.errors import LOCKS_NEEDED
 from rig.files.naming import JOURNAL_SUFFIX, RUN_SUFFIX
 from rig.run.locks.lock_holder import holder_of, locked_inodes
@@ -94,7 +95,7 @@ class BatchFolder:
                     pid = os.pread(file, 20, 0).decode("ascii", "replace").strip() or "?"
                     raise ConfigurationError(
                         f"{self.path}: the batch has a {who} already (process {pid})",
-                        f"see: rig batch status {self.path}",
+                        f"see: rig batch status {in_shell(self.path)}",
                     )
                 time.sleep(0.05)
             with contextlib.suppress(OSError):  # a full disk: who holds it is for people only
@@ -172,7 +173,8 @@ def folder_to_resume(given: Path | None, results: Path) -> BatchFolder:
     if given is None and found != (latest := _batches_in(results)[0][-1]):
         raise ConfigurationError(
             f"two batches could be meant: {found.path} runs, {latest.path} is the latest",
-            f"name one: rig batch resume {found.path}, or rig batch resume {latest.path}",
+            f"name one: rig batch resume {in_shell(found.path)}, or "
+            f"rig batch resume {in_shell(latest.path)}",
         )
     return found
 

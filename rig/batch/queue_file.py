@@ -10,6 +10,7 @@ from typing import Any, Self
 
 from rig.batch.folder import BatchFolder
 from rig.core.errors import ConfigurationError, RigError
+from rig.core.text import in_shell
 
 BUSY_S = 30.0
 """Longest wait for a transaction of another process, in s."""
@@ -35,7 +36,8 @@ def _remedy(name: str, folder: Path) -> str:
     if name.startswith(("SQLITE_BUSY", "SQLITE_LOCKED")):
         return "another program has it open: wait for it or close it, then give the command again"
     if name == "SQLITE_READONLY_ROLLBACK":
-        return f"a write to it was interrupted; roll that back with: rig batch resume {folder}"
+        resume = f"rig batch resume {in_shell(folder)}"
+        return f"a write to it was interrupted; roll that back with: {resume}"
     return (
         f"see that you may write to the folder {folder}, or copy it to where you may and name the "
         "copy; the queue itself need not be damaged"
@@ -48,7 +50,8 @@ class QueueDamagedError(ConfigurationError):
     def __init__(self, why: str, path: Path):
         super().__init__(
             f"{path} cannot be read as the queue of a batch: {why}",
-            f"its runs' files are sound without it; rebuild it: rig batch rebuild {path.parent}",
+            "its runs' files are sound without it; rebuild it: "
+            f"rig batch rebuild {in_shell(path.parent)}",
         )
 
 
@@ -62,7 +65,7 @@ def connected(path: Path, *, writing: bool) -> QueueConnection:
         if BatchFolder(path.parent).terms.is_file():  # what `rig batch run` writes before the queue
             raise ConfigurationError(
                 f"{path.parent} is the folder of a batch, but there is no {path.name} in it",
-                f"put it back, or make it anew: rig batch rebuild {path.parent}",
+                f"put it back, or make it anew: rig batch rebuild {in_shell(path.parent)}",
             )
         raise ConfigurationError(
             f"{path.parent} holds no batch: there is no {path.name} in it",

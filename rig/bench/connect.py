@@ -8,10 +8,10 @@ repeatable to the byte.
 
 from __future__ import annotations
 
-import shlex
 import threading
 import time
 from collections.abc import Callable, Sequence
+from pathlib import Path
 
 from rig.bench.addresses import addresses_of
 from rig.bench.connected import Bench, close_all
@@ -25,6 +25,7 @@ from rig.core.errors import (
     RigError,
     SeveralFailuresError,
 )
+from rig.core.text import in_shell
 from rig.core.threads import start_thread
 from rig.instruments.roles import (
     Instrument,
@@ -115,12 +116,16 @@ class _Connecting:
             if not isinstance(failure, RigError):
                 raise failure
         known = [failure for failure in failures if isinstance(failure, RigError)]
-        none = not self._instruments and all(isinstance(one, InstrumentError) for one in known)
-        simulated_elsewhere = (
-            self._plan.file is not None and self._plan.settings.simulation is not None
+        nothing_answers = not self._instruments and all(
+            isinstance(one, InstrumentError) for one in known
         )
-        if known and none and simulated_elsewhere:
-            raise _unconnected_simulation(self._plan, known[0])
+        if (
+            known
+            and nothing_answers
+            and (file := self._plan.file) is not None
+            and self._plan.settings.simulation is not None
+        ):
+            raise _unconnected_simulation(self._plan, file, known[0])
         if known:
             raise known[0] if len(known) == 1 else SeveralFailuresError(known)
 
@@ -181,20 +186,18 @@ class _Connecting:
                     self._failures[part.role] = error
 
 
-def _unconnected_simulation(plan: BenchPlan, first: RigError) -> RigError:
+def _unconnected_simulation(plan: BenchPlan, file: Path, first: RigError) -> RigError:
     """Return the failure where none of the instruments of `plan`, perhaps a part of the simulated
     bench of a bench file, can be connected; cables and switches, which the instruments' own errors
-    name, have no part in it. `rig simulate` writes the file anew, hence the warning.
-    """
+    name, have no part in it. `rig simulate` replaces the file, hence the warning."""
     *others, last = [part.role for part in plan.instruments]
     roles = f"{', '.join(others)} and {last}" if others else last
-    file = shlex.quote(str(plan.file))
     return RigError(
-        f"{roles} of the simulated bench of {plan.file} cannot be connected ({first.message})",
+        f"{roles} of the simulated bench of {file} cannot be connected ({first.message})",
         f"if it has ended, start one again with rig simulate --fixture {plan.mounted[0]} --write "
-        f"{file} and the other options that it had; this replaces the file, with what was added to "
-        "it, such as [calibrations]. A command that is given no bench file starts a simulated "
-        "bench of its own",
+        f"{in_shell(file)} and the other options that it had; this replaces the file, with what "
+        "was added to it, such as [calibrations]. A command that is given no bench file starts a "
+        "simulated bench of its own",
         code=first.code,
     )
 

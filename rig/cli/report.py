@@ -14,7 +14,7 @@ from rich.text import Text
 
 from rig.cli.outcome import log, print_json, say, say_all, say_failure, turning
 from rig.core.entry_points import BrokenPackageError
-from rig.core.text import printable
+from rig.core.text import in_shell, printable
 from rig.core.units import counted, duration
 from rig.figures.drawing import DrawingProcess, Drawn, LeaveOutError
 from rig.run.checked_procedure import ProcedureFaultError
@@ -262,11 +262,11 @@ def closing_lines(
     else:  # An earlier run may have left something pressed.
         lines.append("Bench is unchanged: there was nothing to switch off.")
     if outcome.journal is not None and outcome.file is None:
-        lines.append(f"Recover the run file with: rig recover {outcome.journal}")
-    elif _resumes(outcome):
+        lines.append(f"Recover the run file with: rig recover {in_shell(outcome.journal)}")
+    elif outcome.journal is not None and _resumes(outcome):
         not_safe = outcome.off_failures and not _guard_made_safe(outcome)
         resume = "Once the bench is safe, resume with" if not_safe else "Resume with"
-        lines.append(f"{resume}: rig resume {outcome.journal}")
+        lines.append(f"{resume}: rig resume {in_shell(outcome.journal)}")
     return lines
 
 

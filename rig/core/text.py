@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import shlex
+from pathlib import Path
 
 
 def printable(text: str) -> str:
@@ -19,3 +21,12 @@ def shown_name(name: str) -> str:
     'M\\xfcller'
     """
     return os.fsencode(name).decode("utf-8", "backslashreplace")
+
+
+def in_shell(path: str | Path) -> str:
+    """Return a path as a command in a message names it: in quotes where a shell needs them.
+
+    >>> in_shell("bench of May.toml")
+    "'bench of May.toml'"
+    """
+    return shlex.quote(str(path))

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Literal
 
 from rig.core.errors import ExitCode
+from rig.core.text import in_shell
 from rig.files.errors import RunFileError
 from rig.files.journal.format import MAGIC
 from rig.files.naming import CHECKSUM_SUFFIX, RUN_SUFFIX
@@ -62,11 +63,14 @@ def described(path: Path, kind: FileKind) -> tuple[str, str | None]:
         return "a journal, not a run file", "`rig recover` compiles it"
     with contextlib.suppress(OSError):  # a folder that may not be looked into
         if kind == "folder" and (path / BATCH_QUEUE).is_file():
-            return "the folder of a batch, not a file", f"`rig batch status {path}` shows the batch"
+            return (
+                "the folder of a batch, not a file",
+                f"`rig batch status {in_shell(path)}` shows the batch",
+            )
         if kind == "folder" and any(path.glob(f"*{RUN_SUFFIX}")):
             return IN_WORDS[kind], f"name the files in it: {path / f'*{RUN_SUFFIX}'}"
     if kind == "other" and path.name == BATCH_QUEUE:
-        return "the queue of a batch", f"`rig batch status {path.parent}` shows the batch"
+        return "the queue of a batch", f"`rig batch status {in_shell(path.parent)}` shows the batch"
     if kind == "other" and path.name.endswith(CHECKSUM_SUFFIX):
         return "a checksum, not the file itself", f"name {path.name.removesuffix(CHECKSUM_SUFFIX)}"
     return IN_WORDS[kind], None

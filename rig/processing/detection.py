@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rig.core.errors import ConfigurationError, ExitCode, RigError
+from rig.core.text import in_shell
 from rig.detector.commands import FORCES_COLUMN, MOVES_COLUMN, commands_in
 from rig.detector.events import EVENT_KINDS, SlipEvent, unjudged_s
 from rig.detector.registered import ChosenDetector
@@ -127,7 +128,9 @@ def detect_trials(run: RunFile, detector: ChosenDetector) -> list[DetectedTrial]
         complete = run.outcome.status == "complete"
         raise ConfigurationError(
             f"{run.path}: no trial was recorded ({run.outcome.extent()})",
-            "name another file" if complete else f"`rig resume {run.path}` continues the run",
+            "name another file"
+            if complete
+            else f"`rig resume {in_shell(run.path)}` continues the run",
         )
     trials = []
     readings = _readings_with_commands(run)

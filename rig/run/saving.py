@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 from rig.core.errors import RigError
+from rig.core.text import in_shell
 from rig.files.errors import DiskLateError, RecordingError
 from rig.files.journal.reader import read_journal
 from rig.files.runfile.compile import compile_run
@@ -147,6 +148,6 @@ class RunSaving:
         except RigError as error:
             self._outcome.add_failure(error)
         except OSError as error:
-            hint = f"free some disk space, then run: rig recover {self._journal.path}"
+            hint = f"free some disk space, then run: rig recover {in_shell(self._journal.path)}"
             text = f"the run file cannot be written: {error}"
             self._outcome.add_failure(RecordingError(self._journal.path, text, hint))

@@ -27,6 +27,7 @@ from rig.batch.queue_file import QueueNotOpenedError
 from rig.batch.queue_records import AttemptResult, RunState
 from rig.batch.queue_view import QueueView
 from rig.core.errors import ConfigurationError, RigError
+from rig.core.text import in_shell
 from rig.files.journal.reader import read_journal
 from rig.files.journal.values import RunHeader
 from rig.files.naming import RUN_SUFFIX
@@ -60,7 +61,7 @@ def rebuild(
     if is_sound(folder):
         raise ConfigurationError(
             f"the queue of {folder.path} is sound; there is nothing to rebuild",
-            f"see: rig batch status {folder.path}",
+            f"see: rig batch status {in_shell(folder.path)}",
         )
     terms = read_terms(folder)
     path = batch_file or Path(terms.get("batch_file", folder.batch_file))

@@ -36,6 +36,7 @@ from rig.batch.queue_records import HOLDS, PRESSES, WAITS_FOR_A_PERSON
 from rig.batch.report.heartbeat import Heartbeat, HeartbeatRecord, HeartbeatState
 from rig.batch.report.notify import Notifier
 from rig.core.errors import ExitCode
+from rig.core.text import in_shell
 from rig.core.threads import start_thread
 from rig.core.units import counted
 from rig.run.stopping import WORDS, StopFlag
@@ -238,7 +239,7 @@ class Supervisor:
         if self._waits_because:
             self._say(
                 f"the batch still waits: {self._waits_because}; it continues with: "
-                f"rig batch resume {self._folder.path}"
+                f"rig batch resume {in_shell(self._folder.path)}"
             )
 
     def _conclude(self, end: Mapping[str, Any]) -> ExitCode:
@@ -380,7 +381,7 @@ class Supervisor:
         self._files.close(CLOSING_S)
         unprocessed = self._queue.unprocessed()
         missing = self._folder.not_compiled(unprocessed)
-        again = f"rig batch resume {self._folder.path}"
+        again = f"rig batch resume {in_shell(self._folder.path)}"
         if missing:
             self._say(f"not compiled yet: {counted(missing, 'run file')}; compile with: {again}")
         if compiled := len(unprocessed) - missing:
@@ -455,7 +456,7 @@ class Supervisor:
         by_itself = f"when {event['by_itself']}, or " if event["by_itself"] else ""
         self._say(
             f"{event['bench']} and the batch waits; it continues {by_itself}with: "
-            f"rig batch resume {self._folder.path}"
+            f"rig batch resume {in_shell(self._folder.path)}"
         )
 
     def _on_finished(self, event: Mapping[str, Any]) -> None:

@@ -16,6 +16,7 @@ from rig.batch.queue_view import QueueView
 from rig.batch.report.heartbeat import read_heartbeat
 from rig.bench.plan import read_bench
 from rig.core.errors import RigError
+from rig.core.text import in_shell
 from rig.core.units import counted, time_span
 from rig.run.locks.bench_mark import read_marks
 from rig.run.locks.lock import address_names
@@ -160,7 +161,7 @@ class BatchStatus:
     def to_continue(self) -> list[str]:
         """Return what to do about a batch that is not running, one instruction a line, without a
         capital; empty where nothing is left to do."""
-        resume = f"rig batch resume {self.folder.path}"
+        resume = f"rig batch resume {in_shell(self.folder.path)}"
         steps = [self.to_make_safe] if self.to_make_safe else []
         if self.remaining.runs and self.for_want_of_time:
             files = [f"make the missing files with: {resume}"] if self.unprocessed else []
@@ -253,7 +254,9 @@ def _bench_of(bench_file: str) -> tuple[tuple[str, ...], str]:
     refused = any(mark.refuses for mark in marks)
     return (
         tuple(mark.in_words() for mark in marks if not mark.lives),
-        f"check the bench, then run: rig make-safe --bench {bench_file}" if refused else "",
+        f"check the bench, then run: rig make-safe --bench {in_shell(bench_file)}"
+        if refused
+        else "",
     )
 
 

@@ -15,6 +15,7 @@ from rig.cli.commands import batch_plan
 from rig.cli.options.shared import RESULTS, AsJson, BatchBench, BatchPath, Debug
 from rig.cli.outcome import print_json, reported, say, start_log
 from rig.core.errors import ConfigurationError, RigError
+from rig.core.text import in_shell
 
 if TYPE_CHECKING:
     from rig.batch.folder import BatchFolder
@@ -147,7 +148,7 @@ def resume(
                     raise ConfigurationError(
                         f"batch {found.path} is running: --retry-failed and --despite-changes are "
                         "for a batch that has ended",
-                        f"stop it first: rig batch stop {found.path}",
+                        f"stop it first: rig batch stop {in_shell(found.path)}",
                     )
                 state = status_of(found, running=True).state
                 queue.add_request("go")

@@ -14,6 +14,7 @@ from rig.cli.options.shared import Debug, World
 from rig.cli.outcome import reported, say
 from rig.core.atomic import write_text
 from rig.core.errors import ConfigurationError
+from rig.core.text import in_shell
 
 if TYPE_CHECKING:
     from rig.bench.simulated import BenchFactory
@@ -60,7 +61,7 @@ def simulate(
                 print(text, flush=True)  # noqa: T201 - stdout carries data
             else:
                 _write_bench_file(write, text)
-            where = f"with --bench {write}" if write else "with this bench file"
+            where = f"with --bench {in_shell(write)}" if write else "with this bench file"
             say(f"SIMULATED bench, seed {seed}, in real time; drive it {where}; Ctrl-C ends it")
 
         options = {"world": world, "fault": fault, "world_log": world_log}

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import json
 import math
-import shlex
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from datetime import datetime
@@ -18,6 +17,7 @@ from rig.cli.show.screen import COLUMNS, LINES, Section, end_of, on_a_screen
 from rig.cli.show.words import in_words
 from rig.core.errors import ConfigurationError, RigError
 from rig.core.settings import unit_of
+from rig.core.text import in_shell
 from rig.core.units import counted, time_span
 
 if TYPE_CHECKING:
@@ -70,7 +70,7 @@ def of_run(
     if not journal.exists() or not _can_be_resumed(description):
         return on_a_screen(head, sections, [*foot, MORE_AND_FIGURES])
     # As one line, however long: it is to be copied.
-    resume = f"resume with: rig resume {shlex.quote(str(journal))}"
+    resume = f"resume with: rig resume {in_shell(journal)}"
     room = LINES - math.ceil(len(resume) / COLUMNS)
     return [*on_a_screen(head, sections, [*foot, MORE_AND_FIGURES], room), resume]
 

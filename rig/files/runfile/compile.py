@@ -20,6 +20,7 @@ import os
 from pathlib import Path
 
 from rig.core.atomic import sync_folder
+from rig.core.text import in_shell
 from rig.files.checksum import sha256_of
 from rig.files.errors import JournalError, RecordingError, RunFileError, room_for, why_not_opened
 from rig.files.hdf5.guarded_file import GuardedFile
@@ -60,17 +61,18 @@ def compile_run(
         lock_journal(journal, descriptor, shared=True)
         contents = read_journal(journal)
         _refuse_other_run(target, contents)
+        recover = f"`rig recover {in_shell(journal)}`; the journal is untouched"
         try:
             _publish(contents, target)
         except OSError as error:
             cause = f"cannot be written: {error.strerror or error}"
-            hint = f"{room_for(error)}, then `rig recover {journal}`; the journal is untouched"
+            hint = f"{room_for(error)}, then {recover}"
             raise RecordingError(target, cause, hint) from error
         except (ImportError, MemoryError) as error:
             cause = f"cannot be written: {type(error).__name__}: {error}"
             hint = (
                 "not enough memory, or the installation is damaged: raise the limit (ulimit -v), "
-                f"then `rig recover {journal}`; the journal is untouched"
+                f"then {recover}"
             )
             raise RecordingError(target, cause, hint) from error
         if retire and contents.complete:

@@ -35,10 +35,8 @@ OPEN, STICK, SLIP_PLUS, SLIP_MINUS = 0, 1, 2, 3
 
 # Integers of a state.
 N, VALID, NORMAL_BY_FORCE, TANGENT_BY_FORCE, UPDATES, REBUILDS, RESCUES, AGAIN = range(8)
-INTEGERS = 8
 # Scalars of a state.
 D, X, V, DRIFT = range(4)
-SCALARS = 4
 # Entries of the list of the present active set.
 LISTED, PACKED, TOUCHING, STICKING = range(4)
 # Rows of integers by node: in contact, in order; for counting; slots of the inverse; whether a
@@ -57,7 +55,6 @@ NODES, COUNTING, ORDER, MARKED, WHICH, ANSWERED, HELD = range(7)
 SUMMARY = 7
 # Constants of a stepper.
 ALPHA, MU_S, MU_K, D_C, BROKEN_LEFT, REST, MASS_DT2, DT, CURVATURE = range(9)
-CONSTANTS = 9
 
 SET_TOLERANCE_N = 1e-11
 SET_TOLERANCE_MM = 1e-11
@@ -69,6 +66,7 @@ RESCUES_A_STEP = 30
 FRICTION_TOLERANCE_N = 1e-12
 """Change of a tangential force at which the correction for changed coefficients has settled."""
 FRICTION_ITERATIONS = 60
+"""Largest number of its iterations, and of rounds in which nodes are held back."""
 FRICTION_REFRESH = 0.05
 """Change of a coefficient from which the inverse is updated for it."""
 FRICTION_SETTLES = 0.1

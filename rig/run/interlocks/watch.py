@@ -22,6 +22,7 @@ from rig.bench.plan import BenchPlan
 from rig.control.interlock import STEADY_S, Contact, ContactEvent, InterlockState
 from rig.core.clock import WallClock
 from rig.core.errors import ExitCode, RigError
+from rig.core.text import in_shell
 from rig.core.threads import start_thread
 from rig.run.holds import Holds
 from rig.run.interlocks.contact_readings import FRESH_S, ContactReadings
@@ -282,7 +283,7 @@ class InterlockWatch:
         if name in self._unread:
             hint = f"check {self._declared[name].role}, which reads it, and that it is closed"
         if self.store.lasting:
-            hint += f", then there: {RESET} --bench {self._bench.plan.source}"
+            hint += f", then there: {RESET} --bench {in_shell(self._bench.plan.source)}"
         return InterlockError(what, f"{hint}; then start again")
 
 

@@ -24,7 +24,7 @@ from typing import Annotated, Literal
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
 from rig.core.errors import ExitCode, RigError, UnsafeError
-from rig.core.text import printable
+from rig.core.text import in_shell, printable
 from rig.run.locks.shared_folder import SharedFolder, user_name
 
 SUFFIX = ".mark"
@@ -223,7 +223,8 @@ def refuse_unsafe(marks: Sequence[BenchMark], bench_file: str) -> None:
     for mark in marks:
         if mark.refuses:
             raise UnsafeError(
-                mark.in_words(), f"check the bench, then run: rig make-safe --bench {bench_file}"
+                mark.in_words(),
+                f"check the bench, then run: rig make-safe --bench {in_shell(bench_file)}",
             )
 
 

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from rig.core.atomic import write_text
+from rig.core.text import in_shell
 
 GUARD_SUFFIX = ".guard.json"
 """Suffix of a report next to its run file, for a bench that ended with the run."""
@@ -47,7 +48,9 @@ def in_words(report: dict[str, Any]) -> str:
     if report.get("pressed"):
         words += f", {report['pressed']}"
     if report["journal"] is not None and "file" in report:
-        words += f"; data: {report['file']}; continue with: rig resume {report['journal']}"
+        words += (
+            f"; data: {report['file']}; continue with: rig resume {in_shell(report['journal'])}"
+        )
     return words
 
 
