@@ -64,9 +64,10 @@ class RunOutcome:
         return self
 
     def add_failure(self, error: RigError) -> None:
-        """Add a failure behind the first cause, unless it is the first cause again."""
+        """Add a failure behind the first cause, unless it is the first cause again. A run that only
+        invalid readings distinguish from one that is done gets its exit code."""
         if all(error.message != known.message for known in self.failures):
             self.failures.append(error)
-        if self.code == ExitCode.DONE:
+        if self.code in (ExitCode.DONE, ExitCode.FINISHED_WITH_FAILURES):
             self.code = error.code
         self.status = "failed"

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 from made_up import LAYOUT, Example, run_of
 
-from rig.core.errors import ConfigurationError, ExitCode
+from rig.core.errors import ConfigurationError, ExitCode, RigError
 from rig.core.settings import Settings
 from rig.files.journal.layout import Column
 from rig.files.runfile.reader import RunFile
@@ -91,6 +91,25 @@ def test_a_procedure_that_gives_up_every_attempt_ends_the_run(
     words = "first: given up 11 times, the last time because the samples came too late"
     assert failure.message == words
     assert procedure.log.count("first") == 11
+
+
+class Lamp(Doubtful):
+    """The lamp may still be hot when everything is switched off."""
+
+    def arm(self, run: Run) -> None:
+        super().arm(run)
+        hot = RigError("the lamp may still be hot", None, ExitCode.INSTRUMENT)
+        run.arm("fan", lambda: run.fail(hot))
+
+
+def test_what_follows_an_invalid_reading_determines_the_exit_code(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Code 5 alone would say that the run is complete and nothing else is wrong."""
+    outcome = run_of(Lamp(Settings()), tmp_path, monkeypatch)
+    assert "first is invalid: too noisy" in outcome.warnings
+    assert [failure.message for failure in outcome.failures] == ["the lamp may still be hot"]
+    assert (outcome.status, outcome.code) == ("failed", ExitCode.INSTRUMENT)
 
 
 class Judged(Doubtful):

@@ -216,11 +216,22 @@ def test_a_zero_that_drifts_in_free_air_ends_the_run_before_anything_is_pressed(
 
 
 @pytest.mark.thorough
+@pytest.mark.stages("festo", because="a longer trial drifts as far as if something were pressed")
 def test_a_zero_that_has_moved_while_the_force_was_held_makes_the_trial_invalid(rig):
     ended = run(rig, "slip-trial", f'kind = "drift"\naxis = "x"\nrate_N_s = 0.2\n{HELD}')
     assert ended.code == 5, ended.stderr
     assert "the force sensor's zero has moved by" in ended.stderr
     assert "along x" in ended.stderr
+
+
+@pytest.mark.thorough
+def test_a_zero_that_has_moved_as_if_something_were_pressed_is_the_end_of_an_invalid_trial(rig):
+    """The trial is invalid as well, and that does not take the place of the instrument's code."""
+    ended = run(rig, "slip-trial", f'kind = "drift"\naxis = "x"\nrate_N_s = 0.6\n{HELD}')
+    assert ended.code == 3, ended.stderr
+    (error,) = ended.errors
+    assert "the skin is still pressed with" in error
+    assert "trial-001 is invalid: the force sensor's zero has moved by" in ended.stderr
 
 
 @pytest.mark.thorough
