@@ -174,11 +174,13 @@ class PointLoop:
                         reason.hint,
                         reason.code,
                     ) from reason
-                self._run.event("warning", "retake", f"{point.id}: {reason.message}")
+                given = f"{point.id}: an attempt was given up: {reason.message}"
+                self._run.event("warning", "retake", given)
                 self._observers.event("warning", f"{point.id}: {reason.message}; retaking it")
             except InvalidReadingError as invalid:
                 retries -= 1
-                self._run.event("warning", "invalid", f"{point.id}: {invalid.message}")
+                repeated = f"{point.id}: an attempt was invalid: {invalid.message}"
+                self._run.event("warning", "invalid", repeated)
                 self._observers.event("warning", f"{point.id}: {invalid.message}; retaking it")
 
     def _take(self, point: Point, discard_invalid: bool) -> Reading:

@@ -52,6 +52,9 @@ def test_a_procedure_says_how_often_an_invalid_point_is_retaken(
     outcome = run_of(procedure, tmp_path, monkeypatch)
     assert [entry for entry in procedure.log if entry in ("first", "second")] == taken
     assert outcome.code == code
+    repeated = {one for one in taken if taken.count(one) > 1}
+    words = "an attempt was invalid: too noisy"
+    assert {one for one in taken if f"{one}: {words}" in outcome.warnings} == repeated
 
 
 class GivesUp(Example):
@@ -74,7 +77,8 @@ def test_an_attempt_that_the_procedure_gives_up_is_retaken_without_arming(
     assert outcome.code == ExitCode.DONE
     assert procedure.log[:8] == ["on", *["first"] * 3, *["second"] * 3, "off"]
     assert outcome.warnings == [
-        f"{name}: the samples came too late" for name in ("first", "second")
+        f"{name}: an attempt was given up: the samples came too late"
+        for name in ("first", "second")
     ]
     with RunFile.open(tmp_path / str(outcome.file)) as run:
         assert len(run.readings()) == 2
