@@ -46,8 +46,9 @@ from procedures.pressed.settings import (
 )
 from procedures.pressed.trial_procedure import TrialProcedure
 from rig.bench.limits import require
-from rig.core.errors import ConfigurationError, shortened
+from rig.core.errors import ConfigurationError, RigError, shortened
 from rig.files.journal.layout import Column, Layout, Plot, Trace
+from rig.run.points import RetakeError
 
 if TYPE_CHECKING:
     from procedures.pressed.record.motion import MotionRecord
@@ -256,7 +257,7 @@ class PressedProcedure(TrialProcedure):
         trial.start_recording()
         trial.press()
         trial.begin_motion()
-        self.under_force(trial)
+        self._under_force(trial)
         trial.complete_motion(LEAST_MOTION_S)
         trial.stop_recording()
         trial.lift()
@@ -267,6 +268,21 @@ class PressedProcedure(TrialProcedure):
         own = self.reading(motion_record(record))
         run.check_stop()  # computing takes a while: still alive
         return reading | plain(own, {column.key for column in self.columns}, self.name)
+
+    def _under_force(self, trial: PressedTrial) -> None:
+        """Call `under_force`. A trial that it gives up ends as any other: x stops, then z goes up.
+
+        An error that it gives up the trial for is raised instead of RetakeError: nothing is to be
+        pressed again by an instrument that has failed.
+        """
+        try:
+            self.under_force(trial)
+            return
+        except RetakeError as given_up:
+            if (cause := _error_behind(given_up)) is None:
+                trial.abandon()
+                raise
+        raise cause
 
     def _start_mm(self, fixture: FixtureSettings) -> float:
         """Return `start_mm`, which has to be a number."""
@@ -355,6 +371,19 @@ class PressedProcedure(TrialProcedure):
     def _conditions(self) -> tuple[tuple[float, float], ...]:
         """Return normal force in N and offset in mm of the trials, one after the other."""
         return tuple(itertools.product(self._forces(), self._offsets()))
+
+
+def _error_behind(given_up: RetakeError) -> RigError | None:
+    """Return the first error that was being handled when a trial was given up; None if none was."""
+    found: RigError | None = None
+    error: BaseException | None = given_up
+    seen: set[int] = set()
+    while error is not None and id(error) not in seen:
+        seen.add(id(error))
+        if isinstance(error, RigError) and not isinstance(error, RetakeError):
+            found = error
+        error = error.__cause__ or error.__context__
+    return found
 
 
 def _require_columns(procedure: type[PressedProcedure]) -> None:

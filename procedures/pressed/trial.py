@@ -256,11 +256,16 @@ class PressedTrial:
 
     def _give_up(self, late: str) -> None:
         """Lift the skin and raise RetakeError: the strips' samples come too late for the grip."""
+        self.abandon()
+        raise RetakeError(late)
+
+    def abandon(self) -> None:
+        """Stop x, end the record, of which nothing will be made, and lift the skin."""
+        self.x.stop()
         self.x.in_motion = False
         self._commanded_x.end()
         self.recorder.give_up()
         self._lift_off()
-        raise RetakeError(late)
 
     def move_x(self, to_mm: float, speed_mm_s: float) -> None:
         """Move x to a position at a speed, under the held normal force, and wait until it is there.
