@@ -64,8 +64,8 @@ class Run:
         self.left: list[str] = []
         """How z was left where it could not be moved clear, as parts of a sentence."""
         self.made_safe: list[str] = []
-        """Effects of the shutdown actions since the bench was last made safe, in their order, as
-        parts of a sentence: "generator off". An action that failed in part is not included."""
+        """Effects of the shutdown actions on what has not been switched on again, in their order,
+        as parts of a sentence: "generator off". An action that failed in part is not included."""
         self._arming = Arming(overlapping=not self.clock.is_virtual)
         records = interlock_records or InterlockStore(bench.plan, lasting=False)
         self.interlocks = InterlockWatch(
@@ -124,7 +124,8 @@ class Run:
 
     def _noting(self, off: Callable[[], None], done: str) -> Callable[[], None]:
         """Return the shutdown action, extended so that it adds `done` to `made_safe` if nothing
-        failed."""
+        failed; what is about to be switched on is no longer there."""
+        self.made_safe = [other for other in self.made_safe if other != done]
 
         def shutdown() -> None:
             failed_before = len(self.failures)
@@ -304,8 +305,8 @@ class Run:
         self._note("making-safe", "the bench is being made safe")
 
     def begin_making_safe(self) -> None:
-        """Forget what was said and done when the bench was last made safe."""
-        self.made_safe.clear()
+        """Forget what was said when the bench was last made safe. What was done then stays done
+        until it is armed again."""
         self._not_safe_said = False
 
     def say_not_safe(self, text: str) -> None:

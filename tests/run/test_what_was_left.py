@@ -13,8 +13,9 @@ from rig.core.errors import ExitCode, InstrumentError
 from rig.core.settings import Settings
 from rig.run.context import Run
 from rig.run.observers import RunObserver
-from rig.run.points import Point
+from rig.run.points import Point, Reading
 from rig.run.stopping import StopFlag
+from rig.run.trip import TripError
 
 
 class Impatient(RunObserver):
@@ -60,3 +61,38 @@ def test_a_run_knows_what_it_has_left_pressed(
     outcome = run_of(LeavesItPressed(Settings()), tmp_path, monkeypatch)
     assert outcome.left == ("the film may still be pressed",)
     assert (outcome.safe, outcome.code) == (False, ExitCode.INSTRUMENT)
+
+
+class Tripped(Example):
+    """A limit is exceeded at the first point, and again after that if `twice`; something else is
+    found while that is made safe."""
+
+    twice = False
+
+    def arm(self, run: Run) -> None:
+        super().arm(run)
+        run.arm("fan", lambda: self._off(run), done="fan off")
+
+    def _off(self, run: Run) -> None:
+        if not self.twice:
+            run.fail(InstrumentError("fan", "off", "it is hot", "let it cool"))
+
+    def take(self, run: Run, point: Point) -> Reading:
+        if self.log.count("on") <= 1 + self.twice:
+            raise TripError("the limit was exceeded")
+        return super().take(run, point)
+
+
+@pytest.mark.parametrize(
+    ("twice", "done"), [(False, ["lamp off"]), (True, ["fan off", "lamp off"])]
+)
+def test_what_was_switched_off_after_a_trip_is_stated_at_the_end(
+    twice: bool, done: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Nothing is left to be switched off when the run ends, and the bench is not left unsaid; what
+    has been switched on again is stated once."""
+    procedure = Tripped(Settings())
+    procedure.twice = twice
+    outcome = run_of(procedure, tmp_path, monkeypatch)
+    assert outcome.status == "failed"
+    assert sorted(outcome.made_safe) == done
