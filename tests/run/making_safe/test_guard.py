@@ -257,6 +257,7 @@ def test_a_guard_that_waits_has_imported_little() -> None:
         "rig.core",
         "rig.core.atomic",
         "rig.core.errors",
+        "rig.core.text",
         "rig.core.unreadable_packages",
         "rig.run",
         "rig.run.making_safe",
