@@ -396,7 +396,11 @@ class _Execution:
         except InterlockError as latched:
             if self.outcome.status == "complete":
                 self.outcome.add_failure(latched)
-            elif all(error.message != latched.message for error in self.outcome.failures):
+            elif (
+                all(error.message != latched.message for error in self.outcome.failures)
+                # Where it was found while the bench was made safe, it is among them already.
+                and latched.one_line() not in self.outcome.warnings
+            ):
                 self.outcome.warnings.append(latched.one_line())
         for error in watch.failures():
             self.outcome.add_failure(error)

@@ -138,6 +138,17 @@ def test_a_door_that_is_open_lets_nothing_begin(rig):
 
 
 @pytest.mark.thorough
+def test_a_door_that_opens_behind_a_trip_is_reported_once(rig):
+    spike = f'[[fault]]\ndevice = "force_sensor"\nkind = "spike"\n{MEASURING}'
+    door = contact("opened", MEASURING, more="after_s = 0.05\n")
+    ended = rig.sweep(*SHORT, "--world", rig.world(DOOR), "--fault", rig.fault(spike + door))
+    assert ended.code == 4, ended.stderr
+    assert "N is over the limit of 40 N" in ended.errors[0]
+    assert ended.stderr.count("interlock door (person) opened at ") == 1, ended.stderr
+    assert "generator off, force stream stopped" in ended.stderr
+
+
+@pytest.mark.thorough
 def test_a_drive_that_fails_behind_an_open_door_is_not_the_first_cause(rig):
     """An e-stop takes the power of the drive and opens its second contact."""
     fault = '[[fault]]\ndevice = "stage_z"\nkind = "drive-fault"\n'
