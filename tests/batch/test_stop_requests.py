@@ -14,6 +14,7 @@ from typing import Any
 
 import pytest
 import typer
+from tiers import mostly_thorough
 
 from rig.batch import running
 from rig.batch.execute import worker_link
@@ -132,7 +133,9 @@ def silent(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> BatchFolder:
     return folder
 
 
-@pytest.mark.parametrize("command", [batch.status, batch.pause, batch.stop])
+@pytest.mark.parametrize(
+    "command", mostly_thorough([batch.status, batch.pause, batch.stop], [batch.stop])
+)
 def test_a_folder_that_does_not_answer_is_reported_with_what_works_without_it(
     command: Callable[..., None], silent: BatchFolder, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -20,6 +20,7 @@ def test_code_is_interrupted_when_its_time_is_over_and_no_later_code() -> None:
     assert signal.getsignal(signal.SIGALRM) is before
 
 
+@pytest.mark.thorough
 def test_code_that_catches_the_interruption_is_interrupted_again(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

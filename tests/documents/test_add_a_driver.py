@@ -161,6 +161,7 @@ def test_a_bench_in_real_time_has_the_simulator_of_the_page_on_tcp(rig: Any, sit
         assert "driver_package" not in run.entry["instrument/daq/details"]
 
 
+@pytest.mark.thorough
 def test_what_cannot_be_replaced_is_refused(rig: Any) -> None:
     for given, named in (
         ("laser=me-gsv8", "the simulated bench has no laser"),

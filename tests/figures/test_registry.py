@@ -259,6 +259,7 @@ def test_a_child_that_does_not_end_is_ended(
     )
 
 
+@pytest.mark.thorough
 def test_a_figure_that_never_returns_is_interrupted_and_costs_those_after_it(
     lab: Laboratory, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -264,6 +264,7 @@ def test_one_that_fails_is_dropped_and_nobody_waits_for_it(
     assert not one.in_use
 
 
+@pytest.mark.thorough
 def test_a_patient_one_that_hangs_is_dropped_and_signs_of_life_are_given_meanwhile(
     lab: Callable[..., None],
     started: Callable[..., live.LiveDetector],

@@ -137,6 +137,7 @@ def test_telling_does_not_wait_and_what_is_not_delivered_in_time_is_given_up() -
     assert all("given up after 0.1 s" in warning for warning in given_up)
 
 
+@pytest.mark.thorough
 def test_a_command_that_prints_tens_of_megabytes_ends_by_itself(tmp_path: Path) -> None:
     """What it prints beyond the end that may be shown is read and dropped."""
     program = (

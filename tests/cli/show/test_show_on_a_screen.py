@@ -160,6 +160,7 @@ def test_a_heading_is_whole_where_lines_are_left() -> None:
     assert len(full) == LINES
 
 
+@pytest.mark.thorough
 def test_an_imported_recording_states_units_in_words(rig: Any) -> None:
     rows = "\n".join(f"{n};{n % 7};{n % 5}" for n in range(300))
     (rig.folder / "rec.csv").write_text(f"n;left [mV];right [mV]\n{rows}\n")
