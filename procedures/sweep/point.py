@@ -344,6 +344,8 @@ class SweepPointRun:
     def _last_is_steady(self) -> bool:
         """Return whether both halves of the last record agree: a long one shows by itself that
         nothing rings, and the record before it may have differed by chance."""
+        if not self.kept:
+            return False
         last = self.kept[-1]
         if last.voltage.block_phasors.size < 2:
             return False
@@ -384,6 +386,14 @@ class SweepPointRun:
                 f"{self._latest_N:.4g} N after {self.settings.longest_point_s:g} s, {lo:g} N "
                 f"± {percent:g} % wanted (--longest-point, --load-tolerance)",
                 "check the vibrator's line for something loose, or allow more time and tolerance",
+            )
+        if not self.kept:
+            raise InstrumentError(
+                "daq",
+                f"response at {self.condition.frequency_Hz:g} Hz under {lo:g} N",
+                f"not measured within {self.settings.longest_point_s:g} s (--longest-point): the "
+                "first look at the load has taken all of it",
+                "allow more time (--longest-point), or choose a higher frequency",
             )
         raise InstrumentError(
             "daq",

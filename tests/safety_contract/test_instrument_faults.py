@@ -244,6 +244,16 @@ def test_a_film_that_is_not_connected_is_reported(rig):
 
 
 @pytest.mark.thorough
+def test_a_point_whose_time_is_over_after_the_first_look_names_the_time_that_it_may_take(rig):
+    ended = rig.sweep("--frequencies", "0.1")
+
+    assert ended.code == 3, ended.stderr
+    (error,) = ended.errors
+    assert "response at 0.1 Hz under 1 N: not measured within 20 s (--longest-point)" in error
+    assert rig.outputs() == [True, False]
+
+
+@pytest.mark.thorough
 def test_a_load_that_is_never_steady_is_reported_when_the_time_of_its_point_is_over(rig):
     """The load cell's channel also carries 0.3 N at 283 Hz: a beat no two short records agree on,
     for as long as hundreds of them take."""
