@@ -24,7 +24,7 @@ from rig.analysis.response.levelling import (
     quieter_noise,
 )
 from rig.analysis.response.static_force import static_force
-from rig.core.errors import InstrumentError
+from rig.core.errors import InstrumentError, LimitError
 
 if TYPE_CHECKING:
     from procedures.sweep.memory import SweepMemory
@@ -133,7 +133,7 @@ class SweepPointRun:
             self._drive(self.settings.first_amplitude_V)
         else:
             self._predicted = self.memory.vibrator.near(f)
-            self._drive((1.0 if self._predicted else CAUTION) * lo / gain)
+            self._drive_for_load((1.0 if self._predicted else CAUTION) * lo / gain)
         self._sampler.wait(self.settings.settling_s)
 
     def sample(self) -> None:
@@ -201,6 +201,19 @@ class SweepPointRun:
 
     # --- the drive ------------------------------------------------------------------------------
 
+    def _drive_for_load(self, amplitude_V: float) -> None:
+        """Drive with what the load needs. Raises LimitError, which names the load, where the
+        generator cannot give that."""
+        try:
+            self._drive(amplitude_V)
+        except LimitError as error:
+            raise LimitError(
+                f"a load of {self.condition.load_N:g} N (--load, --loads) needs what the generator "
+                f"cannot give: {error.message}",
+                "choose another load, or another gain of the vibrator's amplifier; check that the "
+                "load cell shows the load; or correct the bench file if the limit is wrong",
+            ) from error
+
     def _drive(self, amplitude_V: float) -> None:
         memory, f, clock = self.memory, self.condition.frequency_Hz, self.run.clock
         self.run.bench.generator.sine(f, amplitude_V)
@@ -249,7 +262,7 @@ class SweepPointRun:
         correction = min(lo / load.amplitude, BOLDEST_CORRECTION)
         if self._predicted:
             correction = min(max(correction, 1 / LARGEST_CORRECTION), LARGEST_CORRECTION)
-        self._drive(self.memory.drive_V * correction)
+        self._drive_for_load(self.memory.drive_V * correction)
         return False
 
     def _tolerance(self, load: SineFit) -> float:

@@ -123,10 +123,11 @@ def test_a_drive_that_the_sweep_computes_beyond_the_generator_is_refused_with_it
     assert ended.code == 4, ended.stderr
     (error,) = ended.errors
     reported = (
-        r"error: point 3000Hz-1N: amplitude [0-9.]+ V is outside 0.001 to 10 V of the generator"
+        r"error: point 3000Hz-1N: a load of 1 N \(--load, --loads\) needs what the generator "
+        r"cannot give: amplitude [0-9.]+ V is outside 0.001 to 10 V of the generator"
     )
     assert re.match(reported, error), error
-    assert "; choose a value inside" in error
+    assert "check that the load cell shows the load" in error
     driven = [e["value"] for e in rig.log() if e["what"] == "ch1.amplitude_Vpp"]
     assert max(driven) <= 20.0
     assert rig.outputs() == [True, False]
