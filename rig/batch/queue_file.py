@@ -65,7 +65,7 @@ def connected(path: Path, *, writing: bool) -> QueueConnection:
         if BatchFolder(path.parent).terms.is_file():  # what `rig batch run` writes before the queue
             raise ConfigurationError(
                 f"{path.parent} is the folder of a batch, but there is no {path.name} in it",
-                f"put it back, or make it anew: rig batch rebuild {in_shell(path.parent)}",
+                f"put it back, or rebuild it: rig batch rebuild {in_shell(path.parent)}",
             )
         raise ConfigurationError(
             f"{path.parent} holds no batch: there is no {path.name} in it",

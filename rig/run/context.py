@@ -124,7 +124,7 @@ class Run:
 
     def _noting(self, off: Callable[[], None], done: str) -> Callable[[], None]:
         """Return the shutdown action, extended so that it adds `done` to `made_safe` if nothing
-        failed; what is about to be switched on is no longer there."""
+        failed. Takes `done` out of it first: this is about to be switched on."""
         self.made_safe = [other for other in self.made_safe if other != done]
 
         def shutdown() -> None:
