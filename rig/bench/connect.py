@@ -25,7 +25,7 @@ from rig.core.errors import (
     RigError,
     SeveralFailuresError,
 )
-from rig.core.text import in_shell
+from rig.core.text import in_shell, listed
 from rig.core.threads import start_thread
 from rig.instruments.roles import (
     Instrument,
@@ -190,8 +190,7 @@ def _unconnected_simulation(plan: BenchPlan, file: Path, first: RigError) -> Rig
     """Return the failure where none of the instruments of `plan`, perhaps a part of the simulated
     bench of a bench file, can be connected; cables and switches, which the instruments' own errors
     name, have no part in it. `rig simulate` replaces the file, hence the warning."""
-    *others, last = [part.role for part in plan.instruments]
-    roles = f"{', '.join(others)} and {last}" if others else last
+    roles = listed(part.role for part in plan.instruments)
     return RigError(
         f"{roles} of the simulated bench of {file} cannot be connected ({first.message})",
         f"if it has ended, start one again with rig simulate --fixture {plan.mounted[0]} --write "

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import shlex
+from collections.abc import Iterable
 from pathlib import Path
 
 
@@ -30,3 +31,13 @@ def in_shell(path: str | Path) -> str:
     "'bench of May.toml'"
     """
     return shlex.quote(str(path))
+
+
+def listed(parts: Iterable[str]) -> str:
+    """Return parts as a sentence lists them. Raises ValueError where there are none.
+
+    >>> listed(["daq", "stage_z", "force_sensor"])
+    'daq, stage_z and force_sensor'
+    """
+    *others, last = parts
+    return f"{', '.join(others)} and {last}" if others else last

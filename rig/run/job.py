@@ -18,6 +18,7 @@ from rig.bench.connected import Bench
 from rig.core.entry_points import DRIVERS, PROCEDURES, foreign_package
 from rig.core.errors import ConfigurationError
 from rig.core.settings import Settings, fingerprint, leaves, name_without_unit, unit_of
+from rig.core.text import listed
 from rig.files.journal.reader import JournalContents
 from rig.files.journal.writer import JournalWriter, begin_journal, begin_journal_at
 from rig.run.locks.lock import BenchLock
@@ -196,10 +197,8 @@ class RunJob:
         values = dict.fromkeys(f"{value:g}" for value in self.procedure.values_in_title())
         if not values:
             return title
-        *others, last = values
-        stated = f"{', '.join(others)} and {last}" if others else last
         words = name_without_unit(name).replace("_", " ")
-        return f"{title}, {stated} {unit_of(name) or ''} {words}"
+        return f"{title}, {listed(values)} {unit_of(name) or ''} {words}"
 
     def _header(
         self, bench: Bench, points: Sequence[Point], time_of_day: TimeOfDay
