@@ -2,19 +2,20 @@
 
 The modules of commands import what is expensive inside their commands. Typer reads the types of
 every option it is given, for which it imports pydantic; so it gets the function of the given
-command only, and for the others one line of the list, read from their sources.
+command only, and for the others one line of the list, read without running their modules.
 """
 
 from __future__ import annotations
 
-import ast
 import inspect
 import os
 import sys
 import time
 from collections.abc import Callable, Sequence
 from importlib import import_module
-from pathlib import Path
+from importlib.abc import InspectLoader
+from importlib.util import find_spec
+from types import CodeType
 
 import typer
 
@@ -170,15 +171,21 @@ def _summary(name: str) -> str:
 
 
 def first_line_in(module: str, function_name: str | None = None) -> str:
-    """Return the first line of the docstring of a module of this package, or of a function in it,
-    from its source: to import all of them would take most of the time of ``rig --help``."""
-    path = Path(__file__).parents[2].joinpath(*module.split(".")).with_suffix(".py")
-    source = path.read_text(encoding="utf-8")
-    tree = ast.parse(source)
-    if function_name is None:
-        return _first_line(ast.get_docstring(tree))
-    functions = {node.name: node for node in tree.body if isinstance(node, ast.FunctionDef)}
-    return _first_line(ast.get_docstring(functions[function_name]))
+    """Return the first line of the docstring of a module of this package, or of a function in it.
+
+    The module is compiled, or read as it was compiled before, but not run: what all of them import
+    would take most of the time of ``rig --help``.
+    """
+    spec = find_spec(module)
+    loader = None if spec is None else spec.loader
+    assert isinstance(loader, InspectLoader)
+    code = loader.get_code(module)
+    assert code is not None
+    if function_name is not None:
+        parts = (part for part in code.co_consts if isinstance(part, CodeType))
+        code = next(part for part in parts if part.co_name == function_name)
+    # Compiled code keeps its docstring as the first of its constants.
+    return _first_line(code.co_consts[0])
 
 
 def _first_line(docstring: str | None) -> str:
