@@ -336,7 +336,7 @@ class PressedTrial:
         record, scales = self.record, self.series.scales
         if scales:
             rates = record.load_rates(scales)
-            self.run.record_rows("load_rate", 0, rates, DECIMATED_Hz, units="N/s")
+            self.run.streams.record_rows("load_rate", 0, rates, DECIMATED_Hz, units="N/s")
         return record.load_scales(scales)
 
     @property

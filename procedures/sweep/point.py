@@ -170,7 +170,7 @@ class SweepPointRun:
         """Record the valid samples and return the reading."""
         run, condition, kept, sampler = self.run, self.condition, self.kept, self._sampler
         for sampled in kept:
-            run.record_raw("waveform", sampled.record)
+            run.streams.record_raw("waveform", sampled.record)
         last = kept[-1]
         refuse_silence(last.voltage)
         warn_of_mains(run, last.voltage, sampler.strong_mains("film"))

@@ -4,26 +4,23 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any
 
 from rig.bench.connected import Bench
 from rig.bench.plan import longest_call_s
 from rig.core.clock import Clock
 from rig.core.errors import InstrumentTimeoutError, RigError
-from rig.files.errors import JournalMovedError
 from rig.files.journal.recorder import Recorder
-from rig.instruments.roles import Record, Scaling
 from rig.run.arming import SHUTDOWN_DEADLINE_S, Arming
+from rig.run.ending import Ending
 from rig.run.holds import Disturbances, Holds
 from rig.run.interlocks.store import InterlockStore
 from rig.run.interlocks.watch import InterlockWatch
 from rig.run.points import Reading
 from rig.run.press_references import PressReferences
 from rig.run.streams.force_monitor import ForceMonitor
-
-if TYPE_CHECKING:
-    import numpy.typing as npt
+from rig.run.streams.recorded import RecordedStreams
 
 
 class Run:
@@ -52,20 +49,10 @@ class Run:
         self.inform: Callable[[str], None] = lambda message: None
         """Shows a message to the operator, for the observers of the run. It may have to wait for a
         terminal: never call it while a force is held."""
-        self.warn_at_once: Callable[[str], None] = lambda message: None
-        """Shows a warning to the operator without waiting for anything, from any thread."""
-        self.failures: list[RigError] = []
-        """Failures that were reported to `fail`."""
-        self.lost: tuple[InstrumentTimeoutError, ...] = ()
-        """Calls to instruments that did not answer, if the run has ended because of them."""
-        self.silent: frozenset[str] = frozenset()
-        """Roles of these instruments, and of those that share a link with one of them."""
-        self._not_safe_said = False
-        self.left: list[str] = []
-        """How z was left where it could not be moved clear, as parts of a sentence."""
-        self.made_safe: list[str] = []
-        """Effects of the shutdown actions on what has not been switched on again, in their order,
-        as parts of a sentence: "generator off". An action that failed in part is not included."""
+        self.ending = Ending(self.event, self.warnings)
+        """How the bench is made safe and left, for the shutdown actions."""
+        self.streams = RecordedStreams(recorder, streams, self.elapsed_s)
+        """The procedure's streams, which record its samples."""
         self._arming = Arming(overlapping=not self.clock.is_virtual)
         records = interlock_records or InterlockStore(bench.plan, lasting=False)
         self.interlocks = InterlockWatch(
@@ -79,9 +66,6 @@ class Run:
         )
         """Longest time that one call on an instrument may wait for its link."""
         self._recorder = recorder
-        self._streams = streams
-        self._scalings: dict[str, Scaling] = {}
-        self._states: dict[str, dict[str, Any]] = {}
         self._start_s = bench.clock.now() - elapsed_s
 
     def elapsed_s(self) -> float:
@@ -119,21 +103,8 @@ class Run:
         is False for what moves nothing and puts nothing out, such as an acquisition: the bench is
         safe although its `off` has failed.
         """
-        shutdown = self._noting(off, done or f"{name} off")
+        shutdown = self.ending.noting(off, done or f"{name} off")
         self._arming.register(name, shutdown, deadline_s + self._waits_s, emergency, drives=drives)
-
-    def _noting(self, off: Callable[[], None], done: str) -> Callable[[], None]:
-        """Return the shutdown action, extended so that it adds `done` to `made_safe` if nothing
-        failed. Takes `done` out of it first: this is about to be switched on."""
-        self.made_safe = [other for other in self.made_safe if other != done]
-
-        def shutdown() -> None:
-            failed_before = len(self.failures)
-            off()
-            if len(self.failures) == failed_before:
-                self.made_safe.append(done)
-
-        return shutdown
 
     def stream_force(self, rate_S_s: float) -> ForceMonitor:
         """Begin to read and watch the force sensor; restarts the stream if it runs already. Its
@@ -150,7 +121,7 @@ class Run:
             monitor.stop()
 
         deadline_s = SHUTDOWN_DEADLINE_S + self._waits_s
-        shutdown = self._noting(off, "force stream stopped")
+        shutdown = self.ending.noting(off, "force stream stopped")
         self._arming.register("force stream", shutdown, deadline_s, watches=True)
         monitor.start(rate_S_s)
         self._force = monitor
@@ -233,58 +204,6 @@ class Run:
         wears film and skin."""
         self.disturbances.presses += 1
 
-    def record_raw(self, stream: str, record: Record) -> None:
-        """Record raw samples of a converter, as the DAQ returned them: counts with their scaling.
-
-        `stream` is the name of one of the procedure's streams. A scaling that has changed since the
-        last record is recorded first. The data are on the disk within 0.25 s.
-        """
-        index = self._streams[stream]
-        scaling = record.scaling
-        if self._scalings.get(stream) != scaling:
-            self._recorder.put_stream(
-                {
-                    "stream": index,
-                    "rate_Hz": scaling.rate_S_s,
-                    "scale": scaling.volts_per_count,
-                    "offset": scaling.offset_V,
-                    "units": "V",
-                    "delay_s": scaling.delay_s,
-                    "range": scaling.range_V,
-                }
-            )
-            self._scalings[stream] = scaling
-        self._recorder.put_block(index, record.first_index, self.elapsed_s(), record.counts)
-
-    def record_rows(
-        self,
-        stream: str,
-        first_index: int,
-        rows: npt.NDArray[Any],
-        rate_Hz: float | None,
-        scale: Sequence[float] | None = None,
-        units: str = "",
-    ) -> None:
-        """Record rows of numbers that are not a converter's raw samples: forces, positions.
-
-        `rows` is an array (n, channels) of the stream's dtype; values = `scale` times `rows`, in
-        `units`. `first_index` is the number of the stream's rows before these in the same point.
-        `rate_Hz` is None if the rows are not equally spaced in time.
-        """
-        index = self._streams[stream]
-        channels = rows.shape[1]
-        state = {
-            "stream": index,
-            "rate_Hz": rate_Hz,
-            "scale": [1.0] * channels if scale is None else list(scale),
-            "offset": [0.0] * channels,
-            "units": units,
-        }
-        if self._states.get(stream) != state:
-            self._recorder.put_stream(state)
-            self._states[stream] = state
-        self._recorder.put_block(index, first_index, self.elapsed_s(), rows)
-
     def event(self, level: str, code: str, message: str, at_s: float | None = None) -> None:
         """Record that something happened; warnings are repeated at the end of the run. `at_s` is
         the time on the run's clock at which it did, by default now."""
@@ -298,44 +217,6 @@ class Run:
                 "message": message,
             }
         )
-
-    def note_making_safe(self) -> None:
-        """Record that the run ends and is about to make the bench safe, for who follows it. Waits
-        for nothing and raises nothing: neither may come before the bench is safe."""
-        self._note("making-safe", "the bench is being made safe")
-
-    def begin_making_safe(self) -> None:
-        """Forget what was said when the bench was last made safe. What was done then stays done
-        until it is armed again."""
-        self._not_safe_said = False
-
-    def say_not_safe(self, text: str) -> None:
-        """Say and record at once, while the bench is being made safe, that a part of that has not
-        worked yet; the first time only. Waits for nothing and raises nothing, as
-        `note_making_safe`."""
-        if self._not_safe_said:
-            return
-        self._not_safe_said = True
-        self.warn_at_once(text)
-        self._note("not-safe-yet", text)
-
-    def _note(self, code: str, text: str) -> None:
-        try:
-            self.event("info", code, text)
-        except JournalMovedError as moved:  # said to the first that puts something, and only once
-            self.warnings.append(moved.one_line())
-        except Exception:  # noqa: BLE001 - a failed recorder is reported when it is closed
-            pass
-
-    def fail(self, error: RigError, left: str = "") -> None:
-        """Report a failure without raising it: for a shutdown action that could be done only in
-        part. The run has failed; the error is reported at the end, after what failed before. `left`
-        says for the closing lines how z stands there, as part of a sentence: "the skin may still be
-        pressed"."""
-        self.failures.append(error)
-        if left and left not in self.left:
-            self.left.append(left)
-        self.event("error", type(error).__name__, error.one_line())
 
     def check_stop(self) -> None:
         """Raise here if the run has to stop: a stop request, or a failure of another thread. Waits

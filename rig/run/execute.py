@@ -173,7 +173,7 @@ class _Execution:
         )
         self.run.references = PressReferences(job.results, bench.plan, job.sample, job.accept)
         self.run.inform = lambda message: self.observers.event("info", message)
-        self.run.warn_at_once = self.observers.warn_at_once
+        self.run.ending.warn_at_once = self.observers.warn_at_once
         self.phases = Phases()
         self.loop = PointLoop(
             job,
@@ -329,18 +329,18 @@ class _Execution:
         """Run the shutdown actions, undisturbed by stop requests and by drives and threads that
         fail meanwhile; return those that failed."""
         self.phases.enter(RunPhase.MAKING_SAFE)
-        self.run.begin_making_safe()
+        self.run.ending.begin()
         with self.bench.links.making_safe():
             return self.run.arming.make_safe(self.guard.beat, keep_watching)
 
     def _make_safe(self) -> None:
         """Switch everything off, and inform the guard if that has worked."""
-        self.run.note_making_safe()
-        self.run.lost = tuple(
+        self.run.ending.announce()
+        self.run.ending.lost = tuple(
             error for error in self.outcome.failures if isinstance(error, InstrumentTimeoutError)
         )
-        silent = {error.device for error in self.run.lost}
-        self.run.silent = frozenset(
+        silent = {error.device for error in self.run.ending.lost}
+        self.run.ending.silent = frozenset(
             role for roles in self._on_one_link if roles & silent for role in roles
         )
         self.observers.making_safe()
@@ -348,16 +348,16 @@ class _Execution:
         self.outcome.duration_s = self.bench.clock.now() - self._begun_s
         found = self.run.disturbances
         self.outcome.holds, self.outcome.presses = found.holds, found.presses
-        self.outcome.made_safe = tuple(self.run.made_safe)
+        self.outcome.made_safe = tuple(self.run.ending.made_safe)
         self.outcome.armed = self.run.arming.begun
         self.outcome.own_bench = self.job.lock is None
-        self.outcome.left = tuple(self.run.left)
+        self.outcome.left = tuple(self.run.ending.left)
         self.outcome.off_failures = [failure for failure in failures if failure.drives]
         for failure in failures:
             if not failure.drives:
                 error = RigError(f"{failure.name}: {failure.reason}", None, ExitCode.INSTRUMENT)
                 self.outcome.add_failure(error)
-        for error in self.run.failures:
+        for error in self.run.ending.failures:
             if not self.outcome.failures:
                 self.outcome.add_failure(error)
             elif all(error.message != known.message for known in self.outcome.failures):
@@ -368,7 +368,7 @@ class _Execution:
             self.outcome.status = "failed"
             self._mark()
         else:
-            self.outcome.safe = not self.run.failures
+            self.outcome.safe = not self.run.ending.failures
             self._mark()
             self.guard.safe()
         with contextlib.suppress(RigError):  # a failed recorder is reported by `RunSaving`
@@ -413,8 +413,8 @@ class _Execution:
         try:
             if outcome.off_failures and not taken_over:
                 self.marks.unsafe({off.name: off.reason for off in outcome.off_failures})
-            elif self.run.failures:
-                last = "; ".join(error.message for error in self.run.failures)
+            elif self.run.ending.failures:
+                last = "; ".join(error.message for error in self.run.ending.failures)
                 self.marks.stopped(f"the last run ended with: {last}")
             else:
                 self.marks.clear()

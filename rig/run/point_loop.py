@@ -213,8 +213,8 @@ class PointLoop:
         if failures:
             reasons = "; ".join(f"{f.name}: {f.reason}" for f in failures)
             raise RigError(reasons, None, ExitCode.INSTRUMENT) from hold
-        if self._run.failures:
-            raise _not_safe(self._run.failures) from hold
+        if self._run.ending.failures:
+            raise _not_safe(self._run.ending.failures) from hold
         self._phases.enter(RunPhase.ON_HOLD)
         self._run.event("info", "on-hold", hold.message)
         if not asked_for:
@@ -243,7 +243,7 @@ class PointLoop:
         force must not be pressed again."""
         self._run.event("error", "trip", trip.one_line())
         self._observers.making_safe()
-        if self._switch_off(False) or self._run.failures:
+        if self._switch_off(False) or self._run.ending.failures:
             raise trip
         self._phases.enter(RunPhase.READY)
         self._observers.event("warning", f"{trip.one_line()}; retaking point {point.id} once")

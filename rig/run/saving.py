@@ -64,7 +64,7 @@ class RunSaving:
         late: DiskLateError | None = None
         with self._saving():
             for failure in outcome.failures:
-                if failure in self._run.failures:
+                if failure in self._run.ending.failures:
                     continue  # it is in the journal
                 self._run.event("error", type(failure).__name__, failure.one_line())
             self._recorder.put_end(self._journal.end(outcome, self._run.elapsed_s()))

@@ -137,7 +137,7 @@ def test_a_minute_of_a_million_samples_a_second_loses_none(tmp_path: Path) -> No
         clock.sleep(TICK_S)
         while (record := samples.read()) is not None:
             assert record.first_index == rows
-            run.record_raw("strips", record)
+            run.streams.record_raw("strips", record)
             rows += len(record.counts)
         behind.append((clock.now() - started_s) - rows / RATE_S_S)
         queued.append(recorder.queued_bytes / 1e6)

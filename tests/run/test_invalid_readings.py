@@ -103,7 +103,7 @@ class Lamp(Doubtful):
     def arm(self, run: Run) -> None:
         super().arm(run)
         hot = RigError("the lamp may still be hot", None, ExitCode.INSTRUMENT)
-        run.arm("fan", lambda: run.fail(hot))
+        run.arm("fan", lambda: run.ending.fail(hot))
 
 
 def test_what_follows_an_invalid_reading_determines_the_exit_code(

@@ -52,7 +52,7 @@ class LeavesItPressed(Example):
 
     def arm(self, run: Run) -> None:
         stuck = InstrumentError("stage_z", "unload", "it stands", "check the stage")
-        run.arm("preload", lambda: run.fail(stuck, "the film may still be pressed"))
+        run.arm("preload", lambda: run.ending.fail(stuck, "the film may still be pressed"))
 
 
 def test_a_run_knows_what_it_has_left_pressed(
@@ -75,7 +75,7 @@ class Tripped(Example):
 
     def _off(self, run: Run) -> None:
         if not self.twice:
-            run.fail(InstrumentError("fan", "off", "it is hot", "let it cool"))
+            run.ending.fail(InstrumentError("fan", "off", "it is hot", "let it cool"))
 
     def take(self, run: Run, point: Point) -> Reading:
         if self.log.count("on") <= 1 + self.twice:

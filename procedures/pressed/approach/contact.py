@@ -144,7 +144,7 @@ def arm_from_where_it_stands(run: Run, name: str, way_back: Callable[[float], No
             stands_mm = stage.position_mm()
         except InstrumentError as error:
             # It has stopped, and was not moved.
-            run.fail(error, "it is not known where stage_z is")
+            run.ending.fail(error, "it is not known where stage_z is")
             return
         if stands_mm > first_mm - CLEAR_mm + BOTTOM_mm:
             way_back(stands_mm)

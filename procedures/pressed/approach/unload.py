@@ -75,7 +75,7 @@ def unload(run: Run, pressed: str, came_from_mm: float) -> None:
             if trip is None and not timed_out and not lost:
                 raise
             if trip is not None:
-                run.fail(trip)
+                run.ending.fail(trip)
             stop_z(run)
             _go_clear(run, came_from_mm)
         where = _where(run)
@@ -105,7 +105,7 @@ def unload(run: Run, pressed: str, came_from_mm: float) -> None:
         if force_N is not None and force_N > run.force.limit_N:
             raise UnsafeError(f"stage_z: unload: {what}, over the limit", hint) from error
         failure = InstrumentError("stage_z", "unload", what, hint)
-        run.fail(failure, f"the {pressed} may still be pressed")
+        run.ending.fail(failure, f"the {pressed} may still be pressed")
         return
     _judge_what_remains(run, pressed, where)
 
@@ -115,7 +115,7 @@ def _where(run: Run) -> str:
     try:
         return f"at {run.bench.stage_z.position_mm():.3f} mm"
     except WrongPositionError as error:
-        run.fail(error, "it is not known where stage_z is")
+        run.ending.fail(error, "it is not known where stage_z is")
         return f"where its driver does not say ({error.cause})"
 
 
@@ -146,12 +146,12 @@ def stop_z(run: Run) -> None:
 def say_if_lost(run: Run) -> None:
     """Say at once, before it is tried again, where z was last seen and what is pressed if the run
     has ended because z, or an instrument on its line, did not answer."""
-    if "stage_z" in run.silent:
-        _say_not_reached(run, run.lost[0])
+    if "stage_z" in run.ending.silent:
+        _say_not_reached(run, run.ending.lost[0])
 
 
 def _say_not_reached(run: Run, error: InstrumentError) -> None:
-    run.say_not_safe(
+    run.ending.say_not_safe(
         f"not safe yet: stage_z: {error.command}: {error.cause}; {_last_known(run)}; it is asked "
         "again. An e-stop on the drives' power needs no answer"
     )
@@ -254,4 +254,4 @@ def _judge_what_remains(run: Run, pressed: str, where: str) -> None:
     if force_N > limit_N:
         raise UnsafeError(f"stage_z: unload: {finding}, over the limit of {limit_N:g} N", hint)
     failure = InstrumentError("stage_z", "unload", finding, hint)
-    run.fail(failure, f"the {pressed} is still pressed with {force_N:.3g} N")
+    run.ending.fail(failure, f"the {pressed} is still pressed with {force_N:.3g} N")

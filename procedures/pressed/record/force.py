@@ -118,8 +118,8 @@ class TrialForce:
         if self._lacking:  # their zeros are no measurement
             raw, force_N = raw.copy(), force_N.copy()
             raw[:, self._lacking] = force_N[:, self._lacking] = np.nan
-        run.record_rows("bridges", first, raw, rate_S_s, units=frames.raw_unit)
+        run.streams.record_rows("bridges", first, raw, rate_S_s, units=frames.raw_unit)
         # The sensor's z points up out of the object: what presses on it is F_n.
         newton = np.ascontiguousarray(force_N[:, [2, 0, 1]])
-        run.record_rows("force", first, newton, rate_S_s, units="N")
+        run.streams.record_rows("force", first, newton, rate_S_s, units="N")
         record.force.append(newton)

@@ -96,9 +96,10 @@ class PositionRecorder:
         if not len(rows):
             return
         self._recorded_rows += len(rows)
-        self._run.record_rows("ticks", first, rows[:, :1], None, units="s")
-        self._run.record_rows("position", first, rows[:, 1:], None, units="mm")
-        self._run.record_rows("ages", first, np.array(self._record.ages_s[first:]), None, units="s")
+        streams, ages_s = self._run.streams, np.array(self._record.ages_s[first:])
+        streams.record_rows("ticks", first, rows[:, :1], None, units="s")
+        streams.record_rows("position", first, rows[:, 1:], None, units="mm")
+        streams.record_rows("ages", first, ages_s, None, units="s")
         for further in self._further:
             values = np.array(further.rows[first:])[:, 1:]
-            self._run.record_rows(further.stream, first, values, None, units=further.units)
+            streams.record_rows(further.stream, first, values, None, units=further.units)

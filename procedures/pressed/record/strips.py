@@ -180,7 +180,7 @@ class StripRecorder:
         if not waiting:
             return
         for piece in _in_pieces([block for block, _ in waiting]):
-            self._run.record_raw("strips", piece)
+            self._run.streams.record_raw("strips", piece)
             self._record.rows += len(piece.counts)
         self._record_signals(np.concatenate([volts for _, volts in waiting]))
 
@@ -188,7 +188,9 @@ class StripRecorder:
         if not len(volts):
             return
         rows = np.column_stack([volts[:, 0] - volts[:, 1], volts])
-        self._run.record_rows("signals", self._record.signal_rows, rows, DECIMATED_Hz, units="V")
+        self._run.streams.record_rows(
+            "signals", self._record.signal_rows, rows, DECIMATED_Hz, units="V"
+        )
         self._record.signal_rows += len(rows)
         self._record.volts.append(volts)
 

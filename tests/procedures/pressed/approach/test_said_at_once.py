@@ -10,6 +10,7 @@ import pytest
 from procedures.pressed.approach.unload import unload
 from rig.core.errors import InstrumentError, InstrumentTimeoutError
 from rig.instruments.roles import LastSeen
+from rig.run.ending import Ending
 
 SILENT = InstrumentTimeoutError("stage_z", "stop", "no answer within 0.9 s", "check its cable")
 SEEN = LastSeen(position_mm=12.5, seen_s=7.0, answered_s=8.0)
@@ -37,13 +38,14 @@ class Stage:
 def unloaded(stage: Stage, force_N: float | None, lost: tuple[Any, ...]) -> tuple[list[str], str]:
     """What is said while z is stopped in vain at bench time 10, and the error of that."""
     said: list[str] = []
+    ending = Ending(lambda level, code, text: None, [])
+    ending.warn_at_once = lambda text: said.append(f"{stage.stops} stops: {text}")
+    ending.lost, ending.silent = lost, frozenset(error.device for error in lost)
     run: Any = SimpleNamespace(
         bench=SimpleNamespace(stage_z=stage),
         clock=SimpleNamespace(now=lambda: 10.0),
         latest_force_N=lambda seconds: force_N,
-        say_not_safe=lambda text: said.append(f"{stage.stops} stops: {text}"),
-        lost=lost,
-        silent=frozenset(error.device for error in lost),
+        ending=ending,
         tripped=lambda: None,
     )
     with pytest.raises(InstrumentError) as caught:

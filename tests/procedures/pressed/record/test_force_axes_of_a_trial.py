@@ -24,7 +24,8 @@ def recorded(axes: str) -> dict[str, Any]:
         rows[name] = values
 
     clock = SimpleNamespace(now=lambda: 0.0)
-    run: Any = SimpleNamespace(force=force, clock=clock, record_rows=record_rows)
+    streams = SimpleNamespace(record_rows=record_rows)
+    run: Any = SimpleNamespace(force=force, clock=clock, streams=streams)
     record: Any = SimpleNamespace(force_rate_S_s=1000.0, frames=0, force=[], frame_looks=[])
     trial_force = TrialForce(run, record)
     force.frames_seen = 4

@@ -25,7 +25,8 @@ class Slide:
         self.now_s = 5.0
         self.streams: dict[str, list[Any]] = {}
         run: Any = SimpleNamespace(
-            clock=SimpleNamespace(now=lambda: self.now_s), record_rows=self.keep
+            clock=SimpleNamespace(now=lambda: self.now_s),
+            streams=SimpleNamespace(record_rows=self.keep),
         )
         moving: Any = SimpleNamespace(position_mm=lambda: SPEED_mm_s * (self.now_s - 5.0))
         z, x = (PolledStage(run, f"stage_{name}", moving, None) for name in "zx")  # type: ignore[arg-type]

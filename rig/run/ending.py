@@ -1,0 +1,84 @@
+"""What is known of how a run's bench is made safe, and of how it is left."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from rig.core.errors import InstrumentTimeoutError, RigError
+from rig.files.errors import JournalMovedError
+
+
+class Ending:
+    """How the bench of a run is made safe: what has worked, what has not, and how it is left.
+
+    Shutdown actions report here. Nothing that is said while they act waits or raises: neither may
+    come before the bench is safe.
+    """
+
+    def __init__(self, record: Callable[[str, str, str], None], warnings: list[str]):
+        """Record with `record`, which takes the level, the code and the text of an event.
+        `warnings` are the run's, repeated at its end."""
+        self._record, self._warnings = record, warnings
+        self.warn_at_once: Callable[[str], None] = lambda message: None
+        """Shows a warning to the operator without waiting for anything, from any thread."""
+        self.failures: list[RigError] = []
+        """Failures that were reported to `fail`."""
+        self.lost: tuple[InstrumentTimeoutError, ...] = ()
+        """Calls to instruments that did not answer, if the run has ended because of them."""
+        self.silent: frozenset[str] = frozenset()
+        """Roles of these instruments, and of those that share a link with one of them."""
+        self.left: list[str] = []
+        """How z was left where it could not be moved clear, as parts of a sentence."""
+        self.made_safe: list[str] = []
+        """Effects of the shutdown actions on what has not been switched on again, in their order,
+        as parts of a sentence: "generator off". An action that failed in part is not included."""
+        self._not_safe_said = False
+
+    def noting(self, off: Callable[[], None], done: str) -> Callable[[], None]:
+        """Return the shutdown action, extended so that it adds `done` to `made_safe` if nothing
+        failed. Takes `done` out of it first: this is about to be switched on."""
+        self.made_safe = [other for other in self.made_safe if other != done]
+
+        def shutdown() -> None:
+            failed_before = len(self.failures)
+            off()
+            if len(self.failures) == failed_before:
+                self.made_safe.append(done)
+
+        return shutdown
+
+    def begin(self) -> None:
+        """Forget what was said when the bench was last made safe. What was done then stays done
+        until it is armed again."""
+        self._not_safe_said = False
+
+    def announce(self) -> None:
+        """Record that the run ends and is about to make the bench safe, for who follows it."""
+        self._note("making-safe", "the bench is being made safe")
+
+    def say_not_safe(self, text: str) -> None:
+        """Say and record at once, while the bench is being made safe, that a part of that has not
+        worked yet; the first time only."""
+        if self._not_safe_said:
+            return
+        self._not_safe_said = True
+        self.warn_at_once(text)
+        self._note("not-safe-yet", text)
+
+    def fail(self, error: RigError, left: str = "") -> None:
+        """Report a failure without raising it: for a shutdown action that could be done only in
+        part. The run has failed; the error is reported at the end, after what failed before. `left`
+        says for the closing lines how z stands there, as part of a sentence: "the skin may still be
+        pressed"."""
+        self.failures.append(error)
+        if left and left not in self.left:
+            self.left.append(left)
+        self._record("error", type(error).__name__, error.one_line())
+
+    def _note(self, code: str, text: str) -> None:
+        try:
+            self._record("info", code, text)
+        except JournalMovedError as moved:  # said to the first that puts something, and only once
+            self._warnings.append(moved.one_line())
+        except Exception:  # noqa: BLE001 - a failed recorder is reported when it is closed
+            pass
