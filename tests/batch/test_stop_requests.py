@@ -20,6 +20,7 @@ from rig.batch import running
 from rig.batch.execute import worker_link
 from rig.batch.execute.supervisor import Supervisor
 from rig.batch.execute.worker import Worker
+from rig.batch.execute.worker_reports import WorkerReports
 from rig.batch.folder import BatchFolder
 from rig.batch.plan.conditions import BatchPlan
 from rig.batch.queue import Queue
@@ -44,6 +45,14 @@ def supervisor(tmp_path: Path, request: str) -> Supervisor:
     with Queue.create(folder.queue, BatchPlan({}, ()), {}, {"name": "night"}) as queue:
         queue.add_request(request)
     return Supervisor(folder, StopFlag(), lambda _: None)
+
+
+def reports(tmp_path: Path, queue: Queue) -> WorkerReports:
+    """What workers report to that supervisor, for people who see none of it."""
+    people: Any = SimpleNamespace(say=lambda _: None, notify=lambda *_: None)
+    return WorkerReports(
+        BatchFolder(tmp_path), queue, lambda write, *values: write(*values), people, people
+    )
 
 
 def test_a_request_that_an_earlier_supervisor_has_not_seen_is_not_meant_for_the_next(
@@ -344,6 +353,7 @@ def test_a_stop_is_heard_while_the_last_files_are_made(
     finishing._heartbeat = SimpleNamespace(write=lambda _: None)  # type: ignore[assignment]
     finishing._simulated = True
     with Queue.open(BatchFolder(tmp_path).queue) as finishing._queue:
+        finishing._reports = reports(tmp_path, finishing._queue)
         finishing._finish_files()
     assert len(given_up) == 1
 
@@ -353,8 +363,6 @@ def test_a_worker_that_dies_after_a_request_to_stop_gets_no_successor(
 ) -> None:
     stopping = supervisor(tmp_path, "stop-now")
     monkeypatch.setattr(stopping, "_record", lambda *_: None)
-    nothing = SimpleNamespace(close_attempt=lambda: None)
-    stopping._holds = stopping._presses = nothing  # type: ignore[assignment]
     workers: list[int] = []
 
     def one_worker() -> int:
@@ -364,6 +372,7 @@ def test_a_worker_that_dies_after_a_request_to_stop_gets_no_successor(
 
     monkeypatch.setattr(stopping, "_one_worker", one_worker)
     with Queue.open(BatchFolder(tmp_path).queue) as stopping._queue:
+        stopping._reports = reports(tmp_path, stopping._queue)
         assert stopping._workers() == ExitCode.INTERNAL
     assert len(workers) == 1
 
@@ -413,13 +422,12 @@ def test_a_batch_that_waits_for_a_person_waits_also_when_its_worker_has_died(
 
         def beat(self) -> None: ...
 
-    nothing = SimpleNamespace(close_attempt=lambda: None)
-    waiting._holds = waiting._presses = nothing  # type: ignore[assignment]
     waiting._log = None  # type: ignore[assignment]
     monkeypatch.setattr("rig.batch.execute.supervisor.WorkerProcess", Worker)
-    for name in ("_poll", "_send", "_notify"):
+    for name in ("_poll", "_send"):
         monkeypatch.setattr(waiting, name, lambda *_: None)
     with Queue.open(BatchFolder(tmp_path).queue) as waiting._queue:
+        waiting._reports = reports(tmp_path, waiting._queue)
         assert waiting._workers() == ExitCode.INTERNAL, "none of these workers has begun a run"
         assert waiting._queue.meta(WAITS_FOR_A_PERSON) == paused, "for the next supervisor"
     assert begun[0] == ""
@@ -436,7 +444,7 @@ def test_a_batch_that_waits_for_a_person_waits_also_when_a_service_restarts_it(
     begun: list[str] = []
 
     def supervise(self: Supervisor) -> ExitCode:
-        begun.append(self._waits_because)
+        begun.append(reports(tmp_path, self._queue).waits_because)
         return ExitCode.DONE
 
     monkeypatch.setattr(Supervisor, "_supervise", supervise)
@@ -494,6 +502,7 @@ def test_a_stop_by_a_key_is_recorded_under_the_name_of_the_key(
     monkeypatch.setattr(stopping, "_poll", lambda: None)
     monkeypatch.setattr(stopping, "_record_request", requested.append)
     with Queue.open(BatchFolder(tmp_path).queue) as stopping._queue:
+        stopping._reports = reports(tmp_path, stopping._queue)
         stopping._one_worker()
     assert requested == ["stop by Ctrl-C"]
     assert sent == ["signal 2"]
@@ -533,6 +542,7 @@ def test_a_stop_reaches_the_worker_while_the_disk_keeps_the_supervisor_waiting(
 
     def supervise(self: Supervisor) -> ExitCode:
         self._log = None  # type: ignore[assignment]
+        self._reports = reports(tmp_path, self._queue)
         return ExitCode(self._one_worker())
 
     monkeypatch.setattr("rig.batch.execute.supervisor.WorkerProcess", Worker)

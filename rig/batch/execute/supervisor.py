@@ -16,25 +16,23 @@ requests of the terminal on to the worker.
 from __future__ import annotations
 
 import contextlib
-import json
 import os
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future
-from dataclasses import dataclass
 from typing import Any
 
 from rig.batch.execute.disk_room import DeferredWrites
 from rig.batch.execute.run_files import RunFiles
 from rig.batch.execute.worker_process import WorkerProcess
+from rig.batch.execute.worker_reports import STARTING_S, WorkerReports
 from rig.batch.folder import BatchFolder
-from rig.batch.plan.settings import BatchFile, Occasion
+from rig.batch.plan.settings import BatchFile
 from rig.batch.queue import Queue
 from rig.batch.queue_file import QueueDamagedError, QueueWriteError
-from rig.batch.queue_records import HOLDS, PRESSES, WAITS_FOR_A_PERSON
 from rig.batch.report.heartbeat import Heartbeat, HeartbeatRecord, HeartbeatState
-from rig.batch.report.notify import Notifier
+from rig.batch.report.people import People
 from rig.core.errors import ExitCode
 from rig.core.text import in_shell
 from rig.core.threads import start_thread
@@ -43,9 +41,6 @@ from rig.run.stopping import WORDS, StopFlag
 
 POLL_EVERY_S = 0.1
 """Interval in s at which stop requests, other terminals and background processes are polled."""
-STARTING_S = 300.0
-"""Time limit from a claim to its run's plan: boot, connect, compile for the first time. From then
-on the run's guard watches."""
 CRASHES = 3
 """Number of workers that may die in a row before a run has begun; then the batch ends."""
 HEARTBEAT: dict[str, HeartbeatState] = {
@@ -72,40 +67,6 @@ FILE_PATIENCE_S = 120.0
 under way."""
 
 
-@dataclass
-class BatchProgress:
-    """The present activity of a batch, for people and monitors."""
-
-    state: str = "starting"
-    text: str = ""
-    run: int | None = None
-    attempt: int | None = None
-    condition: str = ""
-    point: str = ""
-    points: str = ""
-
-
-@dataclass
-class _Count:
-    """A number that is counted over all attempts of a batch."""
-
-    name: str
-    """Name of its entry in the queue."""
-    before: int = 0
-    """Count in the attempts that have ended."""
-    now: int = 0
-    """Count in the attempt under way."""
-
-    @property
-    def total(self) -> int:
-        """Count in all attempts."""
-        return self.before + self.now
-
-    def close_attempt(self) -> None:
-        """Add the count of the attempt that has ended to those before."""
-        self.before, self.now = self.total, 0
-
-
 class Supervisor:
     """Runs a batch to its end. `say` gets lines for the person who started it, and returns at once:
     the supervisor passes stop requests on, and the worker waits for its signs of life."""
@@ -113,11 +74,6 @@ class Supervisor:
     def __init__(self, folder: BatchFolder, stop: StopFlag, say: Callable[[str], None]):
         self._folder, self._stop, self._say = folder, stop, say
         self._writes = DeferredWrites()
-        self._progress = BatchProgress()
-        self._end: dict[str, Any] | None = None
-        self._begun_a_run = False
-        self._give_up: float | None = None
-        self._runs = 0
         self._passing_on = threading.Lock()
         self._worker: WorkerProcess | None = None
         """The worker that runs, if there is one."""
@@ -125,16 +81,9 @@ class Supervisor:
         """The worker to which a stop request of the terminal was passed on."""
         self._asked_to_end = False
         """True if another terminal has asked for the end of the batch."""
-        self._held_for = ""
-        """Reason why the batch was held last, until a run has ended."""
-        self._waits_because = ""
-        """Reason why the batch waits until a person resumes it; empty where it does not. It is kept
-        here, and in the queue, because the worker that waits may die, and this process, too."""
         self.bench = ""
-        """How the latest run left its bench, as a sentence; empty where that is not known."""
-        self._files_were_left = False
-        """True if files of runs may not have been made, because the disk was full or the batch's
-        folder away."""
+        """How the latest run left its bench, as a sentence, once `run` has returned; empty where
+        that is not known."""
 
     def run(self) -> ExitCode:
         """Take all runs and return the exit code of the batch. Call it from the main thread, which
@@ -161,7 +110,6 @@ class Supervisor:
             Queue.open(self._folder.queue) as self._queue,
         ):
             self._requests()  # left by an earlier supervisor: they were not meant for this one
-            self._waits_because = self._queue.meta(WAITS_FOR_A_PERSON)
             return self._supervise()
 
     def _supervise(self) -> ExitCode:
@@ -169,29 +117,28 @@ class Supervisor:
             self._folder.held_by("postprocess", FILE_PATIENCE_S) as lock,
             self._folder.log.open("ab", buffering=0) as self._log,
         ):
-            self._batch = BatchFile.model_validate_json(self._queue.meta("file")).batch
+            batch = BatchFile.model_validate_json(self._queue.meta("file")).batch
             self._simulated = self._queue.meta("simulated") == "yes"
-            self._runs = sum(self._queue.counts().values())
-            self._holds, self._presses = (
-                _Count(name, int(self._queue.meta(name, "0"))) for name in (HOLDS, PRESSES)
-            )
             self._heartbeat = Heartbeat(self._folder.heartbeat)
-            self._notifier = Notifier(self._batch.notify)
+            self._people = People(self._folder, batch, self._queue, self._say, self._simulated)
             self._files = RunFiles(
-                self._folder, self._batch, self._queue, self._record, self._say, self._log, lock
+                self._folder, batch, self._queue, self._record, self._say, self._log, lock
+            )
+            self._reports = WorkerReports(
+                self._folder, self._queue, self._record, self._people, self._files
             )
             self._files.add_all(self._queue.unprocessed())
             self._record(self._queue.set_meta, "state", "running")
             self._record(self._queue.add_event, "info", f"started (process {os.getpid()})")
-            self._notify("start", f"{counted(self._queue.remaining().runs, 'run')} to do")
-            self._say_that_it_waits()
+            self._people.notify("start", f"{counted(self._queue.remaining().runs, 'run')} to do")
+            self._reports.say_that_it_waits()
             code = self._workers()
+            self.bench = self._reports.bench
             with contextlib.suppress(QueueDamagedError):
                 self._finish_files()
             self._write_heartbeat("ended")
-            self._notify("end", self._progress.text)
-            for warning in self._notifier.close():
-                self._say(f"warning: {warning}")
+            self._people.notify("end", self._reports.progress.text)
+            self._people.close()
             self._writes.flush()
             if self._writes.why:
                 self._say(f"warning: {self._writes.why}; how the batch ended is not in it")
@@ -203,7 +150,7 @@ class Supervisor:
         self._writes.add(lambda: write(*values))
 
     def _set_end(self, text: str) -> None:
-        self._progress.text = text
+        self._reports.progress.text = text
         self._record(self._queue.set_meta, "state", text)
 
     def _workers(self) -> ExitCode:
@@ -211,13 +158,12 @@ class Supervisor:
         code."""
         crashes = 0
         while True:
-            self._begun_a_run = False
+            self._reports.begun_a_run = False
             code = self._one_worker()
-            if self._end is not None:
-                return self._conclude(self._end)
-            self._holds.close_attempt()
-            self._presses.close_attempt()
-            crashes = 0 if self._begun_a_run else crashes + 1
+            if self._reports.end is not None:
+                return self._conclude(self._reports.end)
+            self._reports.close_attempt()
+            crashes = 0 if self._reports.begun_a_run else crashes + 1
             how = f"signal {-code}" if code < 0 else f"exit code {code}"
             text = f"the worker died ({how}); see {self._folder.log}"
             self._record(self._queue.add_event, "error", text)
@@ -229,18 +175,7 @@ class Supervisor:
                 self._set_end(f"stopped: {text}")
                 self._say(f"error: {crashes} workers in a row died before they began a run")
                 return ExitCode.INTERNAL
-            self._say_that_it_waits()
-
-    def _wait_because(self, reason: str) -> None:
-        self._waits_because = reason
-        self._record(self._queue.set_meta, WAITS_FOR_A_PERSON, reason)
-
-    def _say_that_it_waits(self) -> None:
-        if self._waits_because:
-            self._say(
-                f"the batch still waits: {self._waits_because}; it continues with: "
-                f"rig batch resume {in_shell(self._folder.path)}"
-            )
+            self._reports.say_that_it_waits()
 
     def _conclude(self, end: Mapping[str, Any]) -> ExitCode:
         """Record why a worker has ended the batch, which it may have been unable to record; returns
@@ -253,9 +188,9 @@ class Supervisor:
 
     def _one_worker(self) -> int:
         """Start a worker and listen to it until it has ended; returns its exit code."""
-        stop_recorded = False
+        stop_recorded, reports = False, self._reports
         with (
-            WorkerProcess(self._folder.path, self._log, self._waits_because) as worker,
+            WorkerProcess(self._folder.path, self._log, reports.waits_because) as worker,
             self._stopped_with_the_batch(worker),
         ):
             self._record(self._queue.set_meta, "worker", str(worker.pid))
@@ -269,14 +204,14 @@ class Supervisor:
                 for command in self._requests():
                     self._asked_to_end |= _ends_the_batch(command)
                     if command == "pause":
-                        self._wait_because(self._waits_because or "a person has paused it")
+                        reports.wait_because(reports.waits_because or "a person has paused it")
                     elif command == "go":
-                        self._wait_because("")
+                        reports.wait_because("")
                     self._send(worker, command, REQUESTS.get(command.split()[0], command))
                 self._poll()
                 worker.beat()
-                if self._give_up is not None and time.monotonic() > self._give_up:
-                    self._give_up = None
+                if reports.plan_due_s is not None and time.monotonic() > reports.plan_due_s:
+                    reports.plan_due_s = None
                     self._say(f"warning: the worker was silent for {STARTING_S:g} s and was killed")
                     worker.kill()
             # The worker may have ended by it while the disk kept this thread waiting.
@@ -317,47 +252,35 @@ class Supervisor:
                 worker.send(f"signal {number.value}")
 
     def _handle(self, line: bytes) -> None:
-        """One line from the worker; one that is not a report goes to the log."""
-        try:
-            event = json.loads(line)
-            handler = getattr(self, f"_on_{event['event']}")
-        except (ValueError, TypeError, KeyError, AttributeError):
+        """Take over one line from the worker; one that is not a report goes to the log."""
+        if not self._reports.take(line):
             with contextlib.suppress(OSError):
                 self._log.write(line + b"\n")
-            return
-        handler(event)
 
     def _poll(self) -> None:
         """Do what has to be done often, apart from reading the worker's messages."""
         self._writes.flush()
-        self._write_heartbeat(HEARTBEAT.get(self._progress.state, self._progress.state))
-        self._make_files(start=self._simulated or self._progress.state in BENCH_WAITS)
-        for warning in self._notifier.poll():
-            self._say(f"warning: {warning}")
+        state = self._reports.progress.state
+        self._write_heartbeat(HEARTBEAT.get(state, state))
+        self._make_files(start=self._simulated or state in BENCH_WAITS)
+        self._people.poll()
 
     def _write_heartbeat(self, state: HeartbeatState | str) -> None:
-        now = self._progress
+        reports = self._reports
+        now = reports.progress
         message = now.text or f"{now.condition} {now.points}".strip()
         self._heartbeat.write(
             HeartbeatRecord(
                 state,  # type: ignore[arg-type]
                 now.run or 0,
-                self._runs,
+                reports.runs,
                 now.point,
                 self._simulated,
-                self._holds.total,
-                self._presses.total,
+                reports.holds.total,
+                reports.presses.total,
                 message,
             )
         )
-
-    def _notify(self, occasion: Occasion, text: str) -> None:
-        marker = "SIMULATED " if self._simulated else ""
-        title = f"{marker}batch {self._batch.name}: {occasion}"
-        details: dict[str, Any] = {"folder": str(self._folder.path)}
-        with contextlib.suppress(QueueDamagedError):
-            details["runs"] = self._queue.counts()
-        self._notifier.notify(occasion, title, text, details)
 
     # --- files of finished runs -------------------------------------------------------------------
 
@@ -368,7 +291,7 @@ class Supervisor:
     def _finish_files(self) -> None:
         """Make the files of all finished runs. A stop request leaves out those that are not under
         way; `rig batch resume` makes them."""
-        if self._files_were_left:
+        if self._reports.files_were_left:
             self._files.add_all(self._queue.unprocessed())
         if self._stop.requested is None and len(self._files):
             self._say(f"finishing: making the files of {counted(len(self._files), 'run')} ...")
@@ -387,100 +310,6 @@ class Supervisor:
         if compiled := len(unprocessed) - missing:
             runs = counted(compiled, "run")
             self._say(f"figures and results still to be made: {runs}; make them with: {again}")
-
-    # --- events from the worker -------------------------------------------------------------------
-
-    def _on_run(self, event: Mapping[str, Any]) -> None:
-        self._begun_a_run = True
-        self.bench = ""
-        self._record(self._queue.set_meta, "state", "running")
-        self._give_up = time.monotonic() + STARTING_S
-        number, attempt = event["number"], event["attempt"]
-        self._progress = BatchProgress("running", "", number, attempt, event["condition"])
-        again = f", attempt {attempt}" if attempt > 1 else ""
-        self._say(
-            f"run {number}/{self._runs} {event['condition']}{again}: "
-            f"about {event['estimate_s']:.0f} s"
-        )
-
-    def _on_planned(self, event: Mapping[str, Any]) -> None:
-        self._give_up = None
-        self._progress.points = f"{event['kept']}/{event['points']}"
-
-    def _on_point(self, event: Mapping[str, Any]) -> None:
-        self._progress.point = event["point"]
-        self._progress.points = f"{event['done']}/{event['of']}"
-
-    def _on_note(self, event: Mapping[str, Any]) -> None:
-        if event["level"] != "info":
-            self._say(f"{event['level']}: {event['text']}")
-
-    def _count(self, event: Mapping[str, Any]) -> None:
-        """Take over the numbers of holds and presses of the attempt under way."""
-        for count in (self._holds, self._presses):
-            if count.now != event[count.name]:
-                count.now = event[count.name]
-                self._record(self._queue.set_meta, count.name, str(count.total))
-
-    def _on_disturbed(self, event: Mapping[str, Any]) -> None:
-        """Record that a run is on hold; people are notified of the first hold of a run only."""
-        now, holds = self._progress, event["holds"]
-        self._count(event)
-        counts = f"{counted(holds, 'hold')}, {counted(event['presses'], 'press', 'presses')}"
-        text = f"run {now.run} at {now.points or 'its start'}: {event['reason']} ({counts})"
-        self._record(self._queue.add_event, "warning", f"hold: {text}")
-        if holds == 1:
-            self._notify(
-                "hold", f"{text}; the bench is safe, and the run continues when that is over"
-            )
-
-    def _on_state(self, event: Mapping[str, Any]) -> None:
-        self._set_state(event["state"], event.get("text", ""))
-
-    def _set_state(self, state: str, text: str = "") -> None:
-        self._progress.state, self._progress.text = state, text
-        shown = f"{state}: {text}" if text else state
-        self._record(self._queue.set_meta, "state", shown)
-        self._say(shown)
-
-    def _on_hold(self, event: Mapping[str, Any]) -> None:
-        """Record that the batch is held; people are notified once for each reason until another run
-        has ended."""
-        self._set_state("held", event["text"])
-        self._files_were_left |= bool(event["by_itself"])
-        if not event["by_itself"]:  # otherwise another worker finds out itself whether it is over
-            self._wait_because(event["text"])
-        if event["text"] != self._held_for:
-            self._held_for = event["text"]
-            self._notify("hold", event["text"])
-        by_itself = f"when {event['by_itself']}, or " if event["by_itself"] else ""
-        self._say(
-            f"{event['bench']} and the batch waits; it continues {by_itself}with: "
-            f"rig batch resume {in_shell(self._folder.path)}"
-        )
-
-    def _on_finished(self, event: Mapping[str, Any]) -> None:
-        self._give_up = None
-        self._held_for = ""
-        self.bench = event["bench"]
-        self._count(event)
-        self._holds.close_attempt()
-        self._presses.close_attempt()
-        text = f"run {event['number']}: {event['ending']}, {event['points']}"
-        if event["reason"]:
-            text += f": {event['reason']}"
-        if event["again"]:
-            text += "; it stays queued for another attempt"
-        self._say(text)
-        if event["ending"] != "complete" or event["code"]:
-            self._record(self._queue.add_event, "warning", text)
-        if event["ending"] != "stopped" and not event["again"]:
-            self._files.add(event["number"], event["procedure"])
-            if event["ending"] != "complete":
-                self._notify("failure", text)
-
-    def _on_end(self, event: Mapping[str, Any]) -> None:
-        self._end = dict(event)
 
 
 def _ends_the_batch(command: str) -> bool:

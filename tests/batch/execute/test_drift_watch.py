@@ -13,16 +13,14 @@ from typing import Any
 
 import pytest
 
-from rig.batch.execute.between_runs import BENCH_IN_USE, BENCH_SAFE, SelfEnding
+from rig.batch.execute.between_runs import SelfEnding
 from rig.batch.execute.disk_room import has_room
 from rig.batch.execute.drift_watch import DriftWatch
-from rig.batch.execute.supervisor import Supervisor
 from rig.batch.execute.worker import Worker
 from rig.batch.folder import BatchFolder
 from rig.batch.plan.read import parse_batch
 from rig.batch.queue import Queue
 from rig.batch.queue_records import AttemptResult, RunEstimate
-from rig.run.stopping import StopFlag
 
 BATCH = """
 [batch]
@@ -155,30 +153,3 @@ def test_a_disk_that_locks_nothing_has_no_room_for_a_journal(
     monkeypatch.setattr(fcntl, "flock", refuse)
     assert not has_room(tmp_path, 1000)
     assert not list(tmp_path.iterdir())
-
-
-def test_people_are_notified_of_a_hold_once_and_its_state_is_set_each_time(tmp_path: Path) -> None:
-    said: list[str] = []
-    supervisor: Any = Supervisor(BatchFolder(tmp_path), StopFlag(), said.append)
-    states: list[str] = []
-    notified: list[str] = []
-    supervisor._queue = SimpleNamespace(set_meta=None)
-    supervisor._record = lambda _, *values: states.append(values[-1])
-    supervisor._notify = lambda _, text: notified.append(text)
-    over = "the folder is in its place"
-    hold = {"text": "the folder was moved", "by_itself": over, "bench": BENCH_SAFE}
-    supervisor._on_hold(hold)
-    supervisor._on_state({"state": "running", "text": "the folder is in its place again"})
-    supervisor._on_hold(hold)
-    held = "held: the folder was moved"
-    assert states == [held, "running: the folder is in its place again", held]
-    assert notified == ["the folder was moved"]
-    assert said[-1] == (
-        "the bench is safe and the batch waits; it continues when the folder is in its place, or "
-        f"with: rig batch resume {tmp_path}"
-    )
-    supervisor._on_hold({"text": "it is in use", "by_itself": "", "bench": BENCH_IN_USE})
-    assert said[-1] == (
-        "the bench is left to the other program and the batch waits; it continues with: "
-        f"rig batch resume {tmp_path}"
-    )
