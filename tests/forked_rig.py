@@ -275,7 +275,8 @@ def _make_simulators() -> None:
     from drivers.simulated.bench.mounted import Instruments
     from drivers.simulated.bench.options import Options
     from drivers.simulated.faults.plan import FaultPlan
-    from drivers.simulated.world.world import World, WorldSettings
+    from drivers.simulated.world.settings import WorldSettings
+    from drivers.simulated.world.world import World
 
     Instruments(World(WorldSettings(), 0, True, None, ()), Options(), FaultPlan())
 

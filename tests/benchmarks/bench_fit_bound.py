@@ -20,7 +20,9 @@ from measured import heading, repeats
 
 from drivers.simulated.instruments.u2300a_models import MODELS, codes_of_volts, volts_of_codes
 from drivers.simulated.ports import Excitation
-from drivers.simulated.world.world import FILM_TERMINAL, LOAD_CELL_TERMINAL, World, WorldSettings
+from drivers.simulated.world.mounted_film import FILM_TERMINAL, LOAD_CELL_TERMINAL
+from drivers.simulated.world.settings import WorldSettings
+from drivers.simulated.world.world import World
 from procedures.sweep.settings import SweepSettings
 from rig.analysis.film.frequency_plan import FrequencyPlanSettings, scan_frequencies_Hz
 from rig.analysis.response.complex_response import quantisation_rms

@@ -23,7 +23,8 @@ from measured import heading, row, target
 from drivers.shared.visa_link import VisaLink
 from drivers.simulated.bench import start as simulated
 from drivers.simulated.instruments.u2300a_models import codes_of_volts
-from drivers.simulated.world.world import World, WorldSettings
+from drivers.simulated.world.settings import WorldSettings
+from drivers.simulated.world.world import World
 from procedures.sweep import Sweep
 from rig.analysis.response import complex_response as response
 from rig.analysis.response import sine_fit

@@ -18,7 +18,8 @@ import pytest
 
 import rig.core.clock
 from drivers.simulated.bench.control import ControlServer
-from drivers.simulated.world.world import World, WorldSettings
+from drivers.simulated.world.settings import WorldSettings
+from drivers.simulated.world.world import World
 from rig.core.clock import Clock, ControlLink, SlavedClock, WallClock
 from rig.core.errors import InstrumentError
 from rig.run.streams.stream_reader import StreamReader

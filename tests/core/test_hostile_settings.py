@@ -15,7 +15,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from drivers.simulated.faults.plan import FaultPlan
-from drivers.simulated.world.world import read_world
+from drivers.simulated.world.settings import read_world
 from rig.bench.plan import parse_bench, read_bench
 from rig.core.errors import ConfigurationError, ExitCode, RigError
 from rig.core.toml_files import MAX_TOML_BYTES, MAX_TOML_LINE

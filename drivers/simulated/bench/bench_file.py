@@ -17,7 +17,7 @@ from drivers.simulated.bench.options import (
 from rig.core.toml_files import toml_value
 
 if TYPE_CHECKING:
-    from drivers.simulated.world.world import WorldSettings
+    from drivers.simulated.world.settings import WorldSettings
 
 LINK_TIMEOUT_S = 1.5
 """Wall time the bench file gives every link: a loaded machine may let a process wait for long."""
@@ -92,9 +92,9 @@ def _film_of(options: Options, world: WorldSettings) -> dict[str, Any]:
     skin. Each drop has a table of its own, because a list would reach the run file as text."""
     if options.fixture != "film-clamp":
         return {}
-    from drivers.simulated.world.world import mounted_film
+    from drivers.simulated.world.mounted_film import drawn_film
 
-    mechanics, circuit = mounted_film(world, options.seed)
+    mechanics, circuit = drawn_film(world, options.seed)
     vibrator = mechanics.model_dump(mode="json", exclude_none=True)
     drops = {f"drop_{number}": drop for number, drop in enumerate(vibrator.pop("drops"), 1)}
     return {"mounted_film": {"vibrator": vibrator | drops, "circuit": circuit.model_dump()}}

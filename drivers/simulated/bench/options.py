@@ -14,7 +14,7 @@ from rig.core.errors import ConfigurationError, shortened
 if TYPE_CHECKING:
     from drivers.simulated.faults.plan import FaultPlan
     from drivers.simulated.instruments.core import InstrumentCore
-    from drivers.simulated.world.world import WorldSettings
+    from drivers.simulated.world.settings import WorldSettings
 
 LINGER_S = 10.0
 """Time in s for which a bench continues in real time after its owner has died, so that the guard
@@ -177,7 +177,7 @@ def world_settings(options: Options) -> WorldSettings:
     Raises ConfigurationError for a file that cannot be used, and for `--world population` on the
     film clamp.
     """
-    from drivers.simulated.world.world import read_world
+    from drivers.simulated.world.settings import read_world
 
     if options.fixture == "film-clamp":
         if options.world == "population":

@@ -18,8 +18,10 @@ from drivers.simulated.world.contact_geometry import (
     PlateBelow,
     Where,
 )
+from drivers.simulated.world.mounted_skin import MountedSkin
+from drivers.simulated.world.settings import WorldSettings
 from drivers.simulated.world.skin_contact import SkinContact, SkinMountSettings
-from drivers.simulated.world.world import World, WorldSettings
+from drivers.simulated.world.world import World
 from rig.core.cache import user_cache
 from rig.core.errors import ConfigurationError
 from rig.physics.contact.settings import ContactSettings, Object, Plate
@@ -92,5 +94,5 @@ def mount_skin(
     except ValueError as error:
         raise ConfigurationError(f"World settings: {error}") from error
     body: Object = settings.head.body if isinstance(settings, HeadWorldSettings) else Plate()
-    world.mount_skin(skin, settings.strip_input, body.model_dump())
+    world.mount_instead(MountedSkin(skin, settings.strip_input, body.model_dump()))
     return VISCOUS * condensed.stiffest_N_mm

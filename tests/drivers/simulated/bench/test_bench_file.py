@@ -9,7 +9,7 @@ import pytest
 
 from drivers.simulated.bench.bench_file import Endpoints, bench_toml
 from drivers.simulated.bench.options import Fixture, Options
-from drivers.simulated.world.world import WorldSettings
+from drivers.simulated.world.settings import WorldSettings
 from rig.bench.settings import FixtureSettings
 
 

@@ -17,7 +17,8 @@ import pytest
 from drivers.simulated.bench.control import LONGEST_ADVANCE_US, ControlServer
 from drivers.simulated.bench.options import Options
 from drivers.simulated.bench.start import start
-from drivers.simulated.world.world import World, WorldSettings
+from drivers.simulated.world.settings import WorldSettings
+from drivers.simulated.world.world import World
 
 PATIENCE_S = 30.0
 

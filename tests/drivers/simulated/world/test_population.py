@@ -10,7 +10,7 @@ from drivers.simulated.bench.bench_file import Endpoints, bench_toml
 from drivers.simulated.bench.options import Fixture, Options, world_settings
 from drivers.simulated.world.plate_world import HeadWorldSettings, PlateWorldSettings
 from drivers.simulated.world.population import drawn_world
-from drivers.simulated.world.world import WorldSettings
+from drivers.simulated.world.settings import WorldSettings
 from rig.core.errors import ConfigurationError
 from rig.physics.contact.settings import Cylinder
 from rig.physics.population import PopulationSettings, Range, StripFrontEndSettings

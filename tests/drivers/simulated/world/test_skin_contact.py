@@ -11,12 +11,14 @@ import pytest
 from tiers import mostly_thorough
 
 from drivers.simulated.bench.control import ControlServer
+from drivers.simulated.faults.plan import STAGE_X, STAGE_Z
 from drivers.simulated.instruments.cmmt_settings import SimulatedCmmtSettings
 from drivers.simulated.instruments.festo_cmmt import CmmtDrive
 from drivers.simulated.world import skin_contact
 from drivers.simulated.world.axis import AxisCommand, AxisEvent
 from drivers.simulated.world.plate_world import PlateWorldSettings, mount_skin
-from drivers.simulated.world.world import STAGE_X, STAGE_Z, World, WorldSettings, read_world
+from drivers.simulated.world.settings import WorldSettings, read_world
+from drivers.simulated.world.world import World
 from rig.core.cache import DiskCache
 from rig.core.errors import ConfigurationError
 from rig.physics.contact.settings import ContactSettings, Plate

@@ -11,15 +11,14 @@ import pytest
 
 from drivers.simulated.faults.plan import FaultPlan, TimedFault
 from drivers.simulated.ports import Excitation
-from drivers.simulated.world.world import (
+from drivers.simulated.world.mounted_film import (
     AMPLIFIER_CLIP_V,
     FILM_TERMINAL,
     LOAD_CELL_TERMINAL,
-    NOISE_CHUNK,
-    World,
-    WorldSettings,
-    read_world,
 )
+from drivers.simulated.world.sampled_noise import NOISE_CHUNK
+from drivers.simulated.world.settings import WorldSettings, read_world
+from drivers.simulated.world.world import World
 from rig.core.errors import ConfigurationError
 
 RATE = 50e3
