@@ -69,7 +69,7 @@ class InterlockWatch:
         self._reasons: dict[str, str] = {}
         """Reason why each latched contact is latched, in words."""
         self._unread: set[str] = set()
-        """Contacts that count as open because they could not be read."""
+        """Contacts that are treated as open because they could not be read."""
         self._proving: str | None = None
         """Contact whose proof test is under way: it is opened on purpose."""
         self._reported: set[str] = set()
@@ -155,7 +155,7 @@ class InterlockWatch:
         return None
 
     def settle(self) -> None:
-        """Wait until every contact has been read after this call, or counts as open: before a
+        """Wait until every contact has been read after this call, or is treated as open: before a
         failure is handled it has to be known whether a contact has caused it."""
         if not self._begun:
             return
