@@ -97,6 +97,7 @@ class PressedProcedure(TrialProcedure):
     columns: ClassVar[tuple[Column, ...]] = ()
     """The columns that `reading` fills, in addition to those that every trial has. The run file
     gets a plot over the trials for each number, and the summary its mean and standard deviation."""
+    reading_hook = "reading"
 
     settings: Any
 

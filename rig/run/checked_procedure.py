@@ -158,7 +158,7 @@ class CheckedProcedure:
             reading: Any = self._procedure.take(run, point)
         fault = reading_fault(self._procedure.layout, reading)
         if fault is not None:
-            raise self._fault(f"take() returned {fault}")
+            raise self._fault(f"{self._procedure.reading_hook}() returned {fault}")
         whole: Reading = dict(reading)
         if self._has_verdict:  # what the file, the summary and the exit code go by
             try:

@@ -114,6 +114,8 @@ class Procedure(ABC):
     force_axes: ClassVar[str] = "z"
     """Axes of the force sensor that it cannot do without, such as ``xz`` for a friction. A run with
     a sensor that lacks one is refused before anything is armed."""
+    reading_hook: ClassVar[str] = "take"
+    """Name of the method whose return value becomes the reading, for messages about a wrong one."""
     point_name: ClassVar[tuple[str, str]] = ("point", "points")
     """Noun for one of its points, and for several."""
 

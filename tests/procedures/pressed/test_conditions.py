@@ -18,6 +18,7 @@ from procedures.pressed.record.reading import TrialRecord
 from rig.core.errors import ConfigurationError, InstrumentError
 from rig.files.journal.layout import Column
 from rig.files.runfile.reader import RunFile
+from rig.run.checked_procedure import CheckedProcedure, ProcedureFaultError
 from rig.run.job import RunJob
 from rig.run.points import Move
 
@@ -123,6 +124,15 @@ def test_each_force_has_its_trials_at_each_place() -> None:
     procedure = Forces(PressedSettings(trials=3))
     assert len(procedure.points()) == 3 * 2 * 2
     assert procedure._conditions() == ((1.0, 0.0), (1.0, 2.0), (3.0, 0.0), (3.0, 2.0))
+
+
+def test_a_wrong_reading_is_reported_as_that_of_the_method_that_a_subclass_writes(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(Forces, "take", lambda self, run, point: {"trial": "first"})
+    checked = CheckedProcedure(Forces(PressedSettings()))
+    with pytest.raises(ProcedureFaultError, match=r"procedure forces .*: reading\(\) returned "):
+        checked.take(None, checked.points()[0])  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("forces_N", [(), (0.0,), (-1.0, 2.0), (15.0,), (float("nan"),)])
