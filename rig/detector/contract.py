@@ -53,6 +53,9 @@ class Detector(ABC):
     """Highest sampling rate at which it judges rows as they are."""
     design_rate_Hz: ClassVar[float] = DESIGN_RATE_Hz
     """Rate to which recordings at other rates are resampled for it."""
+    saturation_V: float = math.inf
+    """Voltage at which a channel is saturated, so that resampling leaves such a row as it is. A
+    detector whose settings state it sets it when it is made."""
 
     def __init__(self, settings: core_settings.Settings, rate_Hz: float):
         """Raise ValueError for a rate at which this detector does not judge rows."""
@@ -63,8 +66,6 @@ class Detector(ABC):
                 f"{self.design_rate_Hz:g} Hz"
             )
         self.settings, self.rate_Hz = settings, rate_Hz
-        self.saturation_V = math.inf
-        """Voltage at which a channel counts as saturated, so that resampling keeps it so."""
         self._rows = 0
         self._begun = False
         self._x_mm_s: float | None = None

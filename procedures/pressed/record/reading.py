@@ -103,6 +103,8 @@ class TrialRecord:
     rows: int = 0
     """Rows of the strips' signals."""
     signal_rows: int = 0
+    clipped: dict[str, int] = field(default_factory=lambda: dict.fromkeys(STRIPS, 0))
+    """Samples of each strip at either end of the DAQ's range."""
     frames: int = 0
     frame_looks: list[tuple[float, int]] = field(default_factory=list)
     """Times on the run's clock, and the frames that had come by then since the record began; some
@@ -233,6 +235,7 @@ def reading_of(run: Run, record: TrialRecord) -> Reading:
         **columns_of(record.commands),
     }
     _warn_of_z(run, record)
+    _warn_of_clipping(run, record)
     run.check_stop()  # computing takes a while: still alive
     reading |= _touch_down(run, record, force)
     run.check_stop()
@@ -304,6 +307,22 @@ def _warn_of_z(run: Run, record: TrialRecord) -> None:
             "cannot have been; it was asked again, and the wrong answer is not in the file: check "
             "its cable and its link",
         )
+
+
+def _warn_of_clipping(run: Run, record: TrialRecord) -> None:
+    """Warn of strips whose voltage has left the range of the DAQ: the filter smooths the cut-off
+    peaks, so that the signals do not show it, and a detector judges them like any others."""
+    settings: PressedSettings = run.settings
+    for strip, samples in record.clipped.items():
+        if samples:
+            run.event(
+                "warning",
+                "clipped",
+                f"trial {record.number}: {samples} of {record.rows} samples of {strip} are at the "
+                f"end of the range of {settings.range_V:g} V: its signal and what a detector finds "
+                "in it are not to be trusted there; choose a larger --range, or a smaller gain of "
+                "its amplifier",
+            )
 
 
 def _touch_down(run: Run, record: TrialRecord, force: npt.NDArray[np.float64]) -> Reading:

@@ -182,6 +182,8 @@ class StripRecorder:
         for piece in _in_pieces([block for block, _ in waiting]):
             self._run.streams.record_raw("strips", piece)
             self._record.rows += len(piece.counts)
+            for strip in STRIPS:
+                self._record.clipped[strip] += piece.clipped(strip)
         self._record_signals(np.concatenate([volts for _, volts in waiting]))
 
     def _record_signals(self, volts: Volts) -> None:
