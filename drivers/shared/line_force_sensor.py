@@ -38,10 +38,11 @@ from pydantic import Field
 from drivers.shared.force_stream import ForceStream
 from drivers.shared.line_link import ECHO, ECHO_HINT, is_echo
 from drivers.shared.line_stream import STREAM, LineStream
-from drivers.shared.ports import READ_WAIT_S
+from drivers.shared.ports import READ_WAIT_S, SOCKET
 from rig.core.clock import Clock
 from rig.core.errors import ConfigurationError, InstrumentError, RigError
 from rig.core.settings import Address, Settings, Wiring
+from rig.core.units import counted
 from rig.instruments.roles import ForceFrames, Identity, Limits
 
 DEVICE = "force_sensor"
@@ -288,9 +289,10 @@ class LineForceSensor(ForceStream, ABC):
             why = f"parse() raised {type(error).__name__}: {error}"
             raise self._no_frame(line, why) from error
         if len(values) != len(self.axes):
-            raise self._no_frame(line, f"it has {len(values)} values, not {len(self.axes)}")
+            why = f"parse() returned {counted(len(values), 'value')}, not {len(self.axes)}"
+            raise self._no_frame(line, why)
         if np.isnan(values).any():
-            raise self._no_frame(line, "its value is not a number")
+            raise self._no_frame(line, "parse() returned a value that is not a number")
         return values
 
     def _no_frame(self, line: bytes, why: str) -> InstrumentError:
@@ -299,12 +301,17 @@ class LineForceSensor(ForceStream, ABC):
         if is_echo("\n".join(filter(None, sent)), line.decode("latin-1")):
             cause = f"the line {line[:80]!r} is not a frame but {ECHO}"
             return self._link.error(STREAM, cause, ECHO_HINT)
+        settings = self.settings
+        checks = f"check the cable, and that nothing else talks to {settings.port}"
+        if not settings.port.startswith(SOCKET):
+            checks += (
+                f", and baudrate ({settings.baudrate}) and serial_format "
+                f"({settings.serial_format}) of [force_sensor] in the bench file"
+            )
         return self._link.error(
             STREAM,
             f"the line {line[:80]!r} is not a frame of the {self.model} ({why})",
-            f"check the cable, that nothing else talks to {self.settings.port}, and, on a serial "
-            f"port, baudrate ({self.settings.baudrate}) and serial_format "
-            f"({self.settings.serial_format}) of [force_sensor] in the bench file",
+            f"{checks}; if the line is sound, correct parse() in {type(self).__module__}",
         )
 
 

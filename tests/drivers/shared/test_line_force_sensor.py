@@ -95,8 +95,10 @@ def port(monkeypatch: pytest.MonkeyPatch) -> TalkingSensor:
     return made
 
 
-def connected(kind: type[LineForceSensor] = F10, clock: Clock | None = None) -> LineForceSensor:
-    settings = LineForceSensorSettings(port="/dev/ttyUSB0", timeout_s=0.3, max_force_N=4.0)
+def connected(
+    kind: type[LineForceSensor] = F10, clock: Clock | None = None, place: str = "/dev/ttyUSB0"
+) -> LineForceSensor:
+    settings = LineForceSensorSettings(port=place, timeout_s=0.3, max_force_N=4.0)
     return kind.connect(settings, clock or ClockByHand())
 
 
@@ -170,6 +172,7 @@ def test_a_line_that_is_not_a_frame_ends_the_stream_until_it_is_started_again(
     for words in (
         *("force_sensor", "stream", repr(line), "not a frame of the F10", why),
         *("/dev/ttyUSB0", "baudrate (9600) and serial_format (8N1) of [force_sensor] in the bench"),
+        f"if the line is sound, correct parse() in {__name__}",
     ):
         assert words in said
     with pytest.raises(InstrumentError) as second:
@@ -177,6 +180,16 @@ def test_a_line_that_is_not_a_frame_ends_the_stream_until_it_is_started_again(
     assert second.value is first.value
     sensor.start(100.0)
     assert sensor.read() is None
+
+
+def test_over_tcp_nothing_is_said_of_a_serial_port(port: TalkingSensor) -> None:
+    sensor = connected(place="socket://192.168.0.40:4000")
+    sensor.start(100.0)
+    port.input = b"+0001\r\n"
+    with pytest.raises(InstrumentError) as failed:
+        sensor.read()
+    assert "that nothing else talks to socket://192.168.0.40:4000; if the" in failed.value.hint
+    assert "baudrate" not in failed.value.hint
 
 
 def test_a_line_with_too_few_values_is_an_error(port: TalkingSensor) -> None:
@@ -187,7 +200,7 @@ def test_a_line_with_too_few_values_is_an_error(port: TalkingSensor) -> None:
     port.input = b"100,-200\r\n"
     assert frames(sensor).force_N.tolist() == [[1.0, 0.0, -2.0]]
     port.input = b"100\r\n"
-    with pytest.raises(InstrumentError, match="it has 1 values, not 2"):
+    with pytest.raises(InstrumentError, match=r"parse\(\) returned 1 value, not 2"):
         sensor.read()
 
 
