@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Set
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -91,7 +92,8 @@ def motion_record(record: TrialRecord) -> MotionRecord:
 
 
 def plain(own: Mapping[str, Any], declared: Set[str], name: str) -> Reading:
-    """Return what `reading` of a procedure returned with numpy's numbers as Python's.
+    """Return what `reading` of a procedure returned with numpy's numbers as Python's, and None for
+    NaN: a run file has NaN where there is no value, and a mean must not be lost to one trial.
 
     Raises TypeError where it is not a mapping, and ValueError for a key that is not one of the
     procedure's columns: a column of every trial must not be replaced.
@@ -103,6 +105,10 @@ def plain(own: Mapping[str, Any], declared: Set[str], name: str) -> Reading:
             f"reading() of {name} returned {strangers[0]!r}, which is not the key of one of its "
             f"columns ({', '.join(sorted(declared)) or 'it has none'})"
         )
-    return {
+    items = {
         key: value.item() if isinstance(value, np.generic) else value for key, value in own.items()
+    }
+    return {
+        key: None if isinstance(value, float) and math.isnan(value) else value
+        for key, value in items.items()
     }

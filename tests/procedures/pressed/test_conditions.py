@@ -14,7 +14,9 @@ from packages import install, on_path
 
 from procedures.pressed import PressedProcedure, PressedSettings
 from procedures.pressed.hold import LOST_STEPS, ForceHold
+from procedures.pressed.record.motion import plain
 from procedures.pressed.record.reading import TrialRecord
+from procedures.pressed.settings import summary_of
 from rig.core.errors import ConfigurationError, InstrumentError
 from rig.files.journal.layout import Column
 from rig.files.runfile.reader import RunFile
@@ -124,6 +126,17 @@ def test_each_force_has_its_trials_at_each_place() -> None:
     procedure = Forces(PressedSettings(trials=3))
     assert len(procedure.points()) == 3 * 2 * 2
     assert procedure._conditions() == ((1.0, 0.0), (1.0, 2.0), (3.0, 0.0), (3.0, 2.0))
+
+
+@pytest.mark.parametrize("none", [None, float("nan"), np.float64("nan"), np.float32("nan")])
+def test_a_reading_that_is_not_a_number_is_left_out_of_the_mean(none: Any) -> None:
+    """A file has NaN for both, so that the results that are recomputed from it would differ."""
+    readings = [
+        {"invalid": "", **plain({"creep_um": value}, {"creep_um"}, "creep")}
+        for value in (1.0, none, np.float64(3.0))
+    ]
+    assert [reading["creep_um"] for reading in readings] == [1.0, None, 3.0]
+    assert summary_of(readings, ["creep_um"])["mean_creep_um"] == 2.0
 
 
 def test_a_wrong_reading_is_reported_as_that_of_the_method_that_a_subclass_writes(
