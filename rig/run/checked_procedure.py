@@ -136,7 +136,11 @@ class CheckedProcedure:
 
     def _judged(self, reading: Reading) -> str:
         with self._blamed():
-            return str(self._procedure.why_invalid(dict(reading)) or "")
+            found: Any = self._procedure.why_invalid(dict(reading)) or ""
+        if not isinstance(found, str):
+            shown = f"{_quoted(found)} ({_kind(found)})"
+            return f"why_invalid() returned {shown}, not the reason as text"
+        return found
 
     def retries_of_invalid(self) -> int:
         """Return how many times a point with an invalid reading is retaken."""

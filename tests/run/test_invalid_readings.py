@@ -181,6 +181,22 @@ def test_a_reading_of_an_earlier_version_whose_column_is_empty_is_judged_again()
     assert checked.why_invalid({"x_V": 2, "invalid": "a doubt"}) == "a doubt"
 
 
+@pytest.mark.parametrize(
+    ("returned", "reason"),
+    [
+        (True, "why_invalid() returned True (a bool), not the reason as text"),
+        (["noise"], "why_invalid() returned ['noise'] (a list), not the reason as text"),
+        (False, ""),
+        (None, ""),
+    ],
+)
+def test_a_judgement_that_is_not_a_text_is_named(
+    monkeypatch: pytest.MonkeyPatch, returned: Any, reason: str
+) -> None:
+    monkeypatch.setattr(Judged, "why_invalid", lambda self, reading: returned)
+    assert CheckedProcedure(Judged(Settings())).why_invalid({"x_V": 1}) == reason
+
+
 class Broken(Example):
     """A procedure whose first point cannot be measured, and whose summary needs a reading."""
 
