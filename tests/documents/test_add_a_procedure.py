@@ -9,6 +9,8 @@ import pytest
 from page import Page
 from tiers import mostly_nightly
 
+from rig.bench.settings import BenchSettings
+from rig.core.clock import SIGN_OF_LIFE_S
 from rig.files.runfile.reader import RunFile
 
 PAGE = "add-a-procedure.md"
@@ -132,6 +134,13 @@ def test_a_mistake_gives_the_message_that_the_page_explains(rig: Any, message: s
     failed = rig.run("creep", "--hold", "0.2", "--no-figures")
     assert failed.code not in (0, 5)
     assert message in failed.stderr
+
+
+def test_the_page_says_for_how_long_a_reading_may_compute(rig: Any) -> None:
+    text = Page(PAGE, rig).text
+    assert f"after {SIGN_OF_LIFE_S:g} s of computing the drives are no longer fed" in text
+    default_s = BenchSettings.model_fields["heartbeat_timeout_s"].default
+    assert f"after `heartbeat_timeout_s` of the bench file ({default_s:g} s)" in text
 
 
 @pytest.mark.thorough
