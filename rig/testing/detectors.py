@@ -116,22 +116,27 @@ def _instances_share_nothing(chosen: ChosenDetector) -> None:
 
 
 def _a_gap_begins_anew(chosen: ChosenDetector) -> None:
+    """Make the gap after the whole recording, and within an impulse: what is remembered for a short
+    time only must be forgotten as well."""
     rate_Hz = _rate(chosen)
     volts, begin = recording(rate_Hz), round(1.302 * rate_Hz)  # within an impulse
-    detector = chosen.make(rate_Hz)
-    detector.add(volts)
-    first = len(volts) + 10
-    behind = detector.add(volts[begin:], first_sample=first)
-    gaps = [one for one in behind if one.reason.startswith("gap of 10 samples")]
-    assert gaps, f"a gap of 10 samples: events {behind}"
-    assert detector.rows == first + len(volts) - begin, "rows do not include those missing"
     fresh = chosen.make(rate_Hz).add(volts[begin:])
-    moved = [
-        dataclasses.replace(one, sample=one.sample - first, time_s=(one.sample - first) / rate_Hz)
-        for one in behind
-        if one not in gaps
-    ]
-    _same(moved, fresh, "rows behind a gap, beside the same rows of a new recording")
+    for before in (len(volts), begin):
+        detector = chosen.make(rate_Hz)
+        detector.add(volts[:before])
+        first = before + 10
+        behind = detector.add(volts[begin:], first_sample=first)
+        gaps = [one for one in behind if one.reason.startswith("gap of 10 samples")]
+        assert gaps, f"a gap of 10 samples: events {behind}"
+        assert detector.rows == first + len(volts) - begin, "rows do not include those missing"
+        moved = [
+            dataclasses.replace(
+                one, sample=one.sample - first, time_s=(one.sample - first) / rate_Hz
+            )
+            for one in behind
+            if one not in gaps
+        ]
+        _same(moved, fresh, "rows behind a gap, beside the same rows of a new recording")
 
 
 def _rows_that_cannot_be_are_refused(chosen: ChosenDetector) -> None:

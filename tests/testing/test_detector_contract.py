@@ -87,6 +87,32 @@ class WithoutReset(Steps):
         self.above = getattr(self, "above", True)
 
 
+class CountsAcrossAGap(Steps):
+    """Reports the third step within 0.1 s, and does not forget the steps before a gap."""
+
+    def __init__(self, settings: Any, rate_Hz: float):
+        super().__init__(settings, rate_Hz)
+        self.row = 0
+        self.steps: list[int] = []
+
+    def reset(self) -> None:
+        """Forgets only which row is next."""
+        super().reset()
+        self.row = 0
+
+    def judge(self, volts: np.ndarray) -> list[SlipEvent]:
+        """Counts the steps of the last 0.1 s."""
+        events = []
+        for row in range(len(volts)):
+            self.row += 1
+            if super().judge(volts[row : row + 1]):
+                self.steps.append(self.row)
+                if len(self.steps) == 3:
+                    events.append(self.event("incipient slip", row, 0.5))
+            self.steps = [one for one in self.steps if one > self.row - round(self.rate_Hz / 10)]
+        return events
+
+
 class Tolerant(Steps):
     """Takes anything."""
 
@@ -187,6 +213,14 @@ def test_each_check_finds_its_fault(what: str, installed: Callable[[type[Detecto
     installed(FAULTS[what])
     with pytest.raises(AssertionError):
         checks_of("lab")[what]()
+
+
+def test_what_is_remembered_for_a_moment_across_a_gap_is_found(
+    installed: Callable[[type[Detector]], None],
+) -> None:
+    installed(CountsAcrossAGap)
+    with pytest.raises(AssertionError, match="rows behind a gap"):
+        checks_of("lab")["a-gap-begins-anew"]()
 
 
 def test_every_check_has_a_fault_that_it_finds() -> None:
