@@ -106,7 +106,8 @@ def test_a_detector_is_not_scored_on_trials_that_it_has_seen(tmp_path):
             "tuned_on": {"first": 1000005, "end": 1000006}}  # fmt: skip
     file = tmp_path / "seen.json"
     file.write_text(json.dumps({"baselines": [seen]}))
-    line = refused("--seeds", "1000000:1000010", "--baseline-settings", file)
+    given = ("--seeds", "1000000:1000010", "--out", tmp_path / "out")
+    line = refused(*given, "--baseline-settings", file)
     assert "wavelet was tuned on seeds 1000005:1000006 and is to be scored on" in line
 
 
