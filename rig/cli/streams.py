@@ -63,8 +63,9 @@ class LastingStream(io.TextIOWrapper):
 
 
 def outlast_readers() -> None:
-    """Install safe stdout and stderr. Those that were closed from the start go to /dev/null, so
-    that no file of the run gets their descriptor."""
+    """Install safe stdout and stderr. Standard files that were closed from the start are
+    /dev/null, so that no file of the run gets their descriptor; a stdin that was closed is one that
+    has ended."""
     for file in STANDARD_FILES:
         try:
             os.fstat(file)
@@ -72,6 +73,8 @@ def outlast_readers() -> None:
             os.open(
                 os.devnull, os.O_RDWR
             )  # open() returns the lowest free descriptor, which is this one.
+    if sys.stdin is None:  # closed before Python started
+        sys.stdin = open(0, closefd=False, encoding=locale.getencoding())  # noqa: SIM115
     sys.stdout, sys.stderr = LastingStream(1), LastingStream(2)
 
 

@@ -72,6 +72,20 @@ def test_a_line_that_is_not_taken_keeps_nobody_waiting() -> None:
         continued.set()
 
 
+def test_a_stdin_that_was_closed_from_the_start_is_one_that_has_ended() -> None:
+    """Python has no `sys.stdin` then, and the questions to a person were internal errors."""
+    code = """
+import sys
+assert sys.stdin is None
+from rig.cli.streams import outlast_readers
+outlast_readers()
+assert not sys.stdin.isatty()
+assert sys.stdin.fileno() == 0
+assert sys.stdin.read() == ""
+"""
+    subprocess.run(["sh", "-c", '"$0" -c "$1" <&-', sys.executable, code], check=True)
+
+
 def fill(pipe: int) -> None:
     """Fill a pipe through another description of it: the program's own shall wait."""
     filling = os.open(f"/proc/self/fd/{pipe}", os.O_WRONLY | os.O_NONBLOCK)
