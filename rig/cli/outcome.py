@@ -42,7 +42,8 @@ def start_log(results: Path) -> None:
 def reported(debug: bool = False, as_json: bool = False) -> Iterator[None]:
     """Turn an exception of a command into one line and an exit code; ``--debug`` shows tracebacks.
 
-    With `as_json` stdout gets an object even for a command that could not begin.
+    With `as_json` stdout gets an object even for a command that could not begin, or that Ctrl-C has
+    stopped.
     """
     try:
         yield
@@ -51,8 +52,9 @@ def reported(debug: bool = False, as_json: bool = False) -> Iterator[None]:
     except (OSError, ImportError, MemoryError) as error:
         raise typer.Exit(report(of_the_computer(error), debug, as_json)) from None
     except KeyboardInterrupt:
-        say("stopped by Ctrl-C; this command left nothing running")
-        raise typer.Exit(int(ExitCode.SIGINT)) from None
+        stopped = RigError("stopped by Ctrl-C", "this command left nothing running")
+        stopped.code = ExitCode.SIGINT
+        raise typer.Exit(report(stopped, debug, as_json)) from None
 
 
 def of_the_computer(error: OSError | ImportError | MemoryError) -> RigError:
@@ -76,8 +78,10 @@ def of_the_computer(error: OSError | ImportError | MemoryError) -> RigError:
     return failure
 
 
-def report(error: RigError, debug: bool = False, as_json: bool = False) -> int:
-    """Report why a command has not begun; return its exit code."""
+def report(
+    error: RigError, debug: bool = False, as_json: bool = False, file: Path | None = None
+) -> int:
+    """Report why a command has not begun, or has not begun with a `file`; return its exit code."""
     stopped = error.code in STOPPED_BY_SIGNAL
     if stopped:
         say(error.one_line())
@@ -85,7 +89,7 @@ def report(error: RigError, debug: bool = False, as_json: bool = False) -> int:
         say_failure(error, debug)
     if as_json:
         nothing_done: dict[str, object] = {
-            "file": None,
+            "file": None if file is None else str(file),
             "outcome": "stopped" if stopped else "failed",
             "exit": int(error.code),
             "simulated": None,

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from rig.cli.options.shared import AnyFiles, Debug
-from rig.cli.outcome import of_the_computer, print_json, reported, say, say_all, say_failure
+from rig.cli.outcome import of_the_computer, print_json, report, reported, say, say_all
 from rig.cli.show.words import contents_in_words, value_lines, with_results_in_words
 from rig.core.errors import ConfigurationError, ExitCode, RigError
 from rig.core.text import printable
@@ -56,12 +56,14 @@ def show(
     debug: Debug = False,
 ) -> None:
     """Summarise a run file, processed file, journal or file of rig skin on one screen."""
-    with reported(debug):
+    with reported(debug, as_json):
         if overlay:
             from rig.figures.overlay import draw_overlay
 
             drawn = draw_overlay(files, figures_to, pdf)
             _report_drawn(drawn, say if as_json else _print, debug)
+            if as_json:
+                print_json({"files": _texts(files), "figures": _texts(drawn.files)})
             return
         draws = figures or pdf or figures_to is not None
         how: _How = "json" if as_json else "all" if all_settings else "brief"
@@ -72,16 +74,16 @@ def show(
                 drawable, why_nothing = _show_file(path, how, debug)
                 if not draws:
                     continue
-                report = say if as_json else _print
+                shown = say if as_json else _print
                 if not why_nothing:
                     say(f"{path}: its figures were drawn when it was computed, beside it")
-                elif not drawable or not _draw(path, figures_to, pdf, report, debug):
+                elif not drawable or not _draw(path, figures_to, pdf, shown, debug):
                     not_drawn.append(f"{path}: {why_nothing}")
             except (RigError, OSError) as error:
                 if len(files) == 1:
                     raise
                 failures.append(error if isinstance(error, RigError) else of_the_computer(error))
-                say_failure(failures[-1], debug)
+                report(failures[-1], debug, as_json, path)
         if draws and len(files) == 2 and not failures:
             _draw_beside(files, figures_to, pdf, say if as_json else _print)
         for line in not_drawn:
@@ -236,25 +238,29 @@ def _draw_beside(
 
 
 def _draw(
-    file: Path, folder: Path | None, pdf: bool, report: Callable[[str], None], debug: bool
+    file: Path, folder: Path | None, pdf: bool, shown: Callable[[str], None], debug: bool
 ) -> bool:
     """Draw the figures of a file and report where they are and which one has failed; return whether
     there is any, or a warning of what has failed."""
     from rig.figures.drawing import draw
 
     drawn = draw(file, folder, pdf)
-    _report_drawn(drawn, report, debug)
+    _report_drawn(drawn, shown, debug)
     return bool(drawn.files or drawn.warnings)
 
 
-def _report_drawn(drawn: Drawn, report: Callable[[str], None], debug: bool) -> None:
+def _report_drawn(drawn: Drawn, shown: Callable[[str], None], debug: bool) -> None:
     """Report where figures are, and what could not be drawn, with tracebacks for `debug`."""
     for picture in drawn.files:
-        report(f"figure: {picture}")
+        shown(f"figure: {picture}")
     for warning in drawn.warnings:
         say(f"warning: {warning}")
     for trace in drawn.tracebacks if debug else ():
         say_all(trace)
+
+
+def _texts(paths: Sequence[Path]) -> list[str]:
+    return [str(path) for path in paths]
 
 
 def _say_all(lines: Sequence[str]) -> None:

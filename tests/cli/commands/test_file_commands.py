@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -93,3 +94,22 @@ def test_many_warnings_leave_the_rest_of_a_run_on_the_screen(rig: Any) -> None:
     assert len(short.stdout.splitlines()) <= 23
     assert rig.run("show", "--all", "run.rigj").stdout.count("taken again") == 35
     assert rig.run("show", "--json", "run.rigj").stdout.count("taken again") == 35
+
+
+def test_every_file_of_a_show_as_json_has_its_object_also_one_that_cannot_be_read(rig: Any) -> None:
+    with JournalWriter.create(rig.folder / "run.rigj", run.header()) as writer:
+        writer.end(run.end("stopped", 0))
+    alone = rig.run("show", "--json", "absent.h5")
+    assert alone.code == 2
+    assert json.loads(alone.stdout)["errors"] == ["absent.h5: no such file"]
+
+    several = rig.run("show", "--json", "run.rigj", "absent.h5", "run.rigj")
+    assert several.code == 2
+    objects = [json.loads(line) for line in several.stdout.splitlines()]
+    assert [one["file"] for one in objects] == ["run.rigj", "absent.h5", "run.rigj"]
+    assert (objects[1]["outcome"], objects[1]["exit"]) == ("failed", 2)
+    assert objects[1]["errors"] == ["absent.h5: no such file"]
+
+    overlay = rig.run("show", "--json", "--overlay", "run.rigj")
+    assert overlay.code == 2
+    assert "name two or more" in json.loads(overlay.stdout)["errors"][0]
