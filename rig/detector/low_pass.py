@@ -168,7 +168,7 @@ def _with_stop_band_from(settings: LowPassSettings, stop_Hz: float, rate_Hz: flo
         largest = np.abs(frequency_response(taps, stop_band, rate_Hz)).max()
         return bool(largest <= 10 ** (-settings.stop_dB / 20))
 
-    half = _shortest(settings, rate_Hz, attenuates, f"stop_Hz {stop_Hz:g} Hz")
+    half = _shortest(settings, rate_Hz, attenuates, f"stop_Hz {stop_Hz:g} Hz with ")
     return _prototype(settings, half, settings.stop_dB, rate_Hz)
 
 
@@ -183,7 +183,7 @@ def _with_lag(settings: LowPassSettings, lag_deg: float, rate_Hz: float) -> Real
         taps = minimum_phase(_prototype(settings, half, stop_dB, rate_Hz))
         return _lag_deg(frequency_response(taps, settings.lag_Hz, rate_Hz))
 
-    shortest = _shortest(settings, rate_Hz, lambda half: True, "half_power_Hz")
+    shortest = _shortest(settings, rate_Hz, lambda half: True, "")
     least = lag_of(shortest, settings.stop_dB)
     if lag_deg < least:
         nyquist = rate_Hz / 2
@@ -201,7 +201,7 @@ def _with_lag(settings: LowPassSettings, lag_deg: float, rate_Hz: float) -> Real
         settings,
         rate_Hz,
         lambda n: lag_of(n, settings.stop_dB) >= lag_deg,
-        f"lag_deg {lag_deg:g} deg",
+        f"lag_deg {lag_deg:g} deg with ",
     )
 
     def error(stop_dB: float) -> float:
@@ -219,7 +219,8 @@ def _shortest(
     """Return the fewest taps on either side of the middle one for which the filter can be -3 dB at
     the required frequency and `holds` is true.
 
-    `holds` must be monotonic: what is true for some number of taps is true for more.
+    `holds` must be monotonic: what is true for some number of taps is true for more. `asked` states
+    in an error what it asks for, followed by " with "; it is empty if `holds` asks for nothing.
     """
 
     def able(half: int) -> bool:
@@ -232,7 +233,7 @@ def _shortest(
         high *= 2
         if 2 * high + 1 > MOST_TAPS:
             raise ValueError(
-                f"{asked} with half_power_Hz {settings.half_power_Hz:g} Hz and stop_dB "
+                f"{asked}half_power_Hz {settings.half_power_Hz:g} Hz and stop_dB "
                 f"{settings.stop_dB:g} dB would need more than {MOST_TAPS} taps at {rate_Hz:g} Hz: "
                 "the gain would have to fall too steeply. Widen the transition or sample slower"
             )

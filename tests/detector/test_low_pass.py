@@ -92,6 +92,8 @@ def test_too_little_lag_is_refused_with_bodes_bound():
 def test_too_steep_a_filter_is_refused():
     with pytest.raises(ValueError, match=r"lag_deg 60 deg .* more than 20001 taps at 1000 Hz"):
         design_low_pass(LowPassSettings(lag_deg=60.0), 1000.0)
+    with pytest.raises(ValueError, match=r"^half_power_Hz 28 Hz and stop_dB 73.5 dB would need"):
+        design_low_pass(LowPassSettings(), 1e9)
 
 
 @pytest.mark.parametrize(
