@@ -68,3 +68,17 @@ def test_a_long_record_is_computed_while_its_time_passes_and_not_while_the_link_
         bench.wait()
     assert len(content) == 2 * 2 * 640_000
     assert read_s - passed_s < 0.25 * (read_s - begun_s)
+
+
+def test_a_log_that_cannot_be_written_is_an_error_of_the_option(tmp_path: Path) -> None:
+    path = tmp_path / "missing" / "world.log"
+    bench = simulated.start({"world_log": str(path)})
+    try:
+        with pytest.raises(
+            ConfigurationError, match=f"{path}: No such file or directory"
+        ) as raised:
+            bench.ready()
+        assert raised.value.hint is not None
+        assert "--world-log" in raised.value.hint
+    finally:
+        bench.wait()
