@@ -287,7 +287,7 @@ def _tuning_seeds(option: str, text: str | None) -> SeedRange | None:
 
     if text is None:
         return None
-    drawn = seed_range(text, option)
+    drawn = seed_range(text, option, "0:100")
     if not drawn.tunes:
         raise ConfigurationError(
             f"{option} {text}: seeds from {FIRST_REPORTING_SEED} on are reserved for reporting; "

@@ -58,9 +58,11 @@ class SeedRange(Settings):
         return self.end <= FIRST_REPORTING_SEED
 
 
-def seed_range(text: str, option: str = "--seeds") -> SeedRange:
+def seed_range(
+    text: str, option: str = "--seeds", example: str = f"{FIRST_REPORTING_SEED}:1000100"
+) -> SeedRange:
     """Return the range written as ``FIRST:END``, END excluded. Raises ConfigurationError for any
-    other text.
+    other text, with an `example` of what the option takes.
 
     >>> len(seed_range("1000000:1000100"))
     100
@@ -69,7 +71,7 @@ def seed_range(text: str, option: str = "--seeds") -> SeedRange:
     if match is None or int(match[2]) <= int(match[1]):
         raise ConfigurationError(
             f"{option} {text}: not a range of seeds",
-            f"write FIRST:END with END above FIRST, for example {FIRST_REPORTING_SEED}:1000100",
+            f"write FIRST:END with END above FIRST, for example {example}",
         )
     return SeedRange(first=int(match[1]), end=int(match[2]))
 

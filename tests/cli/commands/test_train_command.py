@@ -110,6 +110,7 @@ def test_trials_that_share_samples_or_days_are_never_on_both_sides(tmp_path: Pat
         (("--seeds", "1000000:1000010"), "are reserved for reporting; no detector is trained"),
         (("--wire", "999999:1000001"), "--wire 999999:1000001: seeds from 1000000 on are reserved"),
         (("--wire", "many"), "--wire many: not a range of seeds"),
+        (("--seeds", "0:0"), "for example 0:100"),
         (("--files", "missing.csv"), "missing.csv"),
         (("--wire", "0:5", "--population", "p.json"), "--population changes trials of the skin"),
         (("--wire", "0:5", "--front-end", "f.json"), "--front-end changes trials of the skin"),
