@@ -89,7 +89,7 @@ def perform(arguments: Sequence[str]) -> None:
         code = app(arguments, standalone_mode=False)
     except typer.TyperException as error:
         hint = "see rig --help"
-        code = report(ConfigurationError(error.format_message(), hint), as_json=True)
+        code = report(ConfigurationError(error.format_message().rstrip("."), hint), as_json=True)
     sys.exit(code)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import signal
 import subprocess
 import sys
@@ -37,6 +38,12 @@ def test_help_imports_nothing_expensive(arguments: tuple[str, ...]) -> None:
     shown = rig(*arguments)
     assert shown.stderr.splitlines()[-1] == "imported:", shown.stderr
     assert "Usage: " in shown.stdout + shown.stderr
+
+
+def test_a_command_line_that_cannot_be_parsed_is_one_sentence_of_its_object() -> None:
+    refused = rig("show", "--json")
+    (error,) = json.loads(refused.stdout)["errors"]
+    assert error == "Missing argument 'FILE'; see rig --help"
 
 
 def test_help_lists_every_procedure_with_its_summary_and_every_command() -> None:
