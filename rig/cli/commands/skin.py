@@ -354,7 +354,7 @@ def _instants(
     whole = trial.truth.whole_slip_s[settings.ridge - 1]
     middle = whole if np.isfinite(whole) else (trial.motion_s + trial.time_s[-1]) / 2
     times = sorted(at) if at else [trial.motion_s, float(middle), float(trial.time_s[-1])]
-    _within(times, 0.0, float(trial.time_s[-1]), "s")
+    _within(times, 0.0, float(trial.time_s[-1]), " s")
     contact = settings.contact
     forces = trial.block.forces_N
     felt = relaxed_forces(forces, contact.relaxation_time_ms, contact.step_us)
@@ -370,16 +370,16 @@ def _instants(
 def _steps(at: list[float] | None, last: int) -> list[int]:
     """Return the requested steps, or one of each part of the history."""
     if at:
-        _within(at, 1, last, "(a step)")
+        _within(at, 1, last, "", " (a step)")
         return sorted({round(step) for step in at})
     return sorted({min(step, last) for step in (140, 290, 440, last)})
 
 
-def _within(at: list[float], first: float, last: float, unit: str) -> None:
+def _within(at: list[float], first: float, last: float, unit: str, what: str = "") -> None:
     for value in at:
         if not first <= value <= last:
             raise ConfigurationError(
-                f"--at {value:g} {unit} must lie between {first:g} and {last:g}: "
+                f"--at {value:g}{unit}{what} must lie between {first:g}{unit} and {last:g}{unit}: "
                 "outside it there is nothing to draw"
             )
 

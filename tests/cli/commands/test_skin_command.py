@@ -288,6 +288,7 @@ def test_every_figure_says_that_it_is_simulated(tmp_path: Path, monkeypatch):
         (["history", "--relief", "none"], "--relief none: must be one of normal_raised"),
         (["slide", "--settings", "nowhere.json"], "nowhere.json: No such file"),
         (["history", "--at", "600"], "--at 600 (a step) must lie between 1 and 550"),
+        (["slide", "--elements", "2", "--at", "9s"], "--at 9 s must lie between 0 s and 0.8501 s"),
         (["map", "--settings", "/dev/null"], "/dev/null: not a regular file"),
     ],
 )
