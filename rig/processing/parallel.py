@@ -226,6 +226,7 @@ def _connected(scheduler: str) -> Iterator[Any]:
     and has not begun is given up."""
     try:
         from distributed import Client
+        from distributed.comm.addressing import get_address_host_port
     except ImportError as error:
         raise ConfigurationError(
             f"--scheduler {scheduler}: the package distributed is not installed",
@@ -233,6 +234,8 @@ def _connected(scheduler: str) -> Iterator[Any]:
         ) from error
     logging.getLogger("distributed").setLevel(logging.CRITICAL)  # failures come as results
     try:
+        # A client that fails at the address leaves a half-made one, whose end waits and complains.
+        get_address_host_port(scheduler)
         client = Client(scheduler, timeout=CONNECT_S, set_as_default=False)
     except (OSError, ValueError, TypeError) as error:
         raise ConfigurationError(

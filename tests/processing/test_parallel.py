@@ -97,3 +97,14 @@ def test_one_file_may_be_read_apart_from_the_command() -> None:
 def test_a_cluster_that_is_not_there_is_a_usage_error() -> None:
     with pytest.raises(ConfigurationError, match=r"--scheduler nowhere: no Dask scheduler"):
         list(completed(square, range(2), 1, "nowhere"))
+
+
+def test_an_address_that_is_none_is_refused_without_a_client(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A client that was half made waited for 20 s at its end, and printed a traceback."""
+    made: list[object] = []
+    monkeypatch.setattr("distributed.Client.__init__", lambda self, *_, **__: made.append(self))
+    with pytest.raises(ConfigurationError, match="missing port number"):
+        list(completed(square, range(2), 1, "nowhere"))
+    assert not made
