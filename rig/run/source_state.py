@@ -12,6 +12,16 @@ from pathlib import Path
 BUILT_FROM = Path(__file__).resolve().parents[1] / "commit.txt"
 """File that a build has added to the package: the commit that it was built from."""
 
+STATUS = (
+    *("status", "--porcelain=v2", "--branch", "--untracked-files=no"),
+    *("--no-ahead-behind", "--no-renames"),
+)
+"""Not `git describe --dirty`: it rewrites the index of the repository, also with
+``--no-optional-locks``, and where it is ended meanwhile (``ulimit -f``, the time limit) it leaves a
+lock on it, with which `git commit` refuses to work."""
+COMMIT = "# branch.oid "
+"""Header of the status with the commit's hash, or "(initial)"."""
+
 
 @cache
 def source_state() -> str:
@@ -32,8 +42,8 @@ def commit_of(folder: Path) -> str:
     if not (folder / ".git").exists():
         return ""
     try:
-        described = subprocess.run(
-            ["git", "describe", "--always", "--dirty=+dirty", "--abbrev=40", "--exclude=*"],
+        state = subprocess.run(
+            ["git", "--no-optional-locks", *STATUS],
             cwd=folder,
             capture_output=True,
             text=True,
@@ -42,4 +52,8 @@ def commit_of(folder: Path) -> str:
         )
     except (OSError, subprocess.SubprocessError):
         return ""
-    return described.stdout.strip()
+    headers = [line for line in state.stdout.splitlines() if line.startswith("# ")]
+    commit = next((line.split()[-1] for line in headers if line.startswith(COMMIT)), "")
+    if not commit or commit == "(initial)":
+        return ""
+    return commit if len(headers) == len(state.stdout.splitlines()) else f"{commit}+dirty"
