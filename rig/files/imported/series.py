@@ -38,6 +38,8 @@ ROUND_TOLERANCE = 0.01
 """Largest shift of the last row when a measured rate is rounded, as a share of the period; more
 where the times are less even than that."""
 LOWEST_RATE_Hz, HIGHEST_RATE_Hz = 1.0, 1e7
+STATED_RATE = "--rate is"
+"""How a message names the rate of the option, as opposed to one of the file's."""
 SLOW_Hz = 500.0
 """Rate below which no detector of this project judges a recording: what is faster than half of it
 is lost, and the impulse of a slip lies between 100 and 400 Hz."""
@@ -315,7 +317,7 @@ def _common_rate(
     """Return the stated rate of the samples or the file's own; they have to agree. Header and times
     of a file are of its rows, each of which holds `samples` of them."""
     own_Hz = None if source.rate_Hz is None else source.rate_Hz * samples
-    known = [("--rate is", stated.rate_Hz), ("the header says", own_Hz)]
+    known = [(STATED_RATE, stated.rate_Hz), ("the header says", own_Hz)]
     if times_s is not None:
         known.append(("the times say", uniform_rate(times_s, source, name) * samples))
     rates = [(whose, rate) for whose, rate in known if rate is not None]
@@ -339,7 +341,9 @@ def _check_rate(whose: str, rate_Hz: float, name: str) -> None:
         raise ForeignFileError(
             name,
             f"{whose} {rate_Hz:g} Hz: has to be {LOWEST_RATE_Hz:g} to {HIGHEST_RATE_Hz:g} Hz",
-            "where times are not in s, say so with --scale time=1ms",
+            "correct --rate"
+            if whose == STATED_RATE
+            else "where times are not in s, say so with --scale time=1ms",
         )
 
 

@@ -81,6 +81,10 @@ def test_an_import_can_be_verified_and_shown_like_any_run(rig: Any) -> None:
         (("--time", "1"), "labelled mV"),
         (("--time", "1", "--rate", "2kHz", "--scale", "v_1=1mV"), "--rate is 2000 Hz and the"),
         (("--scale", "v_1=1mV"), "sampling rate unknown"),
+        (
+            ("--rate", "-1kHz", "--scale", "v_1=1mV"),
+            "--rate is -1000 Hz: has to be 1 to 1e+07 Hz; correct --rate",
+        ),
         (("--rate", "1kN"), "--rate 1kN: 'kN' does not convert to Hz"),
         (("--rate", "0"), "--rate 0: has to be a finite number of Hz, not 0"),
         (("--rate", "1kHz", "--scale", "F_n=1N"), "--scale F_n: no such channel in --channels"),
