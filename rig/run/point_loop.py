@@ -86,6 +86,8 @@ class PointLoop:
         """
         self._points = tuple(points)
         self._outcome.points_done = len(self._readings)
+        for point_id, reading in self._readings.items():  # an earlier attempt's warnings are gone
+            self._note_invalid(point_id, reading)
         self._record_plan()
         further = self._procedure.refine(self.readings())
         if further:
@@ -129,6 +131,17 @@ class PointLoop:
             self._observers.point_recorded(
                 self._outcome.points_done, len(self._points), point, reading
             )
+            if invalid := self._note_invalid(point.id, reading):
+                self._observers.event("warning", invalid)
+
+    def _note_invalid(self, point_id: str, reading: Reading) -> str:
+        """Record that a reading is invalid, however the run ends; return that in words, "" for a
+        valid one."""
+        if not (why := self._procedure.why_invalid(reading)):
+            return ""
+        text = f"{point_id} is invalid: {why}"
+        self._run.event("warning", "invalid", text)
+        return text
 
     # --- one point, and what disturbs it ----------------------------------------------------------
 

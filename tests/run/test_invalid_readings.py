@@ -16,6 +16,7 @@ from rig.files.journal.layout import Column
 from rig.files.runfile.reader import RunFile
 from rig.run.checked_procedure import CheckedProcedure
 from rig.run.context import Run
+from rig.run.observers import RunObserver
 from rig.run.points import Point, Reading, RetakeError
 from rig.run.procedure import Procedure
 
@@ -55,6 +56,42 @@ def test_a_procedure_says_how_often_an_invalid_point_is_retaken(
     repeated = {one for one in taken if taken.count(one) > 1}
     words = "an attempt was invalid: too noisy"
     assert {one for one in taken if f"{one}: {words}" in outcome.warnings} == repeated
+
+
+class Ends(Doubtful):
+    """A procedure whose second point cannot be measured."""
+
+    def take(self, run: Run, point: Point) -> Reading:
+        if point.id == "second":
+            raise ConfigurationError("not today")
+        return super().take(run, point)
+
+
+class Watched(RunObserver):
+    """What a person sees during the run."""
+
+    def __init__(self) -> None:
+        self.said: list[str] = []
+
+    def event(self, level: str, message: str) -> None:
+        self.said.append(f"{level}: {message}")
+
+    def point_recorded(self, number: int, total: int, point: Point, reading: Reading) -> None:
+        self.said.append(f"{number}/{total} {point.id}")
+
+
+def test_why_a_recorded_reading_is_invalid_is_said_at_once_and_however_the_run_ends(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    watched = Watched()
+    outcome = run_of(Ends(Settings()), tmp_path, monkeypatch, watched)
+    assert outcome.status == "failed"
+    why = "first is invalid: too noisy"
+    assert watched.said[:2] == ["1/2 first", f"warning: {why}"]
+    assert outcome.warnings == [why]
+    assert outcome.file is not None
+    with RunFile.open(outcome.file) as run:
+        assert run.outcome.warnings == (why,)
 
 
 class GivesUp(Example):
