@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple
 
 from rig.batch.plan.conditions import BatchCondition
+from rig.core.errors import ExitCode
+from rig.core.units import counted
 
 RunState = Literal["queued", "running", "done", "failed", "set-aside"]
 Ending = Literal["complete", "stopped", "failed", "died"]
@@ -91,3 +93,23 @@ class RunRow:
     points_done: int
     points_planned: int
     attempts: int
+    procedure: str
+    trials: int | None = None
+    """Trials that its summary is about; None where it says nothing of that."""
+    valid_trials: int | None = None
+
+    @property
+    def doubt(self) -> str:
+        """What a run that is done says of invalid points: ``0 of 2 trials valid``; "" if all are
+        valid."""
+        if self.state != "done" or self.code != ExitCode.FINISHED_WITH_FAILURES:
+            return ""
+        return valid_of({"trials": self.trials, "valid_trials": self.valid_trials})
+
+
+def valid_of(summary: Mapping[str, Any]) -> str:
+    """Return how many trials of a run with invalid points are valid, by its summary."""
+    trials, valid = summary.get("trials"), summary.get("valid_trials")
+    if not isinstance(trials, int) or not isinstance(valid, int):
+        return "some points are invalid"
+    return f"{valid} of {counted(trials, 'trial')} valid"

@@ -12,7 +12,16 @@ from typing import Any, Self
 from rig.batch.plan.conditions import BatchCondition
 from rig.batch.queue_file import connected
 from rig.batch.queue_records import Claim, RemainingWork, RunRow, RunState
+from rig.core.errors import ExitCode
 
+ROW = (
+    "number, condition, repeat, state, code, reason, bench_s, points_done, points_planned,"
+    " (SELECT count(*) FROM attempt a WHERE a.run = run.number) AS attempts,"
+    " (SELECT procedure FROM condition c WHERE c.id = run.condition) AS procedure,"
+    " json_extract(summary, '$.trials') AS trials,"
+    " json_extract(summary, '$.valid_trials') AS valid_trials"
+)
+"""Columns of a `RunRow`."""
 AT_ONCE = 1000
 """Number of runs that are read at once."""
 
@@ -100,9 +109,7 @@ class QueueView:
         """Yield the runs in the order of the queue, in constant memory."""
         where = f"WHERE state IN ({','.join('?' * len(states))})" if states else ""
         cursor = self._sql.execute(
-            "SELECT number, condition, repeat, state, code, reason, bench_s, points_done,"
-            " points_planned, (SELECT count(*) FROM attempt a WHERE a.run = run.number) AS attempts"
-            f" FROM run {where} ORDER BY number",
+            f"SELECT {ROW} FROM run {where} ORDER BY number",
             tuple(states),
         )
         while rows := cursor.fetchmany(AT_ONCE):
@@ -112,13 +119,22 @@ class QueueView:
     def latest(self, states: Sequence[RunState], most: int) -> list[RunRow]:
         """Return the runs that ended last, latest first."""
         cursor = self._sql.execute(
-            "SELECT number, condition, repeat, state, code, reason, bench_s, points_done,"
-            " points_planned, (SELECT count(*) FROM attempt a WHERE a.run = run.number) AS attempts"
-            f" FROM run WHERE state IN ({','.join('?' * len(states))}) AND ended IS NOT NULL"
-            " ORDER BY number DESC LIMIT ?",
+            f"SELECT {ROW} FROM run WHERE state IN ({','.join('?' * len(states))})"
+            " AND ended IS NOT NULL ORDER BY number DESC LIMIT ?",
             (*states, most),
         )
         return [RunRow(**dict(row)) for row in cursor]
+
+    def invalid(self, most: int) -> tuple[int, list[RunRow]]:
+        """Return the number of runs that are done and have invalid points, and the latest of
+        them, latest first."""
+        where = "FROM run WHERE state = 'done' AND code = ?"
+        code = int(ExitCode.FINISHED_WITH_FAILURES)
+        number = self._sql.execute(f"SELECT count(*) {where}", (code,)).fetchone()[0]
+        cursor = self._sql.execute(
+            f"SELECT {ROW} {where} ORDER BY number DESC LIMIT ?", (code, most)
+        )
+        return int(number), [RunRow(**dict(row)) for row in cursor]
 
     def references(self) -> list[BatchCondition]:
         """Return the conditions that are references, in the order of the batch file."""

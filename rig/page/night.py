@@ -85,7 +85,7 @@ def _row(row: RunRow) -> dict[str, Any]:
         "repeat": row.repeat,
         "state": row.state,
         "code": row.code,
-        "reason": row.reason[:300],
+        "reason": row.reason[:300] or row.doubt,
         "bench_s": row.bench_s,
         "points": f"{row.points_done}/{row.points_planned}" if row.points_planned else "",
         "attempts": row.attempts,

@@ -48,7 +48,7 @@ from rig.batch.plan.policy import after_failure, kind_of, reason_to_end
 from rig.batch.plan.procedures import installed, procedure_of
 from rig.batch.queue import Queue, give_up
 from rig.batch.queue_file import QueueWriteError
-from rig.batch.queue_records import AttemptResult, Claim
+from rig.batch.queue_records import AttemptResult, Claim, valid_of
 from rig.core.errors import ExitCode, RigError
 from rig.core.threads import thread_remains
 from rig.core.units import counted
@@ -196,7 +196,7 @@ class Worker:
         self._queue.wait_for_disk = give_up
         with contextlib.suppress(QueueWriteError):
             self._queue.set_meta("state", text)
-            self._queue.add_event("info" if code == ExitCode.DONE else "warning", text)
+            self._queue.add_event("info" if state == "complete" else "warning", text)
         self._send("end", state=state, text=why, code=int(code))
 
     # --- one run --------------------------------------------------------------------------------
@@ -296,6 +296,9 @@ class Worker:
         noun = ("point", "points")
         with contextlib.suppress(RigError):  # it may be gone since, which has failed the run
             noun = installed(claim.condition.procedure).point_name
+        points = f"{ended.points_done} of {counted(ended.points_planned, *noun)}"
+        if ended.ending == "complete" and ended.code == ExitCode.FINISHED_WITH_FAILURES:
+            points += f", {valid_of(ended.summary or {})}"
         self._send(
             "finished",
             number=claim.number,
@@ -308,7 +311,7 @@ class Worker:
             reason=ended.reason,
             bench_s=ended.bench_s,
             journal=str(journal),
-            points=f"{ended.points_done} of {counted(ended.points_planned, *noun)}",
+            points=points,
             holds=ended.holds,
             presses=ended.presses,
             bench=ended.bench,

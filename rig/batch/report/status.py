@@ -51,6 +51,9 @@ class BatchStatus:
     """Number of presses of the object in all runs; of the run under way, up to its latest hold."""
     current: RunRow | None
     failures: list[RunRow]
+    invalid: int
+    """Number of runs that are done and have invalid points."""
+    latest_invalid: list[RunRow]
     events: list[tuple[str, str, str]]
     now: datetime
     bench_warnings: tuple[str, ...] = ()
@@ -90,6 +93,11 @@ class BatchStatus:
                 {"run": r.number, "condition": r.condition, "code": r.code, "reason": r.reason}
                 for r in self.failures
             ],
+            "runs_with_invalid_points": self.invalid,
+            "latest_invalid": [
+                {"run": r.number, "condition": r.condition, "valid": r.doubt}
+                for r in self.latest_invalid
+            ],
             "events": [{"time": t, "level": lv, "text": x} for t, lv, x in self.events],
         }
 
@@ -121,6 +129,7 @@ class BatchStatus:
         else:
             shown += self._files_to_make()
         shown += [f"failed: run {r.number} {r.condition}: {r.reason}" for r in self.failures]
+        shown += self._invalid_points()
         shown += [f"{time[:19]} {level}: {text}" for time, level, text in self.events]
         return shown if self.running else [*shown, *self.to_continue()]
 
@@ -129,6 +138,7 @@ class BatchStatus:
         latest run left its bench, as a sentence; empty where that is not known."""
         shown = [f"warning: {text}" for text in self.bench_warnings]
         shown += [f"failed: run {r.number} {r.condition}: {r.reason}" for r in self.failures]
+        shown += self._invalid_points()
         if self.presses or self.holds:
             shown.append(f"in all runs: {self._holds_and_presses()}")
         shown += self._files_to_make()
@@ -171,6 +181,17 @@ class BatchStatus:
         if (self.counts["failed"] or self.counts["set-aside"]) and not self.for_want_of_time:
             steps.append(f"take failed and left-out runs again with: {resume} --retry-failed")
         return steps
+
+    def _invalid_points(self) -> list[str]:
+        """Return lines on the runs that are done and have invalid points."""
+        shown = [
+            f"invalid: run {r.number} {r.condition}: {r.doubt}; why: rig show --all "
+            f"{in_shell(self.folder.run_file(r.number, r.procedure))}"
+            for r in self.latest_invalid
+        ]
+        if more := self.invalid - len(shown):
+            shown.append(f"invalid: {counted(more, 'earlier run')} with invalid points")
+        return shown
 
     def _holds_and_presses(self) -> str:
         return f"{counted(self.holds, 'hold')}, {counted(self.presses, 'press', 'presses')}"
@@ -220,6 +241,7 @@ def status_of(folder: BatchFolder, running: bool | None = None) -> BatchStatus:
             int(queue.meta(PRESSES, "0")),
             next(queue.rows(("running",)), None),
             queue.latest(("failed",), LATEST),
+            *queue.invalid(LATEST),
             queue.events(LATEST),
             datetime.now().astimezone(),
             *_bench_of(queue.meta("bench", "")),

@@ -458,7 +458,7 @@ function showNight() {
   parts.push(element("h2", `${night.simulated ? "SIMULATED " : ""}batch ${night.name}: ${night.state}${night.running ? "" : " (not running)"}`));
   parts.push(element("progress", undefined, {max: total(night.runs), value: ended(night.runs)}));
   const list = element("dl");
-  const facts = [["done", `${night.runs.done} of ${total(night.runs)}`], ["queued", night.runs.queued], ["running", night.runs.running], ["failed", night.runs.failed], ["left out", night.runs["set-aside"]], ["retried", night.retried], ["holds", night.holds], ["presses", night.presses], ["time left", span(night.left_s)], ["expected end", night.running && !night.simulated ? night.finish.slice(0, 16).replace("T", " ") : "–"]];
+  const facts = [["done", `${night.runs.done} of ${total(night.runs)}`], ["queued", night.runs.queued], ["running", night.runs.running], ["failed", night.runs.failed], ["left out", night.runs["set-aside"]], ["done, with invalid points", night.runs_with_invalid_points], ["retried", night.retried], ["holds", night.holds], ["presses", night.presses], ["time left", span(night.left_s)], ["expected end", night.running && !night.simulated ? night.finish.slice(0, 16).replace("T", " ") : "–"]];
   if (night.heartbeat) facts.push(["now", `${night.heartbeat.state}: ${night.heartbeat.message}`]);
   for (const [name, value] of facts) {
     const pair = element("div");

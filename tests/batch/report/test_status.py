@@ -236,6 +236,34 @@ def test_a_batch_that_left_its_bench_unsafe_is_continued_once_that_is_safe(tmp_p
     ]
 
 
+def test_a_run_without_a_valid_trial_is_named_although_it_is_done(tmp_path: Path) -> None:
+    folder = BatchFolder(tmp_path)
+    condition = BatchCondition("slip-001", 0, "slip-trial", {}, {})
+    runs = tuple(PlannedRun(k, "slip-001", k) for k in range(1, 8))
+    plan = BatchPlan({"slip-001": condition}, runs)
+    meta = {"name": "night", "state": "complete", "simulated": "yes"}
+    with Queue.create(folder.queue, plan, {"slip-001": RunEstimate(10.0, 2.0)}, meta) as queue:
+        for number in range(1, 8):
+            valid = 2 if number == 2 else 0
+            code = ExitCode.DONE if number == 2 else ExitCode.FINISHED_WITH_FAILURES
+            summary = {} if number == 3 else {"trials": 2, "valid_trials": valid}
+            result = AttemptResult("complete", code=int(code), summary=summary)
+            queue.finish(queue.claim(number), result, "done")
+            queue.set_processed(number, {})
+    status = status_of(folder)
+    found = [line for line in status.closing_lines("") if line.startswith("invalid: ")]
+    assert found == [line for line in status.lines() if line.startswith("invalid: ")]
+    file = tmp_path / "runs" / "r00007_slip-trial.h5"
+    assert found[0] == (f"invalid: run 7 slip-001: 0 of 2 trials valid; why: rig show --all {file}")
+    assert "run 3 slip-001: some points are invalid; " in found[4]
+    assert found[5:] == ["invalid: 1 earlier run with invalid points"]
+    shown = status.as_object()
+    assert shown["runs_with_invalid_points"] == 6
+    assert shown["latest_invalid"][0] == {
+        "run": 7, "condition": "slip-001", "valid": "0 of 2 trials valid",
+    }  # fmt: skip
+
+
 def file_until(stop_by: str) -> str:
     """The queue's entry of a batch file with this `stop_by`."""
     given = {"batch": {"name": "night", "stop_by": stop_by}}

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import signal
 import sqlite3
 from contextlib import closing
@@ -105,6 +106,24 @@ def test_every_run_is_taken_once_and_its_file_says_of_which_batch(
     with h5py.File(rig_of_the_module.only("r00001*.h5")) as file:
         assert "identifier_collection" in file["entry"]
         assert "simulated_world/mounted_film" in file["entry"]
+
+
+INVALID = f"""{QUICK_NIGHT}
+[[experiment]]
+procedure = "slip-trial"
+settings = {{ speed_mm_s = 2, overshoot_percent = 1e-6 }}
+"""
+
+
+@pytest.mark.thorough
+def test_a_run_of_invalid_trials_says_so_as_it_ends_and_in_the_morning(rig) -> None:
+    write_night(rig, INVALID)
+    ended = rig.run("batch", "run", "night.toml")
+    assert ended.code == 0, ended.stderr
+    assert "run 1: complete, 1 of 1 trial, 0 of 1 trial valid" in ended.stderr.splitlines()
+    assert re.search(r"^invalid: run 1 \S+: 0 of 1 trial valid; why: ", ended.stderr, re.M)
+    events = ask(folder_of(rig.results), "SELECT level, text FROM event")
+    assert ("info", "complete") in events
 
 
 @pytest.mark.thorough
