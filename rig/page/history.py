@@ -137,6 +137,8 @@ class RunIndex:
                 with RunFile.open(run.path) as opened:
                     shown["summary"] = describe(run.path, opened.header, opened.outcome)
                     shown["summary"]["file"] = shown["name"]
+                    if (results := opened.results) is not None:
+                        shown["summary"]["results"] = results.values
             except RigError as error:
                 shown["problem"] = error.one_line()
             shown["processed"] = _processed(files)

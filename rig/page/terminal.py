@@ -94,6 +94,8 @@ def run_panel(watch: BenchWatch) -> Group:
 def _progress(watch: BenchWatch, shown: Mapping[str, Any]) -> str:
     """Return how far a run is, or has come."""
     done = f"{shown['done']} of {counted(shown['planned'], 'point')}"
+    if shown["valid"] is not None and shown["valid"] < shown["done"]:
+        done += f", {shown['valid']} of them valid"
     if shown["end"] is not None:
         return f"{shown['end']['status']}, {done}"
     if watch.holder is None:
@@ -101,7 +103,8 @@ def _progress(watch: BenchWatch, shown: Mapping[str, Any]) -> str:
     left_s = shown["left_s"]
     left = "time left not known yet" if left_s is None else f"about {left_s:.0f} s left"
     point = shown["point"] or "none open"
-    return f"point {shown['n']} of {shown['planned']} ({point}), {left}"
+    valid = "" if shown["valid"] is None else f"{shown['valid']} of {shown['done']} valid, "
+    return f"point {shown['n']} of {shown['planned']} ({point}), {valid}{left}"
 
 
 def plain(text: str) -> Text:

@@ -29,6 +29,8 @@ SPECTRUM_SAMPLES = 1024
 LONGEST_ROW_S = 1.0
 """Longest time over which rows without a rate are spread: a longer gap is a pause."""
 SERVO_ERROR = "servo_error"
+INVALID = "invalid"
+"""Key of the column that says why a reading is invalid."""
 CHANGING = ("regrip", "force_shares")
 """Settings under which a trial's set point changes: an error against the one in the settings would
 be wrong, so none is shown."""
@@ -114,6 +116,8 @@ class RunView:
         self.curve: list[tuple[float, float]] = []
         self.ticks = 0
         self.late_ticks = 0
+        self.invalid = 0
+        """Recorded points whose reading says why it is invalid."""
         self._kept: set[str] = set()
         self._times = PointTimes()
         self._states: dict[int, StreamState] = {}
@@ -228,6 +232,7 @@ class RunView:
             return
         self._kept.add(record.id)
         self.done += 1
+        self.invalid += bool(record.reading.get(INVALID))
         self.planned = max(self.planned, self.done)
         self._times.keep(self.last_s)
         self.ticks += _count(record.reading.get("ticks"))
@@ -295,6 +300,12 @@ class RunView:
             return 0.0
         return self._times.left_s(max(0, self.planned - self.done), self.last_s)
 
+    def _valid(self) -> int | None:
+        """Return how many of the recorded points are valid, None for a procedure that does not
+        judge them."""
+        judged = self.header and any(one.key == INVALID for one in self.header.layout.columns)
+        return self.done - self.invalid if judged else None
+
     def spectrum(self) -> dict[str, Any] | None:
         """Return the amplitude spectrum of the newest samples: ``x`` in Hz, ``y`` in the unit of
         the signal (peak), Hann window. None before there are enough."""
@@ -330,6 +341,7 @@ class RunView:
             "done": self.done,
             "planned": self.planned,
             "discarded": self.discards,
+            "valid": self._valid(),
             "left_s": self.left_s(),
             "last_s": self.last_s,
             "set_point_N": self.set_point_N,

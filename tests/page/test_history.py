@@ -8,6 +8,7 @@ from pathlib import Path
 
 import recorded_run as run
 
+from rig.files.journal.writer import JournalWriter
 from rig.files.runfile.compile import compile_run
 from rig.page.history import RunIndex
 from rig.page.server import _json
@@ -34,6 +35,22 @@ def test_a_run_whose_files_have_names_that_are_not_utf8_is_listed_and_handed_out
     ]
     for name in (detail["name"], detail["summary"]["file"], *names):
         name.encode()  # a browser asks for it in UTF-8
+
+
+def test_a_run_is_shown_with_its_results_as_rig_show_has_them(tmp_path: Path) -> None:
+    journal = tmp_path / "2026-11-21T22-00-00_sweep_r001.rigj"
+    values = {"trials": 2, "valid_trials": 0}
+    with JournalWriter.create(journal, run.header()) as writer:
+        run.take_point(writer, 0)
+        writer.end(run.end(points=1))
+        writer.results({"program": run.header()["program"], "values": values})
+    compile_run(journal)
+    index = RunIndex(tmp_path)
+    index.update()
+    (listed,) = index.rows()["runs"]
+    detail = index.detail(listed["id"])
+    assert detail is not None
+    assert detail["summary"]["results"] == values
 
 
 def test_an_answer_with_a_path_that_is_not_utf8_or_a_number_that_is_not_finite_is_json() -> None:

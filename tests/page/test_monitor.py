@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from io import StringIO
 
 import numpy as np
@@ -10,6 +11,8 @@ from rich.console import Console
 
 from rig.bench.plan import BenchPlan
 from rig.bench.settings import BenchSettings, FixtureSettings
+from rig.files.journal.format import PointKeep
+from rig.files.journal.layout import Column
 from rig.files.journal.values import End, JournalEvent, RunHeader
 from rig.files.runfile.compile import compile_run
 from rig.page import live_bench
@@ -73,6 +76,19 @@ def test_a_run_that_was_stopped_or_has_died_is_not_at_a_point(tmp_path):
     assert "sweep: interrupted, 0 of 5 points; sample" in panel_of(watch)
     watch.view.take(End.model_validate(run.end("stopped", 0)))
     assert "sweep: stopped, 0 of 5 points; sample" in panel_of(watch)
+
+
+def test_a_person_at_the_terminal_sees_how_many_trials_are_valid(tmp_path):
+    judged = replace(
+        run.LAYOUT,
+        columns=(*run.LAYOUT.columns, Column("invalid", "", "Why", "text", key="invalid")),
+    )
+    watch = BenchWatch(tmp_path)
+    watch.view.take(RunHeader.model_validate(run.header(layout=judged.to_json())))
+    for number, why in enumerate(("", "overshoot 11 % is above 10 %")):
+        watch.view.take(PointKeep(f"p{number}", {"invalid": why}, "{}"))
+    watch.view.take(End.model_validate(run.end("complete", 2)))
+    assert "sweep: complete, 2 of 5 points, 1 of them valid; sample" in panel_of(watch)
 
 
 def test_the_failure_that_ended_a_run_is_not_called_by_the_name_of_its_class(tmp_path):

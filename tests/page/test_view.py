@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ import recorded_run as run
 
 from rig.files.journal.follow import JournalTail
 from rig.files.journal.format import Block, PointBegin, PointDiscard, PointKeep
+from rig.files.journal.layout import Column
 from rig.files.journal.values import End, JournalEvent, RunHeader, StreamState
 from rig.page.ring import BIN_S, KEPT_S, Ring
 from rig.page.stop_course import StopSigns, stop_course
@@ -94,6 +96,20 @@ def test_counts_become_values_at_their_times_and_the_servo_error_is_shown():
     assert view.summary()["streams"]["force"]["age_s"] == 3.0
     assert view.rings["servo_error"].latest == (0.5,)
     assert view.rings["force"].since(0)["k"] == [round(0.9 / BIN_S), round(1.0 / BIN_S)]
+
+
+def test_recorded_points_that_are_invalid_are_counted_where_a_procedure_judges_them(view):
+    assert view.summary()["valid"] is None
+    judged = replace(
+        run.LAYOUT,
+        columns=(*run.LAYOUT.columns, Column("invalid", "", "Why", "text", key="invalid")),
+    )
+    view = RunView()
+    view.take(RunHeader.model_validate(run.header(layout=judged.to_json())))
+    for number, why in enumerate(("", "overshoot 11 % is above 10 %", "")):
+        view.take(PointKeep(f"p{number}", {"invalid": why}, "{}"))
+    view.take(PointKeep("p1", {"invalid": "again"}, "{}"))
+    assert (view.summary()["done"], view.summary()["valid"]) == (3, 2)
 
 
 def test_a_retaken_point_counts_once_and_the_time_left_follows_from_those_recorded():

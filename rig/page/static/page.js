@@ -170,6 +170,7 @@ function showFacts(run) {
   if (run.procedure) {
     facts.push(["run", run.procedure + (run.end ? ` (${run.end.status}, exit ${run.end.exit})` : "")]);
     facts.push(["point", `${run.n} of ${run.planned}`], ["open point", run.point || "none"]);
+    if (run.valid !== null) facts.push(["valid", `${run.valid} of ${run.done} recorded`]);
     facts.push(["time left", run.end ? "ended" : (run.left_s === null ? "" : "about ") + span(run.left_s)], ["time in the run", span(run.last_s)]);
     facts.push(["sample", run.sample || "not named"], ["started", (run.start || "").slice(0, 19).replace("T", " ")]);
     facts.push(["process", last.holder ? `${last.holder.pid} (${last.holder.user})` : "none"]);
@@ -547,7 +548,13 @@ async function showRun(id) {
 }
 
 function lines(value, indent = "") {
-  return Object.entries(value).map(([key, item]) => item && typeof item === "object" && !Array.isArray(item) ? `${indent}${key}:\n${lines(item, indent + "  ")}` : `${indent}${key}: ${Array.isArray(item) ? item.join(", ") : item}`).join("\n");
+  return Object.entries(value).map(([key, item]) => {
+    if (!item || typeof item !== "object") return `${indent}${key}: ${item ?? "none"}`;
+    if (!Array.isArray(item)) return `${indent}${key}:\n${lines(item, indent + "  ")}`;
+    const texts = item.map(one => typeof one === "string" ? one : JSON.stringify(one));
+    const each = item.some(one => typeof one === "string"); // a line for each warning
+    return each ? `${indent}${key}:\n${texts.map(text => `${indent}  ${text}`).join("\n")}` : `${indent}${key}: ${texts.join(", ")}`;
+  }).join("\n");
 }
 
 async function blobOf(id, name) {
