@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import shlex
 from collections.abc import Iterable
+from datetime import datetime
 from pathlib import Path
 
 
@@ -31,6 +32,16 @@ def in_shell(path: str | Path) -> str:
     "'bench of May.toml'"
     """
     return shlex.quote(str(path))
+
+
+def readable_time(time: str) -> str:
+    """Return an ISO time to the second, with its zone: a clock may be set back in the night, and
+    who reads it may be elsewhere.
+
+    >>> readable_time("2026-11-21T22:00:00.250000+01:00")
+    '2026-11-21 22:00:00+01:00'
+    """
+    return datetime.fromisoformat(time).isoformat(" ", "seconds")
 
 
 def listed(parts: Iterable[str]) -> str:

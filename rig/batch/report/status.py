@@ -16,7 +16,7 @@ from rig.batch.queue_view import QueueView
 from rig.batch.report.heartbeat import read_heartbeat
 from rig.bench.plan import read_bench
 from rig.core.errors import RigError
-from rig.core.text import in_shell
+from rig.core.text import in_shell, readable_time
 from rig.core.units import counted, time_span
 from rig.run.locks.bench_mark import read_marks
 from rig.run.locks.lock import address_names
@@ -118,7 +118,7 @@ class BatchStatus:
             shown.append(f"run {run.number}: {run.condition}{again}")
         if self.remaining.runs:
             spread = f" ± {time_span(self.remaining.spread_s)}" if self.remaining.spread_s else ""
-            ends = f", until {self.finish:%Y-%m-%d %H:%M}" if self._real_time else ""
+            ends = f", until {self.finish.isoformat(' ', 'minutes')}" if self._real_time else ""
             shown.append(f"remaining: {time_span(self.remaining.bench_s)}{spread}{ends}")
         shown.append(f"used by runs: {time_span(self.bench_s)} of bench time, rests not included")
         if self.presses or self.holds:
@@ -130,7 +130,7 @@ class BatchStatus:
             shown += self._files_to_make()
         shown += [f"failed: run {r.number} {r.condition}: {r.reason}" for r in self.failures]
         shown += self._invalid_points()
-        shown += [f"{time[:19]} {level}: {text}" for time, level, text in self.events]
+        shown += [f"{readable_time(time)} {level}: {text}" for time, level, text in self.events]
         return shown if self.running else [*shown, *self.to_continue()]
 
     def closing_lines(self, bench: str) -> list[str]:

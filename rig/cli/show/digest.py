@@ -7,7 +7,6 @@ import json
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from datetime import datetime
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
@@ -17,7 +16,7 @@ from rig.cli.show.screen import COLUMNS, LINES, Section, end_of, on_a_screen
 from rig.cli.show.words import in_words
 from rig.core.errors import ConfigurationError, RigError
 from rig.core.settings import unit_of
-from rig.core.text import in_shell
+from rig.core.text import in_shell, readable_time
 from rig.core.units import counted, time_span
 
 if TYPE_CHECKING:
@@ -84,7 +83,7 @@ def of_processed(description: Mapping[str, Any], usual: Mapping[str, Any]) -> li
     head = [f"file: {end_of(description['file'], COLUMNS - 6)}", f"title: {description['title']}"]
     head += [f"run: {end_of(description['run'], COLUMNS - 5)}"]
     if "start_time" in description:
-        head.append(f"start: {_readable(description['start_time'])}")
+        head.append(f"start: {readable_time(description['start_time'])}")
     head.append(f"detector: {', '.join(filter(None, names))}")
     changed = {
         k: v for k, v in description["parameters"].items() if k not in usual or usual[k] != v
@@ -117,14 +116,9 @@ def of_model(description: Mapping[str, Any]) -> list[str]:
 
 
 def _times(description: Mapping[str, Any]) -> str:
-    begun = _readable(description["start_time"]) if "start_time" in description else "unknown"
+    begun = readable_time(description["start_time"]) if "start_time" in description else "unknown"
     of = "of bench time" if description.get("simulated") else ""
     return f"start: {begun}, took {time_span(description['duration_s'])} {of}".rstrip()
-
-
-def _readable(time: str) -> str:
-    """Return an ISO time with a space, to the second."""
-    return datetime.fromisoformat(time).isoformat(" ", "seconds")
 
 
 def _status(description: Mapping[str, Any], procedure: type[Procedure] | None) -> str:

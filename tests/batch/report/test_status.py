@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from rig.batch import queue as queue_module
 from rig.batch.execute.worker import _ended
 from rig.batch.folder import BatchFolder, find_folder, folder_to_rebuild, folder_to_resume
 from rig.batch.plan.conditions import BatchCondition, BatchPlan, PlannedRun
@@ -262,6 +263,18 @@ def test_a_run_without_a_valid_trial_is_named_although_it_is_done(tmp_path: Path
     assert shown["latest_invalid"][0] == {
         "run": 7, "condition": "slip-001", "valid": "0 of 2 trials valid",
     }  # fmt: skip
+
+
+def test_times_of_a_batch_have_their_zone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """In the night in which a clock is set back there are two half past twos."""
+    monkeypatch.setattr(queue_module, "_now", lambda: "2026-10-25T02:30:00.500000+01:00")
+    folder, (plan, estimates) = BatchFolder(tmp_path), three_runs()
+    with Queue.create(folder.queue, plan, estimates, {"name": "night"}) as queue:
+        queue.add_event("info", "started")
+    status = status_of(folder, running=True)
+    assert "2026-10-25 02:30:00+01:00 info: started" in status.lines()
+    ends = status.finish.isoformat(" ", "minutes")
+    assert [line for line in status.lines() if line.endswith(f", until {ends}")]
 
 
 def file_until(stop_by: str) -> str:
