@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import time
 from dataclasses import dataclass, field
+from datetime import datetime
 from typing import Any
 
 from rig.core.json_text import finite
@@ -53,7 +54,7 @@ def next_frame(
             )
         frame: dict[str, Any] = {
             "gen": watch.generation,
-            "time": time.strftime("%H:%M:%S"),
+            "time": datetime.now().astimezone().isoformat(" ", "seconds"),
             "word": word,
             "reason": reason,
             "silent_s": round(watch.silent_s(now), 1),

@@ -174,6 +174,36 @@ def test_text_from_files_is_shown_as_text_and_never_becomes_markup(rig, browser)
             assert wide <= width, tab
 
 
+def test_a_run_has_its_time_with_the_zone_and_what_is_simulated_is_marked_in_the_title(
+    rig, browser
+):
+    """Also where only the latest run's file is left."""
+    path = rig.results / "2026-11-21" / "2026-11-21T22-00-00_sweep_r001.rigj"
+    path.parent.mkdir()
+    recorded_run.write_run(path)
+    wait_for(browser, "#facts", lambda text: "2026-11-21 22:00:00+01:00" in text)
+    wait_for(browser, "#clock", lambda text: bool(re.search(r"\d\d:\d\d:\d\d[+-]\d\d:\d\d$", text)))
+    compile_run(path, retire=True)
+    browser.find_element("css selector", "[data-tab=history]").click()
+    wait_for(browser, "#runs", lambda text: "2026-11-21 22:00:00+01:00" in text)
+    late, served = serve(rig.results)
+    try:
+        browser.get(f"http://127.0.0.1:{served.port}/#token={served.watch_token}")
+        wait_for(browser, "#facts", lambda text: "latest run" in text)
+        assert browser.title.startswith("SIMULATED ")
+    finally:
+        late.kill()
+        late.wait()
+
+
+def test_without_scripts_the_page_says_so_and_offers_no_stop(page, tmp_path):
+    with chromium(tmp_path / "plain") as plain:
+        plain.execute_cdp_cmd("Emulation.setScriptExecutionDisabled", {"value": True})
+        plain.get(f"http://127.0.0.1:{page.port}/#token={page.stop_token}")
+        assert "needs JavaScript" in plain.find_element("tag name", "noscript").text
+        assert not plain.find_element("id", "stop").is_enabled()
+
+
 def test_a_run_that_hangs_is_reported_as_hanging_and_its_guard_has_the_last_word(rig, browser):
     running = rig.start(*LONG, fresh=True)
     running.wait_for("^1/5 ")

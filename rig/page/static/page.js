@@ -133,7 +133,12 @@ function showWord() {
   $("word").className = word;
   say("word-text", word);
   say("word-reason", reason);
-  document.title = `${last && last.run.mark ? last.run.mark + " " : ""}${word} · rig page`;
+  const mark = last ? markOf(last) : "";
+  document.title = `${mark ? mark + " " : ""}${word} · rig page`;
+}
+
+function markOf(frame) { // of the run, or of the file of the latest one
+  return frame.run.mark || (frame.last_file && frame.last_file.mark) || "";
 }
 
 function span(seconds) {
@@ -144,10 +149,14 @@ function span(seconds) {
   return `${Math.floor(s / 3600)} h ${Math.floor(s % 3600 / 60)} min`;
 }
 
+function when(iso) { // to the second, with its zone: who watches may be elsewhere
+  return (iso || "").replace("T", " ").replace(/\.\d+/, "");
+}
+
 function show() {
   showWord();
   const run = last.run;
-  const mark = run.mark || (last.last_file && last.last_file.mark) || "";
+  const mark = markOf(last);
   $("mark").hidden = !mark;
   $("mark").textContent = `${mark}: these are not measurements`;
   document.body.classList.toggle("marked", !!mark);
@@ -172,7 +181,7 @@ function showFacts(run) {
     facts.push(["point", `${run.n} of ${run.planned}`], ["open point", run.point || "none"]);
     if (run.valid !== null) facts.push(["valid", `${run.valid} of ${run.done} recorded`]);
     facts.push(["time left", run.end ? "ended" : (run.left_s === null ? "" : "about ") + span(run.left_s)], ["time in the run", span(run.last_s)]);
-    facts.push(["sample", run.sample || "not named"], ["started", (run.start || "").slice(0, 19).replace("T", " ")]);
+    facts.push(["sample", run.sample || "not named"], ["started", when(run.start)]);
     facts.push(["process", last.holder ? `${last.holder.pid} (${last.holder.user})` : "none"]);
     if (run.set_point_N !== null) facts.push(["set point", run.set_point_N + " N"]);
     if (run.discarded) facts.push(["discarded attempts", run.discarded]);
@@ -374,7 +383,7 @@ async function change(path, body, patience_ms = 4000) {
     const answer = await ask(path, {method: "POST", body: JSON.stringify(body), headers: {"Content-Type": "application/json"}, signal: AbortSignal.timeout(patience_ms)});
     const said = object(await answer.text());
     // It stays until the next press: the time says that it may be of an earlier run.
-    notice(said.problem ? `${said.problem} (asked at ${pressed})` : "");
+    notice(said.problem ? `${said.problem} (asked at ${pressed} by this browser's clock)` : "");
     return {ok: answer.ok, ...said};
   } catch (error) {
     notice("The page's server does not answer: end the run at its terminal (Ctrl-C), or press the emergency stop.");
@@ -459,7 +468,7 @@ function showNight() {
   parts.push(element("h2", `${night.simulated ? "SIMULATED " : ""}batch ${night.name}: ${night.state}${night.running ? "" : " (not running)"}`));
   parts.push(element("progress", undefined, {max: total(night.runs), value: ended(night.runs)}));
   const list = element("dl");
-  const facts = [["done", `${night.runs.done} of ${total(night.runs)}`], ["queued", night.runs.queued], ["running", night.runs.running], ["failed", night.runs.failed], ["left out", night.runs["set-aside"]], ["done, with invalid points", night.runs_with_invalid_points], ["retried", night.retried], ["holds", night.holds], ["presses", night.presses], ["time left", span(night.left_s)], ["expected end", night.running && !night.simulated ? night.finish.slice(0, 16).replace("T", " ") : "–"]];
+  const facts = [["done", `${night.runs.done} of ${total(night.runs)}`], ["queued", night.runs.queued], ["running", night.runs.running], ["failed", night.runs.failed], ["left out", night.runs["set-aside"]], ["done, with invalid points", night.runs_with_invalid_points], ["retried", night.retried], ["holds", night.holds], ["presses", night.presses], ["time left", span(night.left_s)], ["expected end", night.running && !night.simulated ? when(night.finish) : "–"]];
   if (night.heartbeat) facts.push(["now", `${night.heartbeat.state}: ${night.heartbeat.message}`]);
   for (const [name, value] of facts) {
     const pair = element("div");
@@ -478,7 +487,7 @@ function showNight() {
   }
   if (night.events.length) {
     parts.push(element("h2", "Latest events"));
-    parts.push(table("events", ["time", "level", "text"], night.events.map(event => [event.time.slice(0, 19).replace("T", " "), event.level, event.text])));
+    parts.push(table("events", ["time", "level", "text"], night.events.map(event => [when(event.time), event.level, event.text])));
   }
   const tables = () => [...body.querySelectorAll(".wide")];
   const scrolled = new Map(tables().map(one => [one.dataset.of, [one.scrollLeft, one.scrollTop]]));
@@ -505,7 +514,7 @@ async function readHistory() {
     if (name && ![...select.options].some(option => option.value === name)) select.append(element("option", name, {value: name}));
   $("runs").tBodies[0].replaceChildren(...found.runs.map(run => {
     const line = element("tr", undefined, {tabindex: "0", "data-run": run.id, "aria-selected": String(run.id === chosen)});
-    const start = run.start ? run.start.slice(0, 19).replace("T", " ") : run.name;
+    const start = run.start ? when(run.start) : run.name;
     const outcome = run.status + (run.exit ? `, exit ${run.exit}` : "");
     for (const value of [start, run.procedure, run.sample, outcome, run.points, run.duration_s === null ? "" : span(run.duration_s), run.mark]) line.append(element("td", value));
     line.addEventListener("click", () => showRun(run.id));
@@ -597,5 +606,6 @@ addEventListener("unhandledrejection", event => notice(`The page failed: ${event
 setInterval(showWord, 500);
 setInterval(readNight, 5000);
 setInterval(() => { if (tab === "history") readHistory(); }, 5000);
+$("stop").disabled = false; // until the first frame says who may stop
 readNight();
 watch();
