@@ -238,6 +238,7 @@ class PointLoop:
         self._observers.state(PAUSED if asked_for else HOLD)
         self._run.check_stop()
         while self._run.holds.active:
+            self._stop.check_between_points(0.0)  # no point is under way
             self._run.clock.sleep(HOLD_POLL_S)
             self._run.check_force_stream()
         self._phases.enter(RunPhase.READY)

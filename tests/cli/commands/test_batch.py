@@ -245,6 +245,19 @@ def test_other_terminals_pause_it_let_it_go_on_and_stop_it_after_a_point(rig) ->
     assert "is not running" in refused.stderr
 
 
+def test_a_batch_that_is_paused_within_a_run_is_stopped_without_being_resumed(rig) -> None:
+    """A stop after the point under way: none is."""
+    running = begin(rig, ONE_RUN)
+    await_point(folder_of(rig.results), 1)
+    assert rig.run("batch", "pause").code == 0
+    running.wait_for("^paused")
+    assert rig.run("batch", "stop").code == 0
+    ended = running.finish()
+    assert ended.code == 143, ended.stderr
+    assert object_of(ended.stdout)["state"].startswith("stopped")
+    assert ask(folder_of(rig.results), "SELECT state FROM run") == [("queued",)]
+
+
 @pytest.mark.thorough
 def test_a_time_out_is_tried_again_and_a_limit_never(rig) -> None:
     (rig.folder / "silence.toml").write_text(
