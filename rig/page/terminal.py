@@ -130,9 +130,10 @@ def _values(watch: BenchWatch) -> Table:
 
 def value_table() -> Table:
     """Return an empty table of values with their last seconds as bars, for which names, values and
-    units leave the room."""
+    units leave the room. Where there is too little for these, names continue on the next line: no
+    value is cut."""
     table = Table(box=None, pad_edge=False)
-    table.add_column("channel", no_wrap=True)
+    table.add_column("channel", overflow="fold")
     table.add_column("latest", justify="right", no_wrap=True)
     table.add_column("unit", no_wrap=True)
     table.add_column("last seconds")

@@ -38,6 +38,15 @@ def test_on_80_columns_names_and_values_are_whole_and_the_latest_bars_are_shown(
     assert row.rstrip().endswith("█")
 
 
+def test_on_40_columns_no_value_and_no_unit_is_cut():
+    table = value_table()
+    add_value(table, "position z_commanded", -0.00095731, "mm (old)", [0.0] * 59 + [1.0])
+    shown = StringIO()
+    Console(file=shown, width=40).print(table)
+    assert "-0.00095731  mm (old)" in shown.getvalue()
+    assert "…" not in shown.getvalue()
+
+
 def test_the_latest_run_is_named_where_only_its_file_is_left(rig):
     day = rig.results / "2026-11-21"
     day.mkdir(parents=True)
