@@ -116,6 +116,11 @@ class QueueView:
             for row in rows:
                 yield RunRow(**dict(row))
 
+    def retried(self) -> int:
+        """Return the number of runs that were tried more than once."""
+        query = "SELECT count(DISTINCT run) FROM attempt WHERE attempt > 1"
+        return int(self._sql.execute(query).fetchone()[0])
+
     def latest(self, states: Sequence[RunState], most: int) -> list[RunRow]:
         """Return the runs that ended last, latest first."""
         cursor = self._sql.execute(

@@ -55,6 +55,7 @@ def night(results: Path) -> dict[str, Any]:
                 "left_out": [_row(row) for row in _first(queue, "set-aside")],
                 "done": [_row(row) for row in queue.latest(("done",), MOST_RUNS)],
             }
+            retried = queue.retried()
             drift = _drift(queue)
     except (RigError, OSError) as error:
         return {"problem": error.one_line() if isinstance(error, RigError) else str(error)}
@@ -63,7 +64,7 @@ def night(results: Path) -> dict[str, Any]:
     shown["folder"] = folder.path.name
     return shown | {
         "lists": lists,
-        "retried": sum(1 for rows in lists.values() for row in rows if row["attempts"] > 1),
+        "retried": retried,
         "drift": drift,
         "heartbeat": None if beat is None else {"state": beat.state, "message": beat.message},
     }

@@ -16,12 +16,13 @@ from typing import Any
 import pytest
 
 from rig.batch.folder import QUEUE, BatchFolder
-from rig.batch.plan.conditions import BatchPlan
+from rig.batch.plan.conditions import BatchCondition, BatchPlan, PlannedRun
 from rig.batch.queue import Queue
+from rig.batch.queue_records import AttemptResult, RunEstimate
 from rig.batch.running import ask_batch, batch_of
 from rig.core.errors import ConfigurationError
 from rig.page import server
-from rig.page.night import latest_batch, running_batch
+from rig.page.night import latest_batch, night, running_batch
 from rig.page.server import PageState
 from rig.page.watch import BenchWatch
 from rig.run.locks.lock_holder import LockHolder
@@ -204,6 +205,25 @@ def test_the_night_is_shown_without_a_lock_and_read_once_for_all_viewers(
     for _ in range(2):
         shown = server._night(state)
         assert (shown["name"], shown["running"], shown["drift"]) == ("friction", False, [None])
+
+
+def test_every_run_that_was_retried_is_counted_also_those_that_are_not_listed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("rig.page.night.MOST_RUNS", 1)
+    folder = batch(tmp_path, "night", 1)
+    folder.queue.unlink()
+    condition = BatchCondition("sweep-001", 0, "sweep", {}, {})
+    runs = tuple(PlannedRun(k, "sweep-001", k) for k in (1, 2, 3))
+    plan = BatchPlan({"sweep-001": condition}, runs)
+    meta = {"name": "night", "state": "complete"}
+    with Queue.create(folder.queue, plan, {"sweep-001": RunEstimate(10.0, 2.0)}, meta) as queue:
+        for number in (1, 2, 3):
+            if number < 3:
+                queue.finish(queue.claim(number), AttemptResult("failed", "timeout"), "queued")
+            queue.finish(queue.claim(number), AttemptResult("complete"), "done")
+    monkeypatch.setattr("rig.page.night._drift", lambda _: [])
+    assert night(tmp_path)["retried"] == 2
 
 
 def test_a_batch_of_another_user_is_asked_nothing_although_its_queue_can_be_written(
