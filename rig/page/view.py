@@ -170,8 +170,8 @@ class RunView:
             left -= len(channels)
             if channels:
                 self.rings[stream.name] = Ring(channels, stream.units)
-        changes = any(header.settings.get(name) for name in CHANGING)
-        if self.set_point_N is not None and "force" in self.rings and not changes:
+        held = self.set_point_N is not None and not self.set_point_changes
+        if held and "force" in self.rings:
             self.rings[SERVO_ERROR] = Ring((SERVO_ERROR,), "N")
 
     def _name_units(self, state: StreamState) -> None:
@@ -184,6 +184,12 @@ class RunView:
         """The force that the servo holds; None where the run has none."""
         value = None if self.header is None else self.header.settings.get("normal_force_N")
         return float(value) if isinstance(value, (int, float)) else None
+
+    @property
+    def set_point_changes(self) -> bool:
+        """True if the set point of the settings is not held throughout a trial."""
+        settings = {} if self.header is None else self.header.settings
+        return any(settings.get(name) for name in CHANGING)
 
     def _take_event(self, event: JournalEvent) -> None:
         self.last_s = max(self.last_s, event.time)
@@ -345,6 +351,7 @@ class RunView:
             "left_s": self.left_s(),
             "last_s": self.last_s,
             "set_point_N": self.set_point_N,
+            "set_point_changes": self.set_point_changes,
             "ticks": self.ticks,
             "late_ticks": self.late_ticks,
             "end": None if self.end is None else self.end.model_dump(mode="json"),

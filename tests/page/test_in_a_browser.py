@@ -230,6 +230,9 @@ def test_a_killed_run_is_never_green_before_its_guard_has_reported(rig, browser)
     seen = browser.execute_script("return window.seen")
     green = [text for text in seen if text.startswith("safe")]
     assert all("its guard reported" in text for text in green), seen
+    facts = wait_for(browser, "#facts", lambda text: "sweep (interrupted)" in text)
+    assert "time left\ninterrupted" in facts
+    assert "point\n1 of 5" in facts
 
 
 def test_a_page_that_is_killed_costs_its_run_nothing_and_a_late_one_shows_all_of_it(

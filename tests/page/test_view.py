@@ -80,6 +80,7 @@ def test_no_servo_error_is_shown_where_the_set_point_changes(changing):
     header = run.header(streams=streams, settings=settings, setting_units={})
     view.take(RunHeader.model_validate(header))
     assert set(view.rings) == {"force"}
+    assert view.summary()["set_point_changes"], "4 N is not what the servo holds"
 
 
 def test_counts_become_values_at_their_times_and_the_servo_error_is_shown():
@@ -95,6 +96,7 @@ def test_counts_become_values_at_their_times_and_the_servo_error_is_shown():
     view.take(JournalEvent(time=4.0, level="info", code="x", message=""))
     assert view.summary()["streams"]["force"]["age_s"] == 3.0
     assert view.rings["servo_error"].latest == (0.5,)
+    assert not view.summary()["set_point_changes"]
     assert view.rings["force"].since(0)["k"] == [round(0.9 / BIN_S), round(1.0 / BIN_S)]
 
 

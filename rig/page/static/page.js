@@ -177,13 +177,14 @@ function showFacts(run) {
   const facts = [];
   if (night.running) facts.push(["batch", `${night.name}: ${ended(night.runs)} of ${total(night.runs)} runs over`]);
   if (run.procedure) {
-    facts.push(["run", run.procedure + (run.end ? ` (${run.end.status}, exit ${run.end.exit})` : "")]);
-    facts.push(["point", `${run.n} of ${run.planned}`], ["open point", run.point || "none"]);
+    const died = !run.end && !last.holder; // it has no point and no time left, whatever it had planned
+    facts.push(["run", run.procedure + (run.end ? ` (${run.end.status}, exit ${run.end.exit})` : died ? " (interrupted)" : "")]);
+    facts.push(["point", `${died ? run.done : run.n} of ${run.planned}`], ["open point", died ? "none" : run.point || "none"]);
     if (run.valid !== null) facts.push(["valid", `${run.valid} of ${run.done} recorded`]);
-    facts.push(["time left", run.end ? "ended" : (run.left_s === null ? "" : "about ") + span(run.left_s)], ["time in the run", span(run.last_s)]);
+    facts.push(["time left", run.end ? "ended" : died ? "interrupted" : (run.left_s === null ? "" : "about ") + span(run.left_s)], ["time in the run", span(run.last_s)]);
     facts.push(["sample", run.sample || "not named"], ["started", when(run.start)]);
     facts.push(["process", last.holder ? `${last.holder.pid} (${last.holder.user})` : "none"]);
-    if (run.set_point_N !== null) facts.push(["set point", run.set_point_N + " N"]);
+    if (run.set_point_N !== null) facts.push(["set point", `${run.set_point_N} N${run.set_point_changes ? " (changes in a trial)" : ""}`]);
     if (run.discarded) facts.push(["discarded attempts", run.discarded]);
   } else if (last.last_file) {
     facts.push(["latest run", last.last_file.file], ["it ended", `${last.last_file.status}, exit ${last.last_file.exit}`]);
