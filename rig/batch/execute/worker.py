@@ -121,8 +121,9 @@ class Worker:
             self._end("stopped", ended.one_line(), ended.code)
             return ended.code
         counts = self._queue.counts()
+        doubtful, _ = self._queue.invalid(0)
         lost = counts["failed"] + counts["set-aside"]
-        code = ExitCode.FINISHED_WITH_FAILURES if lost else ExitCode.DONE
+        code = ExitCode.FINISHED_WITH_FAILURES if lost or doubtful else ExitCode.DONE
         self._end("complete", "", code)
         return code
 

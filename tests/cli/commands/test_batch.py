@@ -119,7 +119,7 @@ settings = {{ speed_mm_s = 2, overshoot_percent = 1e-6 }}
 def test_a_run_of_invalid_trials_says_so_as_it_ends_and_in_the_morning(rig) -> None:
     write_night(rig, INVALID)
     ended = rig.run("batch", "run", "night.toml")
-    assert ended.code == 0, ended.stderr
+    assert ended.code == 5, ended.stderr
     assert "run 1: complete, 1 of 1 trial, 0 of 1 trial valid" in ended.stderr.splitlines()
     assert re.search(r"^invalid: run 1 \S+: 0 of 1 trial valid; why: ", ended.stderr, re.M)
     events = ask(folder_of(rig.results), "SELECT level, text FROM event")
