@@ -127,7 +127,7 @@ def _friction(
         # A weight that holds does not slide, and is not to slide further.
         holds = run.settings.hold_at_N is not None and record.weight_rested
         why = f"the weight did not slide away ({error})" if holds else error.one_line()
-        run.event("info" if holds else "warning", "friction", f"trial {record.number}: {why}")
+        run.event("info" if holds else "warning", "friction", f"{record.point}: {why}")
         return without_values(FRICTION) | {"no_friction": why}
     return {
         "no_friction": "",

@@ -73,6 +73,11 @@ def described(path: Path, kind: FileKind) -> tuple[str, str | None]:
         return "the queue of a batch", f"`rig batch status {in_shell(path.parent)}` shows the batch"
     if kind == "other" and path.name.endswith(CHECKSUM_SUFFIX):
         return "a checksum, not the file itself", f"name {path.name.removesuffix(CHECKSUM_SUFFIX)}"
+    if kind == "unreadable":
+        try:
+            path.open("rb").close()
+        except OSError as error:
+            return f"{IN_WORDS[kind]} ({error.strerror})", None
     return IN_WORDS[kind], None
 
 

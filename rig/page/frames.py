@@ -68,7 +68,7 @@ def next_frame(
             and watch.signs.bench_file is not None
             and watch.holder is None
             and watch.signs.holder is None,
-            "late": _late(view.ticks, view.late_ticks),
+            "late": "" if view.end else _late(view.ticks, view.late_ticks),
             "series": _series(watch, cursor),
             "events": [event for event in (*view.events, *view.slips) if event["n"] > cursor.event],
             "curve": [list(point) for point in view.curve[cursor.curve :]],

@@ -13,7 +13,7 @@ import pytest
 from rig.batch.folder import QUEUE
 from rig.core.errors import ExitCode
 from rig.files.errors import RunFileError
-from rig.files.file_kind import BATCH_QUEUE, described, require_hdf5
+from rig.files.file_kind import BATCH_QUEUE, described, kind_of, require_hdf5
 from rig.files.runfile.reader import RunFile
 from rig.files.verify import verify
 
@@ -111,3 +111,13 @@ def test_only_a_path_without_a_file_is_a_usage_error(tmp_path: Path) -> None:
     assert refused(tmp_path / "none.h5").code is ExitCode.USAGE
     assert refused(tmp_path).code is ExitCode.USAGE
     assert refused(tmp_path / "empty.h5").code is ExitCode.FOUND_WRONG
+
+
+def test_a_file_that_cannot_be_opened_says_why(tmp_path: Path) -> None:
+    loop = tmp_path / "loop.h5"
+    loop.symlink_to("loop.h5")
+    assert kind_of(loop) == "unreadable"
+    assert described(loop, "unreadable") == (
+        "it cannot be read (Too many levels of symbolic links)",
+        None,
+    )

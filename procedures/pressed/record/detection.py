@@ -186,8 +186,7 @@ class DetectionRecord:
             run.event(
                 "warning",
                 SILENT_CODE,
-                f"trial {record.number}: {failure}: no slip is detected from here on; the trial "
-                "continues",
+                f"{record.point}: {failure}: no slip is detected from here on; the trial continues",
             )
         return found
 

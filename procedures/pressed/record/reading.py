@@ -296,14 +296,14 @@ def _warn_of_z(run: Run, record: TrialRecord) -> None:
         run.event(
             "warning",
             "servo",
-            f"trial {record.number}: z was busy in {record.held_back} of {ticks} ticks: the servo "
+            f"{record.point}: z was busy in {record.held_back} of {ticks} ticks: the servo "
             f"held the force with fewer targets than its {record.tick_Hz:g} a second",
         )
     if record.misread:
         run.event(
             "warning",
             "positions",
-            f"trial {record.number}: {record.misread} times a stage answered a position where it "
+            f"{record.point}: {record.misread} times a stage answered a position where it "
             "cannot have been; it was asked again, and the wrong answer is not in the file: check "
             "its cable and its link",
         )
@@ -318,7 +318,7 @@ def _warn_of_clipping(run: Run, record: TrialRecord) -> None:
             run.event(
                 "warning",
                 "clipped",
-                f"trial {record.number}: {samples} of {record.rows} samples of {strip} are at the "
+                f"{record.point}: {samples} of {record.rows} samples of {strip} are at the "
                 f"end of the range of {settings.range_V:g} V: its signal and what a detector finds "
                 "in it are not to be trusted there; choose a larger --range, or a smaller gain of "
                 "its amplifier",
@@ -344,7 +344,7 @@ def _touch_down(run: Run, record: TrialRecord, force: npt.NDArray[np.float64]) -
         offset = clock_offset(felt, seen(volts.sum(axis=1)), CLOCKS_SEARCHED_S).offset
         gains = [touch_gain(felt, seen(column), offset.value) for column in volts.T]
     except TouchDownError as error:
-        run.event("warning", "touch-down", f"trial {record.number}: {error.one_line()}")
+        run.event("warning", "touch-down", f"{record.point}: {error.one_line()}")
         return {column.key: None for column in TOUCHED}
     reading: Reading = {
         "clock_offset_s": offset.value,

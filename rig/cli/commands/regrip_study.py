@@ -132,6 +132,7 @@ def _shares(text: str) -> list[float]:
         raise ConfigurationError(
             f"--shares {text}: not a list of shares from 0.1 to 2", "for example 0.8,1.05,1.1,1.3"
         )
+    _refuse_twice("--shares", [f"{share:g}" for share in shares])
     return shares
 
 
@@ -157,4 +158,12 @@ def _strategies(text: str) -> list[str]:
         raise ConfigurationError(
             f"--strategies: {unknown[0]!r} is unknown", f"choose from {', '.join(known)}"
         )
+    _refuse_twice("--strategies", chosen)
     return chosen
+
+
+def _refuse_twice(option: str, chosen: list[str]) -> None:
+    """Raise ConfigurationError for a value that is given twice: its weights would be counted
+    twice."""
+    if repeated := [one for one in chosen if chosen.count(one) > 1]:
+        raise ConfigurationError(f"{option}: {repeated[0]} is given twice", "give each value once")

@@ -60,14 +60,15 @@ def show(
         if overlay:
             from rig.figures.overlay import draw_overlay
 
-            drawn = draw_overlay(files, figures_to, pdf)
-            _report_drawn(drawn, say if as_json else _print, debug)
+            beside = draw_overlay(files, figures_to, pdf)
+            _report_drawn(beside, say if as_json else _print, debug)
             if as_json:
-                print_json({"files": _texts(files), "figures": _texts(drawn.files)})
+                print_json({"files": _texts(files), "figures": _texts(beside.files)})
             return
         draws = figures or pdf or figures_to is not None
         how: _How = "json" if as_json else "all" if all_settings else "brief"
         not_drawn: list[str] = []
+        only_warnings = False
         failures: list[RigError] = []
         for path in files:
             try:
@@ -77,8 +78,12 @@ def show(
                 shown = say if as_json else _print
                 if not why_nothing:
                     say(f"{path}: its figures were drawn when it was computed, beside it")
-                elif not drawable or not _draw(path, figures_to, pdf, shown, debug):
+                    continue
+                drawn = _draw(path, figures_to, pdf, shown, debug) if drawable else None
+                if drawn is None or not (drawn.files or drawn.warnings):
                     not_drawn.append(f"{path}: {why_nothing}")
+                elif not drawn.files:
+                    only_warnings = True
             except (RigError, OSError) as error:
                 if len(files) == 1:
                     raise
@@ -90,7 +95,7 @@ def show(
             say(f"no figure was drawn: {line}")
         if failures:
             raise typer.Exit(int(failures[0].code))
-        if not_drawn:
+        if not_drawn or only_warnings:
             raise typer.Exit(int(ExitCode.FINISHED_WITH_FAILURES))
 
 
@@ -239,14 +244,13 @@ def _draw_beside(
 
 def _draw(
     file: Path, folder: Path | None, pdf: bool, shown: Callable[[str], None], debug: bool
-) -> bool:
-    """Draw the figures of a file and report where they are and which one has failed; return whether
-    there is any, or a warning of what has failed."""
+) -> Drawn:
+    """Draw the figures of a file, and report where they are and which one has failed."""
     from rig.figures.drawing import draw
 
     drawn = draw(file, folder, pdf)
     _report_drawn(drawn, shown, debug)
-    return bool(drawn.files or drawn.warnings)
+    return drawn
 
 
 def _report_drawn(drawn: Drawn, shown: Callable[[str], None], debug: bool) -> None:

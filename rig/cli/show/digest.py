@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 LABELS = {"written": "text written with"}
 """What settings are called whose names say too little."""
 AT_DEFAULTS = "all at their defaults"
+INVALID = " is invalid: "
+"""Part of the warning that says why a reading is invalid (`rig.run.point_loop`)."""
 MORE = "--all shows everything"
 MORE_AND_FIGURES = f"{MORE}, --figures draws the figures again"
 
@@ -63,7 +65,9 @@ def of_run(
         sections.append(Section(name, lines, rank=0))
     for name, found in analyses.items():
         sections.append(Section(name, [f"{k}: {in_words(v)}" for k, v in found.items()], rank=2))
-    sections.append(Section("warnings", description.get("warnings", ()), rank=3))
+    # Why a trial is invalid comes first: the list is shortened where it is long.
+    warnings = sorted(description.get("warnings", ()), key=lambda text: INVALID not in text)
+    sections.append(Section("warnings", warnings, rank=3))
     foot = [f"results computed by: {results_by}"] if results_by else []
     journal = Path(description["file"]).with_suffix(".rigj")
     if not journal.exists() or not _can_be_resumed(description):

@@ -15,10 +15,11 @@ from tiers import mostly_nightly
 
 from procedures.slip_trial import SlipTrial
 from procedures.slip_trial.settings import SlipTrialSettings
-from rig.cli.show.digest import _brief
+from rig.cli.show.digest import _brief, of_run
 from rig.cli.show.results import recomputed
 from rig.cli.show.screen import Section, on_a_screen
 from rig.core.validated import stored_settings
+from rig.files.describe import describe
 from rig.files.journal.writer import JournalWriter
 from rig.files.runfile.compile import compile_run
 from rig.files.runfile.reader import RunFile
@@ -198,6 +199,22 @@ def test_sections_share_what_is_left_by_their_rank() -> None:
     whole = on_a_screen([], [Section("warnings", [long], 3)], [])
     assert whole[0] == "warnings:"
     assert " ".join(line.strip() for line in whole[1:]) == long
+
+
+def test_figures_that_cannot_be_written_are_a_failure(rig: Any, folder: Path) -> None:
+    done = rig.run("show", str(folder / recorded.TWO_SLIDES), "--figures-to", "/proc/none")
+    assert done.code == 5
+    assert "warning: no figure was drawn: /proc/none cannot be written to" in done.stderr
+
+
+def test_why_a_trial_is_invalid_comes_before_other_warnings(folder: Path) -> None:
+    """A screen has no room for all warnings of a long run."""
+    with RunFile.open(folder / recorded.TWO_SLIDES) as run:
+        header = run.header
+        what = describe(run.path, header, run.outcome)
+    invalid = "trial-002 is invalid: F_n was 7 % off"
+    lines = of_run(what | {"warnings": ["w" * 75, "v" * 75, invalid]}, header, None, "", {})
+    assert lines[lines.index("warnings:") + 1] == f"  {invalid}"
 
 
 def test_values_of_another_procedure_are_shown_one_by_one(rig: Any, tmp_path: Path) -> None:

@@ -170,6 +170,17 @@ def test_weights_slip_at_the_speed_that_is_asked_for(
     assert json.loads(done.stdout)["speed_mm_s"] == 0.5
 
 
+@pytest.mark.parametrize(
+    "given", [("--shares", "1.1,0.8,1.10"), ("--strategies", "none,paper-hp,none")]
+)
+def test_what_is_given_twice_is_refused(made: list[WireTrial], given: tuple[str, str]) -> None:
+    """Its weights would be in a row of the table twice."""
+    refused = study("--seeds", "1000000:1000001", *given)
+    assert refused.exit_code == 2
+    assert "is given twice; give each value once" in refused.stderr
+    assert not made
+
+
 @pytest.mark.parametrize("speed", ["0mm/s", "nan", "2 N", "fast", "21"])
 def test_a_speed_that_cannot_be_is_refused(made: list[WireTrial], speed: str) -> None:
     done = study("--seeds", "1900000:1900001", "--speed", speed)

@@ -24,6 +24,8 @@ def test_a_strip_that_leaves_the_range_of_the_daq_is_reported(rig: Any) -> None:
     for strip, values in volts.items():
         clipped = int((abs(values) > 0.9999 * range_V).sum())
         assert clipped > 0
-        said = f"trial 1: {clipped} of {len(values)} samples of {strip} are at the end of the range"
+        said = (
+            f"trial-001: {clipped} of {len(values)} samples of {strip} are at the end of the range"
+        )
         assert said in done.stderr
     assert "choose a larger --range" in done.stderr
