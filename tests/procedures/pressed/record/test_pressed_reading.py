@@ -67,6 +67,6 @@ def test_a_servo_that_could_tell_its_drive_too_seldom_says_so() -> None:
     reading, said = reported(TICKS // 2 + 1)
     assert reading["held_back_ticks"] == 101
     assert said == [
-        "trial-003: z was busy in 101 of 200 ticks: the servo held the force with fewer targets than "
-        "its 100 a second"
+        "trial-003: z was busy in 101 of 200 ticks: the servo held the force with fewer targets "
+        "than its 100 a second"
     ]
