@@ -256,6 +256,8 @@ def _structure(run: RunFile) -> Iterator[str]:
     layout = run.header.layout
     if text_of(run.entry["definition"]) != layout.definition:
         yield "definition is not that of the layout"
+    if str(run.entry["definition"].attrs.get("version", "")) != plain_text(layout.version):
+        yield "definition/@version is not that of the layout"
     for plot in layout.plots:
         for name in plot.sources():
             if f"{plot.group}/{name}" not in run.entry:

@@ -113,7 +113,8 @@ class RunView:
         detector has found (`rig.page.slips`), as events."""
         self.event_count = 0
         self.rings: dict[str, Ring] = {}
-        self.curve: list[tuple[float, float]] = []
+        self.curve: list[tuple[float, float, bool]] = []
+        """Axis and signal of each recorded point, and whether its reading is invalid."""
         self.ticks = 0
         self.late_ticks = 0
         self.invalid = 0
@@ -251,7 +252,7 @@ class RunView:
             return
         x, y = (reading.get(column.key) for column in names)
         if isinstance(x, (int, float)) and isinstance(y, (int, float)):
-            self.curve.append((float(x), float(y)))
+            self.curve.append((float(x), float(y), bool(reading.get(INVALID))))
 
     def curve_columns(self) -> tuple[Any, Any] | None:
         """Return the columns of axis and signal of the plot that is shown as the curve, or None."""

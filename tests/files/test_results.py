@@ -147,6 +147,15 @@ def test_a_field_that_was_changed_is_found_by_its_journal(file: Path, tmp_path: 
     assert any("results/values/model/slope differs" in found for found in verify(changed))
 
 
+def test_a_version_that_is_not_that_of_the_layout_is_found(file: Path, tmp_path: Path) -> None:
+    """Readers of later versions go by the layout; another program may go by the attribute."""
+    changed = compile_run(recorded(tmp_path / "a.rigj"))
+    changed.chmod(0o644)
+    with h5py.File(changed, "r+") as opened:
+        opened["entry/definition"].attrs["version"] = "99"
+    assert "definition/@version is not that of the layout" in verify(changed)
+
+
 def test_what_is_recorded_behind_results_makes_them_void(tmp_path: Path) -> None:
     with JournalWriter.create(tmp_path / "a.rigj", run.header()) as journal:
         run.take_point(journal, 0)

@@ -33,7 +33,7 @@ def test_a_journal_becomes_run_points_curve_events_and_end(view):
     assert (shown["procedure"], shown["mark"]) == ("sweep", "SIMULATED")
     assert (shown["done"], shown["planned"], shown["n"], shown["point"]) == (5, 5, 5, None)
     assert (shown["end"]["status"], shown["left_s"]) == ("complete", 0.0)
-    assert sorted(x for x, _ in view.curve) == sorted(run.FREQUENCIES)
+    assert sorted(x for x, _, _ in view.curve) == sorted(run.FREQUENCIES)
     assert [event["text"] for event in view.events][-1] == "complete, exit 0"
 
 
@@ -108,10 +108,12 @@ def test_recorded_points_that_are_invalid_are_counted_where_a_procedure_judges_t
     )
     view = RunView()
     view.take(RunHeader.model_validate(run.header(layout=judged.to_json())))
+    x, y = (column.key for column in view.curve_columns() or ())
     for number, why in enumerate(("", "overshoot 11 % is above 10 %", "")):
-        view.take(PointKeep(f"p{number}", {"invalid": why}, "{}"))
+        view.take(PointKeep(f"p{number}", {"invalid": why, x: number, y: 1.0}, "{}"))
     view.take(PointKeep("p1", {"invalid": "again"}, "{}"))
     assert (view.summary()["done"], view.summary()["valid"]) == (3, 2)
+    assert [invalid for _, _, invalid in view.curve] == [False, True, False]
 
 
 def test_a_retaken_point_counts_once_and_the_time_left_follows_from_those_recorded():

@@ -75,6 +75,10 @@ def score(
             speed,
         )
         front = read_settings(StripFrontEndSettings(), front_end)
+        if show_population and show_front_end:
+            raise ConfigurationError(
+                "--show-population and --show-front-end print one object each", "give one of them"
+            )
         if show_population or show_front_end:
             typer.echo((ranges if show_population else front).model_dump_json(indent=2))
             return

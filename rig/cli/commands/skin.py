@@ -371,7 +371,12 @@ def _steps(at: list[float] | None, last: int) -> list[int]:
     """Return the requested steps, or one of each part of the history."""
     if at:
         _within(at, 1, last, "", " (a step)")
-        return sorted({round(step) for step in at})
+        if parts := [step for step in at if not step.is_integer()]:
+            raise ConfigurationError(
+                f"--at {parts[0]:g} (a step) has to be a whole number",
+                "write the number of a step, for example 140",
+            )
+        return sorted({int(step) for step in at})
     return sorted({min(step, last) for step in (140, 290, 440, last)})
 
 
@@ -398,6 +403,10 @@ def _skin(settings: SkinSettings) -> tuple[ElasticSkin, CondensedSkin]:
 
 def _shown(output: OutputOptions, pressed: SkinOptions, settings: Settings) -> bool:
     """Print the settings that were asked for instead of a trial; return False if none were."""
+    if output.show_settings and pressed.show_skin:
+        raise ConfigurationError(
+            "--show-settings and --show-skin print one object each", "give one of them"
+        )
     if output.show_settings:
         _show(settings)
     elif pressed.show_skin:

@@ -271,7 +271,7 @@ function chart(id, title, labels, scales, axes, opts = {}) {
     legend: {live: true},
     axes: axes.map(axis => ({stroke: ink, grid, ticks: grid, ...axis})),
     series: [{label: axes[0].label, value: (_, v) => v === null ? "–" : v.toPrecision(6)},
-      ...labels.map((label, c) => ({label, stroke: colour("--c" + c % 4), dash: c >= 4 ? [6, 3] : undefined, width: 1, points: {show: !!opts.points, size: 5}, paths: opts.points ? () => null : undefined, value: (_, v) => v === null || v === undefined ? "–" : v.toPrecision(4)}))],
+      ...labels.map((label, c) => ({label, stroke: colour("--c" + (opts.points ? 0 : c % 4)), dash: c >= 4 ? [6, 3] : undefined, width: 1, points: {show: !!opts.points, size: c ? 7 : 5, fill: c ? "transparent" : colour("--c0")}, paths: opts.points ? () => null : undefined, value: (_, v) => v === null || v === undefined ? "–" : v.toPrecision(4)}))],
     hooks: opts.events ? {draw: [drawEvents]} : {},
   }, [[], ...labels.map(() => [])], box);
   fits.observe(box); // the grid may get a second column with the next chart
@@ -329,8 +329,9 @@ function draw(run) {
   }
   if (run.curve && curve.length) {
     const sorted = curve.filter(point => point[0] !== null && (!run.curve.log || point[0] > 0)).sort((a, b) => a[0] - b[0]);
-    const one = chart("curve", run.curve.y, [run.curve.y], {x: {time: false, distr: run.curve.log ? 3 : 1}}, [{label: run.curve.x, labelSize: 18, size: 34}, {size: wideEnough}], {points: true});
-    one.plot.setData([sorted.map(point => point[0]), sorted.map(point => point[1])]);
+    const labels = curve.some(point => point[2]) ? [run.curve.y, "invalid (open circles)"] : [run.curve.y];
+    const one = chart("curve", run.curve.y, labels, {x: {time: false, distr: run.curve.log ? 3 : 1}}, [{label: run.curve.x, labelSize: 18, size: 34}, {size: wideEnough}], {points: true});
+    one.plot.setData([sorted.map(point => point[0]), ...labels.map((_, invalid) => sorted.map(point => point[2] === !!invalid ? point[1] : null))]);
   }
   if (spectrum) {
     const one = chart("spectrum", "Spectrum of " + spectrum.channel, [`${spectrum.channel} (V, peak)`], {x: {time: false, distr: 3}, y: {distr: 3}}, [{label: "Hz", labelSize: 18, size: 34}, {size: wideEnough, values: (_, ticks) => ticks.map(v => v === null ? "" : v.toExponential(0))}]);

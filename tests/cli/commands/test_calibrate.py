@@ -281,6 +281,7 @@ def test_the_same_seed_gives_the_same_readings(rig: Any) -> None:
         (("load-cell", "--weights", "5,15"), 4, ("beyond the range of 1.25 V", "--range")),
         (("load-cell", "--preload", "15"), 4, ("25 N are over the limit of 20 N",)),
         (("load-cell", "--range", "3V"), 4, ("a range of 3 V does not exist",)),
+        (("load-cell", "--range", "0V"), 2, ("--range 0V: has to be above 0 V",)),
     ],
 )
 @pytest.mark.thorough

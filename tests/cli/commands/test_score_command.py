@@ -142,6 +142,7 @@ def test_options_change_the_population_as_a_file_does(population):
     assert shown["speed_mm_s"] == {"low": 1.0, "high": 2.0, "logarithmic": True}
     assert shown["ridge"] == 1
     assert shown["roll_s"] == {**SHORT["roll_s"], "logarithmic": False}
+    assert "give one of them" in refused("--show-population", "--show-front-end")
     default = run("--show-population")
     assert PopulationSettings.model_validate_json(default) == PopulationSettings()
 

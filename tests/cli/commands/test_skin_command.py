@@ -289,6 +289,11 @@ def test_every_figure_says_that_it_is_simulated(tmp_path: Path, monkeypatch):
         (["slide", "--settings", "nowhere.json"], "nowhere.json: No such file"),
         (["history", "--at", "600"], "--at 600 (a step) must lie between 1 and 550"),
         (["slide", "--elements", "2", "--at", "9s"], "--at 9 s must lie between 0 s and 0.8501 s"),
+        (["history", "--at", "1.5"], "--at 1.5 (a step) has to be a whole number"),
+        (
+            ["slide", "--show-settings", "--show-skin"],
+            "--show-settings and --show-skin print one object each; give one of them",
+        ),
         (["map", "--settings", "/dev/null"], "/dev/null: not a regular file"),
     ],
 )
