@@ -28,6 +28,11 @@ class BatchFolder:
     path: Path
 
     @property
+    def resume_command(self) -> str:
+        """The command that continues the batch, as a person enters it."""
+        return f"rig batch resume {in_shell(self.path)}"
+
+    @property
     def queue(self) -> Path:
         """See `rig.batch.queue`."""
         return self.path / QUEUE
@@ -173,8 +178,7 @@ def folder_to_resume(given: Path | None, results: Path) -> BatchFolder:
     if given is None and found != (latest := _batches_in(results)[0][-1]):
         raise ConfigurationError(
             f"two batches could be meant: {found.path} runs, {latest.path} is the latest",
-            f"name one: rig batch resume {in_shell(found.path)}, or "
-            f"rig batch resume {in_shell(latest.path)}",
+            f"name one: {found.resume_command}, or {latest.resume_command}",
         )
     return found
 

@@ -93,7 +93,7 @@ def motion_record(record: TrialRecord) -> MotionRecord:
 
 def plain(own: Mapping[str, Any], declared: Set[str], name: str) -> Reading:
     """Return what `reading` of a procedure returned with numpy's numbers as Python's, and None for
-    NaN: a run file has NaN where there is no value, and a mean must not be lost to one trial.
+    NaN: run files store NaN for a missing value, and one NaN would make the mean of all trials NaN.
 
     Raises TypeError where it is not a mapping, and ValueError for a key that is not one of the
     procedure's columns: a column of every trial must not be replaced.

@@ -34,7 +34,6 @@ from rig.batch.queue_file import QueueDamagedError, QueueWriteError
 from rig.batch.report.heartbeat import Heartbeat, HeartbeatRecord, HeartbeatState
 from rig.batch.report.people import People
 from rig.core.errors import ExitCode
-from rig.core.text import in_shell
 from rig.core.threads import start_thread
 from rig.core.units import counted
 from rig.run.stopping import WORDS, StopFlag
@@ -304,7 +303,7 @@ class Supervisor:
         self._files.close(CLOSING_S)
         unprocessed = self._queue.unprocessed()
         missing = self._folder.not_compiled(unprocessed)
-        again = f"rig batch resume {in_shell(self._folder.path)}"
+        again = self._folder.resume_command
         if missing:
             self._say(f"not compiled yet: {counted(missing, 'run file')}; compile with: {again}")
         if compiled := len(unprocessed) - missing:

@@ -13,7 +13,6 @@ from rig.batch.folder import BatchFolder
 from rig.batch.queue import Queue
 from rig.batch.queue_records import HOLDS, PRESSES, WAITS_FOR_A_PERSON
 from rig.batch.report.people import People
-from rig.core.text import in_shell
 from rig.core.units import counted
 
 STARTING_S = 300.0
@@ -130,7 +129,7 @@ class WorkerReports:
         if self.waits_because:
             self._people.say(
                 f"the batch still waits: {self.waits_because}; it continues with: "
-                f"rig batch resume {in_shell(self._folder.path)}"
+                f"{self._folder.resume_command}"
             )
 
     def _on_run(self, event: Mapping[str, Any]) -> None:
@@ -199,7 +198,7 @@ class WorkerReports:
         by_itself = f"when {event['by_itself']}, or " if event["by_itself"] else ""
         self._people.say(
             f"{event['bench']} and the batch waits; it continues {by_itself}with: "
-            f"rig batch resume {in_shell(self._folder.path)}"
+            f"{self._folder.resume_command}"
         )
 
     def _on_finished(self, event: Mapping[str, Any]) -> None:

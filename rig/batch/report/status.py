@@ -171,7 +171,7 @@ class BatchStatus:
     def to_continue(self) -> list[str]:
         """Return what to do about a batch that is not running, one instruction a line, without a
         capital; empty where nothing is left to do."""
-        resume = f"rig batch resume {in_shell(self.folder.path)}"
+        resume = self.folder.resume_command
         steps = [self.to_make_safe] if self.to_make_safe else []
         if self.remaining.runs and self.for_want_of_time:
             files = [f"make the missing files with: {resume}"] if self.unprocessed else []
