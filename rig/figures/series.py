@@ -43,13 +43,14 @@ FEWEST = 2
 
 def draw_series(run: RunFile) -> dict[str, Figure]:
     """Draw friction, touch gains and force errors over the trials of a series with their
-    distribution beside; invalid trials are open circles. Returns an empty dict for fewer than
-    `FEWEST` trials."""
+    distribution beside; invalid trials are open circles. A quantity that no trial has is left out.
+    Returns an empty dict for fewer than `FEWEST` trials, or if nothing is left."""
     invalid = np.array([bool(why) for why in run.column("invalid")])
     if len(invalid) < FEWEST:
         return {}
-    known = set(run.columns())
-    shown = [(label, columns) for label, columns in PANELS if columns[0][0] in known]
+    shown = [(label, columns) for label, columns in PANELS if _has_values(run, columns)]
+    if not shown:
+        return {}
     with mpl.rc_context(STYLE):
         figure = column_figure(26 + 29 * len(shown))
         panels = figure.subplots(
@@ -80,6 +81,16 @@ def draw_series(run: RunFile) -> dict[str, Figure]:
         figure.subplots_adjust(wspace=0.1)
         figure.align_ylabels([over_trials for over_trials, _ in panels])
     return {"": figure}
+
+
+def _has_values(run: RunFile, columns: tuple[tuple[str, str], ...]) -> bool:
+    """Return whether any trial has a value in one of the columns: weights that did not slide away
+    have no friction."""
+    known = set(run.columns())
+    return any(
+        name in known and np.isfinite(np.array(run.column(name), dtype=float)).any()
+        for name, _ in columns
+    )
 
 
 def _note(invalid: NDArray[np.bool_]) -> str:

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 import recorded_trials as trials
 from matplotlib.figure import Figure
-from recorded import FAST_SLIDE, ROLL, unpack
+from recorded import FAST_SLIDE, ROLL, TWO_SLIDES, unpack
 
 from rig.figures.circumstances import statements
 from rig.figures.pressed import scale_to
-from rig.figures.series import _plot
+from rig.figures.series import _plot, draw_series
 from rig.files.runfile.reader import RunFile
 
 
@@ -85,3 +85,18 @@ def test_a_series_states_means_to_the_digits_of_their_scatter() -> None:
     assert over_trials.get_lines()[0].get_label() == "peak: 0.91 ± 0.16"
     _plot(over_trials, distribution, values[:1], valid[:1], "k", "peak")
     assert over_trials.get_lines()[-2].get_label() == "peak: 0.7912"
+
+
+def test_a_quantity_that_no_trial_has_gets_no_panel(tmp_path: Path) -> None:
+    """Weights that did not slide away have no friction: its axes were drawn empty."""
+    unpack(tmp_path)
+    with RunFile.open(tmp_path / TWO_SLIDES) as run:
+        whole = draw_series(run)[""]
+        column = run.column
+        run.column = lambda name: (  # type: ignore[method-assign]
+            [float("nan")] * 2 if name.endswith("_friction") else column(name)
+        )
+        without = draw_series(run)[""]
+    labels = [axes.get_ylabel() for axes in whole.axes if axes.get_ylabel()]
+    assert labels[0] == "Friction"
+    assert [axes.get_ylabel() for axes in without.axes if axes.get_ylabel()] == labels[1:]
