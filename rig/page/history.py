@@ -15,6 +15,7 @@ from rig.files.naming import JOURNAL_SUFFIX, RUN_SUFFIX
 from rig.files.processed.reader import ProcessedFile
 from rig.files.runfile.reader import RunFile
 from rig.page.folder import FoundFile, ResultsFolder
+from rig.page.view import INVALID
 
 MOST_RUNS = 20_000
 AT_ONCE = 20
@@ -220,6 +221,7 @@ def _fields(path: Path) -> dict[str, Any]:
     try:
         with RunFile.open(path) as run:
             header, outcome = run.header, run.outcome
+            invalid = sum(map(bool, run.column(INVALID))) if INVALID in run.columns() else 0
     except RigError as error:
         return fields | {"problem": error.one_line()[:300]}
     return fields | {
@@ -228,7 +230,8 @@ def _fields(path: Path) -> dict[str, Any]:
         "start": header.start_time,
         "status": outcome.status,
         "mark": header.mark,
-        "points": f"{outcome.points_done}/{outcome.points_planned}",
+        "points": f"{outcome.points_done}/{outcome.points_planned}"
+        + (f", {outcome.points_done - invalid} valid" if invalid else ""),
         "exit": outcome.exit,
         "duration_s": outcome.duration,
     }

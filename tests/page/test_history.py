@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import json
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import recorded_run as run
 
+from rig.files.journal.layout import Column
 from rig.files.journal.writer import JournalWriter
 from rig.files.runfile.compile import compile_run
 from rig.page.history import RunIndex
@@ -51,6 +53,24 @@ def test_a_run_is_shown_with_its_results_as_rig_show_has_them(tmp_path: Path) ->
     detail = index.detail(listed["id"])
     assert detail is not None
     assert detail["summary"]["results"] == values
+
+
+def test_the_list_says_how_many_points_are_valid_where_some_are_not(tmp_path: Path) -> None:
+    reasons = {"sound": ("", ""), "doubtful": ("", "late ticks 3 % are above 1 %")}
+    for name, said in reasons.items():
+        column = Column("invalid", "", "Why it is invalid", "text")
+        layout = replace(run.LAYOUT, columns=(*run.LAYOUT.columns, column))
+        journal = tmp_path / f"{name}.rigj"
+        with JournalWriter.create(journal, run.header(layout=layout.to_json())) as writer:
+            for number, why in enumerate(said):
+                writer.point_begin(run.POINTS[number], {"time": 1.0 * number, "moves": [0.1]})
+                writer.point_keep(run.POINTS[number], {**run.reading(number), "invalid": why})
+            writer.end(run.end(points=2))
+        compile_run(journal, retire=True)
+    index = RunIndex(tmp_path)
+    index.update()
+    shown = {row["name"]: row["points"].split(", ")[1:] for row in index.rows()["runs"]}
+    assert shown == {"sound.h5": [], "doubtful.h5": ["1 valid"]}
 
 
 def test_an_answer_with_a_path_that_is_not_utf8_or_a_number_that_is_not_finite_is_json() -> None:

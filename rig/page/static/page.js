@@ -274,6 +274,8 @@ function chart(id, title, labels, scales, axes, opts = {}) {
       ...labels.map((label, c) => ({label, stroke: colour("--c" + (opts.points ? 0 : c % 4)), dash: c >= 4 ? [6, 3] : undefined, width: 1, points: {show: !!opts.points, size: c ? 7 : 5, fill: c ? "transparent" : colour("--c0")}, paths: opts.points ? () => null : undefined, value: (_, v) => v === null || v === undefined ? "–" : v.toPrecision(4)}))],
     hooks: opts.events ? {draw: [drawEvents]} : {},
   }, [[], ...labels.map(() => [])], box);
+  plot.ctx.canvas.setAttribute("role", "img"); // its values under the cursor are in the legend, a table
+  plot.ctx.canvas.setAttribute("aria-label", `Chart: ${title} against ${axes[0].label}, ${labels.join(", ")}`);
   fits.observe(box); // the grid may get a second column with the next chart
   return charts[id] = {plot, box, named: title + labels, drawnWith: [title, labels, scales, axes, opts]};
 }
