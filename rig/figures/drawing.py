@@ -233,8 +233,8 @@ class _Drawing:
         except OSError as error:
             raise _NoPlaceError(
                 f"no figure was drawn: {place.parent} cannot be written to "
-                f"({error.strerror or error}); name another folder with `rig show --figures-to`, "
-                "or leave figures out with --no-figures"
+                f"({error.strerror or error}); `rig show --figures-to FOLDER` draws them into "
+                "another folder"
             ) from error
 
     def _warn(self, text: str) -> None:

@@ -286,7 +286,8 @@ class ForceMonitor:
                 FrameFault(
                     f"{self._delay.beyond_usual(behind):.0f} frames are missing: the stream has a "
                     "gap",
-                    "check the cable and the load of the computer; choose a lower rate",
+                    "check the cable and the load of the computer, or choose a lower rate if the "
+                    "force sensor has one",
                 )
             )
 
