@@ -43,7 +43,7 @@ from procedures.pressed.ticks import TrialTicks
 from rig.bench.limits import require
 from rig.control.force_servo import ForceServo, settings_from
 from rig.core.errors import InstrumentError, RigError
-from rig.detector.commands import HeldForce
+from rig.detector.notices import HeldForce
 from rig.run.points import RetakeError
 
 if TYPE_CHECKING:
@@ -404,7 +404,7 @@ class PressedTrial:
     def _commanded_force(self, at_s: float, force_N: float) -> None:
         """Let the detector know that z is to hold a force from a time of the record on."""
         assert self.series.detection is not None
-        self.series.detection.command(HeldForce(math.ceil(at_s * DECIMATED_Hz), force_N))
+        self.series.detection.notice(HeldForce(math.ceil(at_s * DECIMATED_Hz), force_N))
 
     def since_s(self) -> float:
         """Return the time since the record began."""

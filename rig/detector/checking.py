@@ -23,8 +23,8 @@ from rig.detector.contract import Detector
 from rig.detector.events import EVENT_KINDS, SlipEvent
 
 if TYPE_CHECKING:
-    from rig.detector.commands import Command
     from rig.detector.low_pass import LowPass
+    from rig.detector.notices import Notice
 
 Reals = NDArray[np.float64]
 Given = TypeVar("Given")
@@ -93,9 +93,9 @@ class CheckedDetector(Detector):
         found = self._ask("judging", self._inner.add, volts.copy(), first)
         return self._checked_events(found, first, first + len(volts))
 
-    def command(self, given: Command) -> None:
-        """Pass a command on to the other detector."""
-        self._ask("a command", self._inner.command, given)
+    def notice(self, given: Notice) -> None:
+        """Pass a notice on to the other detector."""
+        self._ask("a notice of the bench", self._inner.notice, given)
 
     def end(self) -> list[SlipEvent]:
         """Return the checked events due at the end of a recording."""

@@ -16,10 +16,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rig.core import settings as core_settings
-from rig.detector.commands import Command, HeldForce
 from rig.detector.events import UNJUDGED, EventKind, SlipEvent
 from rig.detector.fir import StreamingFir
 from rig.detector.low_pass import LowPass, LowPassSettings, design_low_pass
+from rig.detector.notices import CutOff, HeldForce, Notice
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -76,6 +76,10 @@ class Detector(ABC):
         """Commanded normal force; None before the first command."""
         self._forces: deque[tuple[int, float]] = deque()
         """Rows at which the normal force changes, with the new force in N."""
+        self._cut_offs: deque[tuple[int, float]] = deque()
+        """Rows from which on a strip is cut off (1) or none is (0)."""
+        self._is_cut_off = False
+        self._changes = self._speeds, self._forces, self._cut_offs
 
     @classmethod
     def accepts(cls, rate_Hz: float) -> bool:
@@ -127,6 +131,14 @@ class Detector(ABC):
 
         It is called in trials of which the commands are known; `before_N` is None at the first
         force. After `reset` it is called with the present force as both, as `commanded` is.
+        """
+
+    def cut_off(self, now: bool) -> None:  # noqa: B027 - a hook
+        """Take note that from the next row on a strip's voltage is cut off by the range of the DAQ
+        (True), or that it is within the range again (False). Optional; does nothing.
+
+        It is called in trials, whose rows are filtered and do not show it. After `reset` it is
+        called if the strip is cut off. A detector should say that it cannot judge such rows.
         """
 
     def end(self) -> list[SlipEvent]:
@@ -184,7 +196,9 @@ class Detector(ABC):
                 self.commanded(self._x_mm_s, self._x_mm_s)
             if self._force_N is not None:
                 self.commanded_force(self._force_N, self._force_N)
-        # Cut where what is commanded changes: a detector's events do not depend on cuts.
+            if self._is_cut_off:
+                self.cut_off(True)
+        # Cut where what the bench knows changes: a detector's events do not depend on cuts.
         first, end = self._rows, self._rows + len(rows)
         while changes := self._next_changes(end):
             sample, value = changes.popleft()
@@ -194,6 +208,10 @@ class Detector(ABC):
             if changes is self._forces:
                 self.commanded_force(self._force_N, value)
                 self._force_N = value
+            elif changes is self._cut_offs:
+                if bool(value) != self._is_cut_off:
+                    self._is_cut_off = bool(value)
+                    self.cut_off(self._is_cut_off)
             else:
                 self.commanded(self._x_mm_s or 0.0, value)
                 self._x_mm_s = value
@@ -210,23 +228,24 @@ class Detector(ABC):
 
     def _next_changes(self, end: int) -> deque[tuple[int, float]] | None:
         """Return the changes of which the first is the next one before a row; None without one."""
-        known = [one for one in (self._speeds, self._forces) if one and one[0][0] < end]
+        known = [one for one in self._changes if one and one[0][0] < end]
         return min(known, key=lambda one: one[0][0], default=None)
 
-    def command(self, given: Command) -> None:
-        """Take a move of x or a normal force that was commanded, in the order of the commands. It
-        takes the place of what earlier ones of its kind say of later rows, and begins at the next
-        row at the earliest."""
+    def notice(self, given: Notice) -> None:
+        """Take what the bench knows of the rows to come, in the order in which it came about. It
+        begins at the next row at the earliest, and takes the place of what earlier notices of its
+        kind say of later rows."""
         sample = max(given.sample, self._rows)
-        changes = self._forces if isinstance(given, HeldForce) else self._speeds
-        while changes and changes[-1][0] >= sample:
-            changes.pop()
         if isinstance(given, HeldForce):
-            changes.append((sample, given.force_N))
-            return
-        changes.append((sample, given.speed_mm_s))
-        if given.speed_mm_s:
-            changes.append((max(given.until, sample + 1), 0.0))
+            _replace_from(sample, self._forces, (sample, given.force_N))
+        elif isinstance(given, CutOff):
+            end = (max(given.until, sample + 1), 0.0)
+            _replace_from(sample, self._cut_offs, (sample, 1.0), end)
+        elif given.speed_mm_s:
+            end = (max(given.until, sample + 1), 0.0)
+            _replace_from(sample, self._speeds, (sample, given.speed_mm_s), end)
+        else:
+            _replace_from(sample, self._speeds, (sample, 0.0))
 
     def finish(self) -> list[SlipEvent]:
         """Return the events due at the end of a recording."""
@@ -264,3 +283,12 @@ class Detector(ABC):
         return [
             self.event(kind, 0, 0.0, reason, unjudged) for kind in ("cannot judge", "judges again")
         ]
+
+
+def _replace_from(
+    sample: int, changes: deque[tuple[int, float]], *later: tuple[int, float]
+) -> None:
+    """Put other changes in the place of those from row `sample` on."""
+    while changes and changes[-1][0] >= sample:
+        changes.pop()
+    changes.extend(later)

@@ -17,10 +17,10 @@ from rig.core.cache import place_numba_cache
 
 place_numba_cache(Path(__file__).parent)
 from rig.detector import kernel  # noqa: E402 - after numba's cache has its place
-from rig.detector.commands import Command  # noqa: E402
 from rig.detector.contract import Detector, FASTEST_Hz, SLOWEST_Hz  # noqa: E402
 from rig.detector.events import EVENT_KINDS, UNJUDGED, SlipEvent  # noqa: E402
 from rig.detector.low_pass import LowPass, design_low_pass  # noqa: E402
+from rig.detector.notices import Notice  # noqa: E402
 from rig.detector.settings import DetectorSettings, ImpulseSettings, RigSettings  # noqa: E402
 
 Reals = NDArray[np.float64]
@@ -177,6 +177,10 @@ class IncipientSlipDetector(Detector):
         state["force_share"] *= 1 + change
         state["force_changes"] += change
 
+    def cut_off(self, now: bool) -> None:
+        """Note whether the DAQ cuts a strip off: nothing is judged until 50 ms after it has."""
+        self._state["is_cut_off"] = now
+
     def end(self) -> list[SlipEvent]:
         """Return one event if the rows were too few to measure offset and noise, or there never
         was a quiet piece for it and that has not been reported yet."""
@@ -192,13 +196,13 @@ class IncipientSlipDetector(Detector):
             reason = f"too short: offset and noise need {needed / self.rate_Hz:.3g} s"
         return [self.event("cannot judge", -1, 0.0, reason, unjudged)]
 
-    def network_inputs(self, volts: ArrayLike, commands: Iterable[Command] = ()) -> NetworkInputs:
-        """Return the inputs of the network over a whole recording (n, 2) in V with these commands,
+    def network_inputs(self, volts: ArrayLike, notices: Iterable[Notice] = ()) -> NetworkInputs:
+        """Return the inputs of the network over a whole recording (n, 2) in V with these notices,
         for training."""
         inputs = self._seen.shape[1]
         self._seen, self._looked = np.zeros((_SLICE, inputs)), np.zeros(_SLICE, np.bool_)
-        for one in commands:
-            self.command(one)
+        for one in notices:
+            self.notice(one)
         self.add(volts)
         shown, self._shown = self._shown, []
         self._seen, self._looked = np.zeros((1, inputs)), np.zeros(0, np.bool_)

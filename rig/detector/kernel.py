@@ -32,7 +32,8 @@ PREDICTIVE, SLIP, ROLL, REJECTED, CANNOT_JUDGE, JUDGES_AGAIN = range(6)
     ONE_INVERTED,
     HUM,
     TOO_NOISY,
-) = range(12)
+    CUT_OFF,
+) = range(13)
 REASONS = (
     "",
     "not armed: no motion under load preceded it",
@@ -46,6 +47,7 @@ REASONS = (
     "the first touch drives v_1 and v_2 oppositely: one is inverted, or it was not recorded",
     "mains hum: thresholds rise with it",
     "too noisy: a slip would not stand out from the noise",
+    "cut off: a strip's voltage left the range of the DAQ",
 )
 """Reasons of events that reject or cannot judge, in the order of the constants above."""
 RIG, LITERAL, HIGH_PASSED, IMPULSE = range(4)
@@ -171,6 +173,7 @@ STATE = np.dtype(
         ("unjudged", "i8"),  # reason for which nothing is judged, or NO_REASON
         ("unjudged_from", "i8"),  # first row of that time
         ("suppressed_by", "i8"),  # reason of suppressed_rows
+        ("is_cut_off", "i8"),  # whether the DAQ cuts a strip off
         ("stage", "i8"),  # of the first touch-down
         ("stage_rows", "i8"),
         ("stage_calm_rows", "i8"),
@@ -422,13 +425,16 @@ def advance(
 
 @njit(cache=True, error_model="numpy")
 def _check_channels(first: float, second: float, s: Any, c: Any) -> None:
-    """Suppress events until 50 ms after a channel was saturated or dead."""
+    """Suppress events until 50 ms after a channel was saturated, cut off or dead."""
     if s.suppressed_rows > 0:
         s.suppressed_rows -= 1
     now = round(50.0 * c.ms) + 1
     if abs(first) >= c.saturation or abs(second) >= c.saturation:
         s.suppressed_rows = now
         s.suppressed_by = SATURATED
+    if s.is_cut_off:
+        s.suppressed_rows = now
+        s.suppressed_by = CUT_OFF
     for j in range(2):
         x, other = (first, second) if j == 0 else (second, first)
         if x != s.last[j] or s.row == 0:

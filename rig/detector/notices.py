@@ -1,7 +1,8 @@
-"""What a bench knows beside v_1 and v_2: moves of x and normal forces that it has commanded.
+"""What a bench knows beside v_1 and v_2: moves of x and normal forces that it has commanded, and
+rows in which a strip's voltage was cut off at an end of the DAQ's range.
 
-A detector may be given them (`rig.detector.contract.Detector.command`); recordings of other
-programs have none, and every detector works without. A trial stores the commands that its detector
+A detector is given such notices (`rig.detector.contract.Detector.notice`); recordings of other
+programs have none, and every detector works without. A trial stores the notices that its detector
 was given, so that `rig detect` gives them again at the same rows.
 """
 
@@ -12,8 +13,9 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import astuple, dataclass
 from typing import Any
 
-MOVES_COLUMN, FORCES_COLUMN = "x_moves", "held_forces"
-"""Columns of a trial's reading that have the commands of each kind, as JSON."""
+MOVES_COLUMN, FORCES_COLUMN, CUT_OFF_COLUMN = "x_moves", "held_forces", "cut_off_rows"
+"""Columns of a trial's reading that have the notices of each kind, as JSON."""
+NOTICE_COLUMNS = MOVES_COLUMN, FORCES_COLUMN, CUT_OFF_COLUMN
 
 
 @dataclass(frozen=True)
@@ -49,67 +51,105 @@ class HeldForce:
         return HeldForce(row_of(self.sample), self.force_N)
 
 
-Command = XMove | HeldForce
+@dataclass(frozen=True)
+class CutOff:
+    """A strip's voltage that left the range of the DAQ. Rows count from the first one of the
+    record.
+
+    The rows of a trial are filtered, so that their values do not show it: a peak that was cut off
+    is smoothed, and the rows beside it overshoot.
+    """
+
+    sample: int
+    """First row that contains a cut-off sample."""
+    until: int
+    """Row after the first one that contains the last cut-off sample."""
+
+    def at_rows(self, row_of: Callable[[int], int]) -> CutOff:
+        """Return the same notice for a resampled record; see `XMove.at_rows`."""
+        first = row_of(self.sample)
+        return CutOff(first, max(row_of(self.until), first + 1))
+
+
+Notice = XMove | HeldForce | CutOff
 """What a detector may be given."""
 
+_KINDS: dict[type[Notice], tuple[str, str]] = {
+    XMove: ("x", MOVES_COLUMN),
+    HeldForce: ("force", FORCES_COLUMN),
+    CutOff: ("cut off", CUT_OFF_COLUMN),
+}
+"""Name of each kind in `to_text`, and its column."""
 
-def to_text(commands: Iterable[Command]) -> str:
-    """Return commands of both kinds as one text.
+
+def to_text(notices: Iterable[Notice]) -> str:
+    """Return notices of all kinds as one text.
 
     >>> to_text([XMove(100, -0.5, 300), HeldForce(120, 3.6)])
     '[["x", 100, -0.5, 300], ["force", 120, 3.6]]'
     """
-    return json.dumps(
-        [("x" if isinstance(one, XMove) else "force", *astuple(one)) for one in commands]
-    )
+    return json.dumps([(_KINDS[type(one)][0], *astuple(one)) for one in notices])
 
 
-def from_text(text: str) -> list[Command]:
-    """Return the commands in a text of `to_text`. Raises ValueError for any other."""
+def from_text(text: str) -> list[Notice]:
+    """Return the notices in a text of `to_text`. Raises ValueError for any other."""
     return _parsed(text, _of_kind)
 
 
-def columns_of(commands: Iterable[Command]) -> dict[str, str]:
-    """Return commands as the columns of a trial's reading.
+def columns_of(notices: Iterable[Notice]) -> dict[str, str]:
+    """Return notices as the columns of a trial's reading.
 
     >>> columns_of([XMove(100, -0.5, 300), HeldForce(120, 3.6)])
-    {'x_moves': '[[100, -0.5, 300]]', 'held_forces': '[[120, 3.6]]'}
+    {'x_moves': '[[100, -0.5, 300]]', 'held_forces': '[[120, 3.6]]', 'cut_off_rows': '[]'}
     """
-    given = list(commands)
+    given = list(notices)
     return {
         column: json.dumps([astuple(one) for one in given if isinstance(one, kind)])
-        for column, kind in ((MOVES_COLUMN, XMove), (FORCES_COLUMN, HeldForce))
+        for kind, (_, column) in _KINDS.items()
     }
 
 
-def commands_in(reading: Mapping[str, Any]) -> list[Command]:
-    """Return the commands in a trial's reading; none where it has no such columns, as in older
-    files. Their order is that within each kind, and a detector needs no other.
+def notices_in(reading: Mapping[str, Any]) -> list[Notice]:
+    """Return the notices in a trial's reading; none of a kind whose column it lacks, as older files
+    do. Their order is that within each kind, and a detector needs no other.
 
     Raises ValueError for columns that are not those of `columns_of`.
     """
-    moves = _parsed(reading.get(MOVES_COLUMN) or "", _move)
-    return [*moves, *_parsed(reading.get(FORCES_COLUMN) or "", _force)]
+    return [
+        one
+        for kind, (_, column) in _KINDS.items()
+        for one in _parsed(reading.get(column) or "", _BUILDERS[kind])
+    ]
 
 
-def _parsed(text: str, command: Callable[..., Command]) -> list[Command]:
+def _parsed(text: str, build: Callable[..., Notice]) -> list[Notice]:
     try:
-        return [command(*parts) for parts in (json.loads(text) if text else [])]
+        return [build(*parts) for parts in (json.loads(text) if text else [])]
     except (TypeError, ValueError) as error:
-        raise ValueError(f"not a list of commands: {error}") from error
+        raise ValueError(f"not a list of notices: {error}") from error
 
 
-def _of_kind(kind: Any, *values: Any) -> Command:
-    if kind == "x":
-        return _move(*values)
-    if kind == "force":
-        return _force(*values)
-    raise ValueError(f"no kind of command {kind!r}")
+def _of_kind(name: Any, *values: Any) -> Notice:
+    for kind, (known, _) in _KINDS.items():
+        if name == known:
+            return _BUILDERS[kind](*values)
+    raise ValueError(f"no kind of notice {name!r}")
 
 
-def _move(sample: Any, speed_mm_s: Any, until: Any) -> Command:
+def _move(sample: Any, speed_mm_s: Any, until: Any) -> Notice:
     return XMove(int(sample), float(speed_mm_s), int(until))
 
 
-def _force(sample: Any, force_N: Any) -> Command:
+def _force(sample: Any, force_N: Any) -> Notice:
     return HeldForce(int(sample), float(force_N))
+
+
+def _cut_off(sample: Any, until: Any) -> Notice:
+    return CutOff(int(sample), int(until))
+
+
+_BUILDERS: dict[type[Notice], Callable[..., Notice]] = {
+    XMove: _move,
+    HeldForce: _force,
+    CutOff: _cut_off,
+}

@@ -16,11 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.core.settings import Settings
-from rig.detector.commands import Command, HeldForce, XMove
 from rig.detector.contract import Detector
 from rig.detector.events import SlipEvent
 from rig.detector.fir import kaiser_low_pass
 from rig.detector.low_pass import LowPass
+from rig.detector.notices import CutOff, HeldForce, Notice, XMove
 
 Reals = NDArray[np.float64]
 
@@ -201,15 +201,17 @@ class ResampledDetector(Detector):
         rows = self._resampler.add(volts)
         return [] if not len(rows) else self._at_rows(self._inner.add(rows, first_sample=first))
 
-    def command(self, given: Command) -> None:
-        """Pass a command on, at the judged rows that come next."""
+    def notice(self, given: Notice) -> None:
+        """Pass a notice on, at the judged rows that come next."""
         sample = max(given.sample, self.rows)
-        due: Command
+        due: Notice
         if isinstance(given, HeldForce):
             due = HeldForce(sample, given.force_N)
+        elif isinstance(given, CutOff):
+            due = CutOff(sample, max(given.until, sample))
         else:
             due = XMove(sample, given.speed_mm_s, max(given.until, sample))
-        self._inner.command(due.at_rows(self._resampler.ratio.outputs_before))
+        self._inner.notice(due.at_rows(self._resampler.ratio.outputs_before))
 
     def end(self) -> list[SlipEvent]:
         """Return the events due at the end of a recording."""

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from rig.core.csv_lists import ListRow, read_list
 from rig.core.errors import ConfigurationError
-from rig.detector.commands import Command, commands_in
+from rig.detector.notices import Notice, notices_in
 from rig.evaluation import simulated_truth
 from rig.evaluation.scored_trials import judge_one
 from rig.evaluation.scoring.contenders import Contender
@@ -85,7 +85,7 @@ class ListedTrial:
     """Day of the run; empty if it is not known."""
     simulated: bool
     """True if it comes from a simulated bench."""
-    commands: tuple[Command, ...] = ()
+    notices: tuple[Notice, ...] = ()
     """What was commanded, where the file states it."""
     ends_known: bool = True
     """False where no one has stated when the ridge stuck again: `slips_s` end with the record."""
@@ -107,7 +107,7 @@ class _Recorded:
     sample: str
     day: str
     simulated: bool
-    commands: tuple[Command, ...]
+    notices: tuple[Notice, ...]
 
 
 def judge_files(
@@ -132,7 +132,7 @@ def judge_files(
             judged.append(
                 judge_one(
                     one.name, one.truth, one.volts, one.rate_Hz, one.traits, contenders,
-                    sweep=sweep, commands=one.commands,
+                    sweep=sweep, notices=one.notices,
                 )
             )  # fmt: skip
         except ValueError as error:
@@ -169,7 +169,7 @@ def listed_trials(listing: Path) -> Iterator[tuple[ListedTrial, int]]:
                 sample=recorded.sample,
                 day=recorded.day,
                 simulated=recorded.simulated,
-                commands=recorded.commands,
+                notices=recorded.notices,
             ),
             len(rows),
         )
@@ -247,7 +247,7 @@ def _recorded(path: Path, point: str, where: str) -> _Recorded:
             sample=header.sample.name or "",
             day="" if header.start_time is None else str(header.start_time)[:10],
             simulated=run.outcome.simulated is True,
-            commands=tuple(commands_in(reading)),
+            notices=tuple(notices_in(reading)),
         )
 
 

@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 
 from rig.core.errors import ConfigurationError
 from rig.detector.built_in import Rig
-from rig.detector.commands import Command
 from rig.detector.detector import IncipientSlipDetector, NETWORK_RATE_Hz
 from rig.detector.kernel import INPUTS
 from rig.detector.network import OUTPUTS, Network
+from rig.detector.notices import Notice
 from rig.detector.registered import ChosenDetector
 from rig.detector.resampling import Ratio, StreamingResampler
 from rig.detector.settings import named_detectors
@@ -100,7 +100,7 @@ class Lesson:
     """True if the motion is a roll."""
     motion_end_s: float = math.nan
     """End of a roll, NaN if it lasts to the end of the record."""
-    commands: tuple[Command, ...] = ()
+    notices: tuple[Notice, ...] = ()
     """What was commanded, where that is known."""
     ends_known: bool = True
     """False where no one has stated when the ridge stuck again: `slips_s` end with the record."""
@@ -170,18 +170,18 @@ def bench_lessons(made: MadeTrial, hearings: int) -> Iterator[Lesson]:
         slips_s=np.array(record.slips_s, dtype=np.float64).reshape(-1, 2),
         rolls=rolls,
         motion_end_s=motion_end_s,
-        commands=record.commands,
+        notices=record.notices,
         weight=BENCH_WEIGHT,
     )
     yield first
     base = LESSON_FRONT_END.model_copy(update=AS_IT_IS)
     for hearing in range(1, hearings):
-        volts, commands = record.volts, () if hearing % 2 else record.commands
+        volts, notices = record.volts, () if hearing % 2 else record.notices
         if hearing > 1:
             chance = np.random.default_rng([WIRE_KINDS.index(trial.kind), trial.seed, 4, hearing])
             front_end = front_end_of(int(chance.integers(len(FAULTS))), base)
             volts, _ = recorded(record.volts, record.rate_Hz, front_end, chance)
-        yield replace(first, volts=volts, commands=commands, first=False)
+        yield replace(first, volts=volts, notices=notices, first=False)
 
 
 def file_lesson(listed: ListedTrial, held_out: bool) -> Lesson:
@@ -194,7 +194,7 @@ def file_lesson(listed: ListedTrial, held_out: bool) -> Lesson:
         truth=listed.truth,
         slips_s=np.array(listed.slips_s, dtype=np.float64).reshape(-1, 2),
         rolls=listed.rolls,
-        commands=listed.commands,
+        notices=listed.notices,
         ends_known=listed.ends_known,
     )
 
@@ -212,13 +212,13 @@ class Teacher:
     def rows_of(self, lesson: Lesson) -> TrainingRows:
         """Return the rows of a lesson. Raises ValueError for a recording that the detector
         refuses."""
-        volts, ratio, commands = lesson.volts, Ratio(1, 1), lesson.commands
+        volts, ratio, notices = lesson.volts, Ratio(1, 1), lesson.notices
         if not Rig.accepts(lesson.rate_Hz):
             resampler = StreamingResampler(lesson.rate_Hz, NETWORK_RATE_Hz, 2)
             volts, ratio = resampler.add(volts), resampler.ratio
-            commands = tuple(one.at_rows(ratio.outputs_before) for one in commands)
+            notices = tuple(one.at_rows(ratio.outputs_before) for one in notices)
         shown = IncipientSlipDetector(self._settings, NETWORK_RATE_Hz).network_inputs(
-            volts, commands
+            volts, notices
         )
         moves = shown.inputs[:, INPUTS.index("speed of x")] > 0
         rows = rows_of(
@@ -231,7 +231,7 @@ class Teacher:
                 motion_s=lesson.truth.motion_s,
                 motion_end_s=lesson.motion_end_s,
                 lift_off_s=lesson.truth.lift_off_s,
-                moves=moves if commands and lesson.ends_known else None,
+                moves=moves if notices and lesson.ends_known else None,
             )
         )
         return replace(rows, weight=lesson.weight * rows.weight)
@@ -248,7 +248,7 @@ def judged(
     for one in lessons:
         if not one.first:
             continue  # the same contact: not another case
-        (report,) = contender.reports(one.volts, one.rate_Hz, (1.0,), one.commands)
+        (report,) = contender.reports(one.volts, one.rate_Hz, (1.0,), one.notices)
         outcome = judge(one.truth, report, {})
         label = one.truth.label
         if one.truth.slipped:

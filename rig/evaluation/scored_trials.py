@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.core.cache import Cache
-from rig.detector.commands import Command
+from rig.detector.notices import Notice
 from rig.evaluation.front_ends import through_front_end
 from rig.evaluation.labelled_trials import Kind, LabelledTrial, labelled_trial
 from rig.evaluation.scoring.baselines import BaselineSettings, baseline_score
@@ -101,13 +101,13 @@ def judge_one(
     contenders: Sequence[Contender],
     *,
     sweep: bool,
-    commands: tuple[Command, ...] = (),
+    notices: tuple[Notice, ...] = (),
 ) -> ScoredTrial:
     """Score one recording with these commands. Raises ValueError if a detector cannot process
     it."""
     factors = (1.0, *FACTORS) if sweep else (1.0,)
     judged = [
-        [judge(truth, report, traits) for report in one.reports(volts, rate_Hz, factors, commands)]
+        [judge(truth, report, traits) for report in one.reports(volts, rate_Hz, factors, notices)]
         for one in contenders
     ]
     swept = [outcomes[1:] for outcomes in judged]

@@ -248,9 +248,14 @@ class Record:
 
     def clipped(self, channel: str) -> int:
         """Return how many samples of a channel are at either end of the converter's range."""
+        return int(self.at_end_of_range(channel).sum())
+
+    def at_end_of_range(self, channel: str) -> npt.NDArray[np.bool_]:
+        """Return which samples of a channel are at either end of the converter's range, (n,)."""
         column = self.counts[:, self.scaling.channels.index(channel)]
         low, high = self.scaling.lowest_count, self.scaling.highest_count
-        return int(((column <= low) | (column >= high)).sum())
+        ends: npt.NDArray[np.bool_] = (column <= low) | (column >= high)
+        return ends
 
 
 class DataAcquisition(Instrument, Protocol):

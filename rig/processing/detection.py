@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Any
 
 from rig.core.errors import ConfigurationError, ExitCode, RigError
 from rig.core.text import in_shell
-from rig.detector.commands import FORCES_COLUMN, MOVES_COLUMN, commands_in
 from rig.detector.events import EVENT_KINDS, SlipEvent, unjudged_s
+from rig.detector.notices import NOTICE_COLUMNS, notices_in
 from rig.detector.registered import ChosenDetector
 from rig.files.checksum import checksum_findings, sha256_of
 from rig.files.errors import RunFileError
@@ -133,7 +133,7 @@ def detect_trials(run: RunFile, detector: ChosenDetector) -> list[DetectedTrial]
             else f"`rig resume {in_shell(run.path)}` continues the run",
         )
     trials = []
-    readings = _readings_with_commands(run)
+    readings = _readings_with_notices(run)
     for point in run.point_ids():
         if point in pieces:
             try:
@@ -145,10 +145,10 @@ def detect_trials(run: RunFile, detector: ChosenDetector) -> list[DetectedTrial]
     return trials
 
 
-def _readings_with_commands(run: RunFile) -> dict[str, dict[str, Any]]:
-    """Return the reading of each kept trial; none for a file that does not state what was
-    commanded."""
-    if not {MOVES_COLUMN, FORCES_COLUMN} & set(run.columns()):
+def _readings_with_notices(run: RunFile) -> dict[str, dict[str, Any]]:
+    """Return the reading of each kept trial; none for a file that does not state what its
+    bench knew."""
+    if not set(NOTICE_COLUMNS) & set(run.columns()):
         return {}
     return dict(zip(run.point_ids(), run.readings(), strict=True))
 
@@ -320,7 +320,8 @@ def _stream_of_strips(run: RunFile) -> str:
 def _detect_trial(
     point: str, pieces: list[Waveform], reading: dict[str, Any], chosen: ChosenDetector
 ) -> DetectedTrial:
-    """Return the result for one trial, with the commands of its reading. Raises ValueError if the
+    """Return the result for one trial, with what its reading says that the bench
+    knew. Raises ValueError if the
     detector cannot process it, or if its pieces are of different kinds."""
     import numpy as np
 
@@ -328,8 +329,8 @@ def _detect_trial(
     if rate_Hz is None:
         raise ValueError("the file gives no sampling rate of v_1 and v_2")
     detector = chosen.make(rate_Hz)
-    for one in commands_in(reading):
-        detector.command(one)
+    for one in notices_in(reading):
+        detector.notice(one)
     events: list[SlipEvent] = []
     rows, differences, predictive = [], [], []
     for piece, volts in _rows_of(pieces):

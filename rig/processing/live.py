@@ -35,8 +35,8 @@ from numpy.typing import NDArray
 
 from rig.core.errors import LONGEST_REASON, ConfigurationError, ExitCode, RigError, shortened
 from rig.detector.checking import event_fault
-from rig.detector.commands import Command, to_text
 from rig.detector.events import SlipEvent
+from rig.detector.notices import Notice, to_text
 from rig.detector.registered import ChosenDetector, chosen_detector, is_own
 
 Reals = NDArray[np.float64]
@@ -61,9 +61,9 @@ MOST_BYTES = 1 << 18
 CHECK_EVERY_ms = 20
 """Interval at which the age of the oldest block is checked."""
 
-BEGIN, ROWS, FINISH, COMMAND = range(4)
-"""What a message asks: to begin a recording, to judge rows, to end the recording, to know of a move
-of x."""
+BEGIN, ROWS, FINISH, NOTICE = range(4)
+"""What a message asks: to begin a recording, to judge rows, to end the recording, to know what
+the bench knows of the rows to come."""
 DONE, FAILED, READY = range(3)
 """What an answer is: events in JSON (empty for none), a reason, or the detector's identity."""
 HEAD = struct.Struct("<BQq")
@@ -120,9 +120,9 @@ class LiveDetector(ABC):
         nothing and, unless the detector is patient, waits for nothing."""
 
     @abstractmethod
-    def command(self, given: Command) -> None:
-        """Say what was commanded (`rig.detector.contract.Detector.command`), before the rows from
-        which on it counts. Raises nothing and waits like `add`."""
+    def notice(self, given: Notice) -> None:
+        """Say what the bench knows of the rows to come (`rig.detector.contract.Detector.notice`).
+        Raises nothing and waits like `add`."""
 
     @abstractmethod
     def finish(self) -> None:
@@ -217,9 +217,9 @@ class _Direct(LiveDetector):
     def add(self, volts: Reals, first_sample: int) -> None:
         self._ask(lambda: self._detector.add(volts, first_sample))
 
-    def command(self, given: Command) -> None:
+    def notice(self, given: Notice) -> None:
         def give() -> list[SlipEvent]:
-            self._detector.command(given)
+            self._detector.notice(given)
             return []
 
         self._ask(give)
@@ -310,8 +310,8 @@ class _InChild(LiveDetector):
             self._rows = first + len(part)
             self._send(ROWS, first, self._rows, part.tobytes())
 
-    def command(self, given: Command) -> None:
-        self._send(COMMAND, self._rows, self._rows, to_text([given]).encode())
+    def notice(self, given: Notice) -> None:
+        self._send(NOTICE, self._rows, self._rows, to_text([given]).encode())
 
     def finish(self) -> None:
         self._send(FINISH, 0, self._rows)

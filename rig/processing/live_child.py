@@ -71,7 +71,7 @@ def _serve(connection: socket.socket) -> None:
     import numpy as np
 
     from rig.core.errors import ConfigurationError, RigError
-    from rig.detector.commands import from_text
+    from rig.detector.notices import from_text
     from rig.detector.registered import chosen_detector
     from rig.processing import live
 
@@ -100,9 +100,9 @@ def _serve(connection: socket.socket) -> None:
             elif asked == live.ROWS:
                 volts = np.frombuffer(message, np.float64, offset=live.HEAD.size).reshape(-1, 2)
                 events = detector.add(volts, first)
-            elif asked == live.COMMAND:
+            elif asked == live.NOTICE:
                 (one,), events = from_text(message[live.HEAD.size :].decode()), []
-                detector.command(one)
+                detector.notice(one)
             else:
                 events = detector.finish()
             if len(events) > live.MOST_EVENTS:

@@ -11,8 +11,8 @@ from collections.abc import Callable, Iterable
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.detector.commands import Command, HeldForce, XMove
 from rig.detector.events import EVENT_KINDS, SlipEvent
+from rig.detector.notices import CutOff, HeldForce, Notice, XMove
 from rig.detector.registered import ChosenDetector, chosen_detector
 from rig.testing.raising import raising
 
@@ -61,29 +61,31 @@ def _blocks_give_the_events_of_the_whole(chosen: ChosenDetector) -> None:
         _same(_events(chosen, volts, sorted(cuts)), whole, f"blocks cut at {sorted(cuts.tolist())}")
 
 
-def _commands_are_taken(chosen: ChosenDetector) -> None:
-    """Commands that come with the rows find what they find where all are known before."""
+def _notices_are_taken(chosen: ChosenDetector) -> None:
+    """Check that what the bench knows has the same effect with the rows and before all of them."""
     rate_Hz = _rate(chosen)
     volts = recording(rate_Hz)
     moves_s = ((0.8, 0.4, 1.0), (0.9, -0.2, 1.3), (1.8, 0.3, 2.3))
-    commands: list[Command] = [
+    notices: list[Notice] = [
         XMove(round(begin_s * rate_Hz), speed_mm_s, round(end_s * rate_Hz))
         for begin_s, speed_mm_s, end_s in moves_s
     ]
     for at_s, force_N in ((0.7, 4.0), (1.1, 3.0)):
-        commands.append(HeldForce(round(at_s * rate_Hz), force_N))
-    commands.sort(key=lambda one: one.sample)
+        notices.append(HeldForce(round(at_s * rate_Hz), force_N))
+    for first_s, until_s in ((0.75, 0.76), (1.295, 1.32)):
+        notices.append(CutOff(round(first_s * rate_Hz), round(until_s * rate_Hz)))
+    notices.sort(key=lambda one: one.sample)
     known = chosen.make(rate_Hz)
-    for one in commands:
-        known.command(one)
+    for one in notices:
+        known.notice(one)
     whole = [*known.add(volts), *known.finish()]
     for size in SIZES:
-        detector, waiting, events = chosen.make(rate_Hz), list(commands), list[SlipEvent]()
+        detector, waiting, events = chosen.make(rate_Hz), list(notices), list[SlipEvent]()
         for begin, end in itertools.pairwise(_every(size, len(volts))):
             while waiting and waiting[0].sample < end:
-                detector.command(waiting.pop(0))
+                detector.notice(waiting.pop(0))
             events += detector.add(volts[begin:end])
-        _same([*events, *detector.finish()], whole, f"commands, blocks of {size} rows")
+        _same([*events, *detector.finish()], whole, f"notices of the bench, blocks of {size} rows")
 
 
 def _events_lie_in_the_rows_in_which_they_were_decided(chosen: ChosenDetector) -> None:
@@ -218,7 +220,7 @@ def _parameters_survive_json(chosen: ChosenDetector) -> None:
 
 _CHECKS: tuple[Callable[[ChosenDetector], None], ...] = (
     _blocks_give_the_events_of_the_whole,
-    _commands_are_taken,
+    _notices_are_taken,
     _events_lie_in_the_rows_in_which_they_were_decided,
     _instances_share_nothing,
     _a_gap_begins_anew,

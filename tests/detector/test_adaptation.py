@@ -14,10 +14,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rig.detector import kernel
-from rig.detector.commands import HeldForce, XMove
 from rig.detector.detector import IncipientSlipDetector
 from rig.detector.events import SlipEvent, unjudged_s
 from rig.detector.network import Network
+from rig.detector.notices import HeldForce, XMove
 from rig.detector.settings import DetectorSettings, RigSettings
 
 RATE_Hz = 1000.0
@@ -195,15 +195,15 @@ def test_with_the_commands_of_x_another_probability_is_asked_for():
     without = IncipientSlipDetector(chosen, RATE_Hz)
     assert samples(without.add(pressed_and_sheared())) == []
     known = IncipientSlipDetector(chosen, RATE_Hz)
-    known.command(HeldForce(600, 4.0))
-    known.command(XMove(1200, 0.5, 1500))
+    known.notice(HeldForce(600, 4.0))
+    known.notice(XMove(1200, 0.5, 1500))
     (first, *_) = samples(known.add(pressed_and_sheared()))
     assert 1200 <= first < 1210
     same = IncipientSlipDetector(
         chosen.model_copy(update={"fire_probability_with_x": None}), RATE_Hz
     )
-    same.command(HeldForce(600, 4.0))
-    same.command(XMove(1200, 0.5, 1500))
+    same.notice(HeldForce(600, 4.0))
+    same.notice(XMove(1200, 0.5, 1500))
     assert samples(same.add(pressed_and_sheared())) == []
 
 

@@ -1,5 +1,5 @@
-"""Commands as an input of detectors: moves of x, which the detector `impulse` uses, and held
-forces."""
+"""What the bench knows as an input of detectors: moves of x, which the detector `impulse` uses,
+held forces, and rows that the DAQ has cut off."""
 
 from __future__ import annotations
 
@@ -10,11 +10,19 @@ import numpy as np
 import pytest
 
 from rig.core.settings import Settings
-from rig.detector.commands import HeldForce, XMove, columns_of, commands_in, from_text, to_text
 from rig.detector.contract import Detector
 from rig.detector.detector import IncipientSlipDetector, NETWORK_RATE_Hz
 from rig.detector.events import SlipEvent
-from rig.detector.registered import ChosenDetector
+from rig.detector.notices import (
+    CutOff,
+    HeldForce,
+    XMove,
+    columns_of,
+    from_text,
+    notices_in,
+    to_text,
+)
+from rig.detector.registered import ChosenDetector, chosen_detector
 from rig.detector.resampling import ResampledDetector
 from rig.detector.settings import ImpulseSettings, named_detectors
 
@@ -43,7 +51,7 @@ def listened(*moves: XMove, rows: int = 1000, block: int = 1000) -> list[tuple[i
     """What a detector hears that is given these moves and then rows, in blocks."""
     detector = Listener(Settings(), RATE_Hz)
     for move in moves:
-        detector.command(move)
+        detector.notice(move)
     for first in range(0, rows, block):
         detector.add(np.zeros((min(block, rows - first), 2)), first_sample=first)
     return detector.changes
@@ -66,7 +74,7 @@ def slips(
 ) -> list[int]:
     detector = IncipientSlipDetector(settings or ImpulseSettings(), RATE_Hz)
     for move in moves:
-        detector.command(move)
+        detector.notice(move)
     events: list[SlipEvent] = []
     for first in range(0, len(volts), block):
         events += detector.add(volts[first : first + block], first_sample=first)
@@ -91,14 +99,14 @@ def test_a_further_move_takes_the_place_of_what_was_to_come():
 def test_a_move_that_comes_late_begins_with_the_next_row():
     detector = Listener(Settings(), RATE_Hz)
     detector.add(np.zeros((250, 2)))
-    detector.command(XMove(100, 0.5, 200))
+    detector.notice(XMove(100, 0.5, 200))
     detector.add(np.zeros((250, 2)))
     assert detector.changes == [(250, 0.0, 0.5), (251, 0.5, 0.0)]
 
 
 def test_after_missing_rows_the_speed_is_still_known_and_what_was_due_meanwhile_is_done():
     detector = Listener(Settings(), RATE_Hz)
-    detector.command(XMove(100, 0.5, 900))
+    detector.notice(XMove(100, 0.5, 900))
     heard = []
     for first in (0, 300, 1000):  # from 250 to 300 and from 350 to 1000 rows are missing
         detector.add(np.zeros((50, 2) if first else (250, 2)), first_sample=first)
@@ -115,8 +123,8 @@ def test_without_a_command_missing_rows_make_none():
 
 def test_the_network_sees_the_speed_of_x_after_missing_rows():
     rig = IncipientSlipDetector(named_detectors()["rig"], NETWORK_RATE_Hz)
-    rig.command(HeldForce(50, 4.0))
-    rig.command(XMove(100, 0.5, 90_000))
+    rig.notice(HeldForce(50, 4.0))
+    rig.notice(XMove(100, 0.5, 90_000))
     rig.add(np.zeros((2000, 2)), first_sample=0)
     rig.add(np.zeros((200, 2)), first_sample=2400)
     state = rig._state[0]
@@ -128,25 +136,26 @@ def test_a_move_goes_through_a_check_and_to_the_rows_of_another_rate(
     monkeypatch: pytest.MonkeyPatch,
 ):
     resampled = ResampledDetector(Listener, Settings(), 10 * RATE_Hz)
-    resampled.command(XMove(1000, 0.5, 3000))
+    resampled.notice(XMove(1000, 0.5, 3000))
     resampled.add(np.zeros((5000, 2)))
     inner: Any = resampled._inner
     assert inner.changes == [(100, 0.0, 0.5), (300, 0.5, 0.0)]
     monkeypatch.setattr(ChosenDetector, "kind", Listener)
     checked: Any = ChosenDetector("lab-listener", Settings()).make(RATE_Hz)
-    checked.command(XMove(100, 0.5, 300))
+    checked.notice(XMove(100, 0.5, 300))
     checked.add(np.zeros((500, 2)))
     assert checked._inner.changes == [(100, 0.0, 0.5), (300, 0.5, 0.0)]
 
 
-def test_commands_survive_as_text_and_as_columns_and_older_files_have_moves_or_none():
-    commands = [XMove(100, -0.5, 300), XMove(200, 0.25, 260), HeldForce(150, 3.6)]
-    assert from_text(to_text(commands)) == commands
-    assert commands_in(columns_of(commands)) == commands
-    assert commands_in({"x_moves": "[[100, -0.5, 300]]"}) == [XMove(100, -0.5, 300)]
-    assert commands_in({"x_moves": None}) == []
+def test_notices_survive_as_text_and_as_columns_and_older_files_have_moves_or_none():
+    moves = [XMove(100, -0.5, 300), XMove(200, 0.25, 260)]
+    notices = [*moves, HeldForce(150, 3.6), CutOff(180, 190)]
+    assert from_text(to_text(notices)) == notices
+    assert notices_in(columns_of(notices)) == notices
+    assert notices_in({"x_moves": "[[100, -0.5, 300]]"}) == [XMove(100, -0.5, 300)]
+    assert notices_in({"x_moves": None}) == []
     for nonsense in ("[1, 2]", '[["force", 1]]', '[["x", 1, 2, 3, 4]]', '[["force", 1, "N"]]', "{"):
-        with pytest.raises(ValueError, match="not a list of commands"):
+        with pytest.raises(ValueError, match="not a list of notices"):
             from_text(nonsense)
 
 
@@ -161,7 +170,7 @@ class ForceListener(Listener):
 def test_a_held_force_is_heard_at_its_row_among_the_moves(block: int):
     detector = ForceListener(Settings(), RATE_Hz)
     for one in (HeldForce(90, 4.0), XMove(100, 0.5, 300), HeldForce(200, 3.0), HeldForce(200, 2.5)):
-        detector.command(one)
+        detector.notice(one)
     for first in range(0, 500, block):
         detector.add(np.zeros((min(block, 500 - first), 2)), first_sample=first)
     expected = [(90, -1.0, 4.0), (100, 0.0, 0.5), (200, 4.0, 2.5), (300, 0.5, 0.0)]
@@ -170,7 +179,7 @@ def test_a_held_force_is_heard_at_its_row_among_the_moves(block: int):
 
 def test_after_missing_rows_the_held_force_is_still_known():
     detector = ForceListener(Settings(), RATE_Hz)
-    detector.command(HeldForce(100, 4.0))
+    detector.notice(HeldForce(100, 4.0))
     detector.add(np.zeros((250, 2)), first_sample=0)
     detector.add(np.zeros((50, 2)), first_sample=400)
     assert detector.changes == [(400, 4.0, 4.0)]
@@ -178,7 +187,7 @@ def test_after_missing_rows_the_held_force_is_still_known():
 
 def test_a_held_force_goes_to_the_rows_of_another_rate():
     resampled = ResampledDetector(ForceListener, Settings(), 10 * RATE_Hz)
-    resampled.command(HeldForce(1000, 4.0))
+    resampled.notice(HeldForce(1000, 4.0))
     resampled.add(np.zeros((5000, 2)))
     inner: Any = resampled._inner
     assert inner.changes == [(100, -1.0, 4.0)]
@@ -190,7 +199,7 @@ def test_the_other_detectors_find_the_same_with_commands_as_without(name: str):
     for moves in ((), (XMove(1200, 0.5, STOP),)):
         detector = IncipientSlipDetector(named_detectors()[name], RATE_Hz)
         for move in moves:
-            detector.command(move)
+            detector.notice(move)
         found.append(detector.add(volts) + detector.finish())
     assert found[0] == found[1] != []
 
@@ -256,7 +265,56 @@ def test_blocks_and_commands_that_come_with_them_give_the_events_of_the_file():
         while first < len(volts):
             end = min(len(volts), first + int(rng.integers(1, 2 * block + 1)))
             while waiting and waiting[0].sample < end:
-                detector.command(waiting.pop(0))
+                detector.notice(waiting.pop(0))
             found += detector.add(volts[first:end], first_sample=first)
             first = end
         assert [one.sample for one in found if one.kind == "incipient slip"] == whole
+
+
+# --- strips that are cut off by the range of the DAQ ---------------------------------------------
+
+
+class CutOffListener(Listener):
+    """Notes where strips were cut off."""
+
+    def cut_off(self, now: bool) -> None:
+        self.changes.append((self.rows, float(not now), float(now)))
+
+
+@pytest.mark.parametrize("block", [1000, 7])
+def test_a_cut_off_that_continues_is_one_however_it_was_noticed(block: int):
+    expected = [(100, 0.0, 1.0), (110, 1.0, 0.0), (200, 0.0, 1.0), (201, 1.0, 0.0)]
+    whole = (CutOff(100, 110), CutOff(200, 201))
+    pieces = (CutOff(100, 102), CutOff(102, 106), CutOff(105, 110), CutOff(200, 200))
+    for notices in (whole, pieces):
+        detector = CutOffListener(Settings(), RATE_Hz)
+        for one in notices:
+            detector.notice(one)
+        for first in range(0, 1000, block):
+            detector.add(np.zeros((min(block, 1000 - first), 2)), first_sample=first)
+        assert detector.changes == expected
+
+
+def test_after_missing_rows_a_detector_knows_whether_a_strip_is_cut_off():
+    detector = CutOffListener(Settings(), RATE_Hz)
+    detector.notice(CutOff(100, 350))
+    heard = []
+    for first in (0, 300, 1000):
+        detector.add(np.zeros((50, 2) if first else (250, 2)), first_sample=first)
+        heard.append(detector.changes)
+    assert heard == [[(100, 0.0, 1.0)], [(300, 0.0, 1.0)], [(1000, 0.0, 1.0), (1000, 1.0, 0.0)]]
+
+
+@pytest.mark.parametrize("rate_Hz", [RATE_Hz, 10 * RATE_Hz])
+@pytest.mark.parametrize("name", ["rig", "paper-hp", "paper-literal", "impulse"])
+def test_what_was_cut_off_is_not_judged_until_50_ms_later(name: str, rate_Hz: float):
+    detector = chosen_detector(name).make(rate_Hz)
+    detector.notice(CutOff(round(1.095 * rate_Hz), round(1.105 * rate_Hz)))
+    noise = 1e-4 * np.random.default_rng(3).standard_normal((round(1.4 * rate_Hz), 2))
+    events = [*detector.add(noise), *detector.finish()]
+    reason = "cut off: a strip's voltage left the range of the DAQ"
+    judging = [(e.kind, e.reason, e.time_s) for e in events if "judge" in e.kind]
+    assert [one[:2] for one in judging] == [("cannot judge", reason), ("judges again", reason)]
+    filtered_s = 0.0 if rate_Hz == RATE_Hz else 0.005
+    assert judging[0][2] == pytest.approx(1.095, abs=1e-9 + filtered_s)
+    assert judging[1][2] == pytest.approx(1.155, abs=1e-9 + filtered_s)

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from rig.core.errors import ConfigurationError
-from rig.detector.commands import HeldForce, XMove
 from rig.detector.kernel import INPUTS
+from rig.detector.notices import HeldForce, XMove
 from rig.evaluation.lessons import (
     BENCH_WEIGHT,
     FAULTS,
@@ -42,9 +42,9 @@ def test_a_trial_of_the_bench_is_heard_once_as_it_was_recorded_and_then_otherwis
     trial = made("slide", 3)
     assert trial.record is not None
     moves = (XMove(1200, 0.5, 1500),)
-    trial = replace(trial, record=replace(trial.record, commands=moves))
+    trial = replace(trial, record=replace(trial.record, notices=moves))
     first, *others = bench_lessons(trial, 4)
-    assert [one.commands for one in (first, *others)] == [moves, (), moves, ()]
+    assert [one.notices for one in (first, *others)] == [moves, (), moves, ()]
     assert (first.volts == trial.record.volts).all()
     assert [one.first for one in (first, *others)] == [True, False, False, False]
     assert [bool((one.volts != first.volts).any()) for one in others] == [False, True, True]
@@ -96,7 +96,7 @@ def test_the_commands_of_x_are_inputs_from_their_row_on_at_any_rate():
     for rate_Hz, row in ((1000.0, 1200), (2000.0, 2400)):
         volts = np.repeat(heard.volts, round(rate_Hz / 1000.0), axis=0)
         given = (HeldForce(row // 2, 4.0), XMove(row, 0.5, 2 * row))
-        moved = replace(heard, volts=volts, rate_Hz=rate_Hz, commands=given)
+        moved = replace(heard, volts=volts, rate_Hz=rate_Hz, notices=given)
         taught = Teacher().rows_of(moved).inputs[:, known]
         assert 0.2 < taught.astype(bool).mean() < 0.7
 
@@ -112,9 +112,9 @@ def test_a_slip_that_lasts_is_taught_where_the_commands_and_its_end_are_known(ra
     def cases(**changes: object) -> int:
         return int(Teacher().rows_of(replace(lasts, **changes)).slip.max()) + 1  # type: ignore[arg-type]
 
-    assert cases(commands=(held, moved)) == 3  # the slip, and two pieces of what follows
-    assert cases() == cases(commands=(held,)) == cases(commands=(moved,)) == 1
-    assert cases(commands=(held, moved), ends_known=False) == 1
+    assert cases(notices=(held, moved)) == 3  # the slip, and two pieces of what follows
+    assert cases() == cases(notices=(held,)) == cases(notices=(moved,)) == 1
+    assert cases(notices=(held, moved), ends_known=False) == 1
 
 
 def test_the_rows_of_a_lesson_weigh_as_the_lesson_and_teach_its_slip():

@@ -18,8 +18,8 @@ from packages import install
 from tiers import mostly_thorough
 
 from rig.core.errors import RigError
-from rig.detector.commands import XMove
 from rig.detector.events import SlipEvent
+from rig.detector.notices import XMove
 from rig.detector.registered import chosen_detector
 from rig.processing import live
 
@@ -204,7 +204,7 @@ def test_a_command_reaches_one_of_another_package_at_its_row(
     one.begin()
     for part, first in blocks(crossing(), 50):
         if first == 200:
-            one.command(XMove(250, -0.5, 350))
+            one.notice(XMove(250, -0.5, 350))
         one.add(part, first)
     found = [(each.event.sample, each.event.reason) for each in one.take()]
     assert found == [(200, "0.0"), (300, "-0.5"), (400, "0.0")]

@@ -12,9 +12,9 @@ import pytest
 from tiers import mostly_thorough
 
 from rig.detector import registered
-from rig.detector.commands import Command
 from rig.detector.contract import Detector
 from rig.detector.events import SlipEvent
+from rig.detector.notices import Notice
 from rig.testing import detector_contract
 from rig.testing.detectors import checks_of
 
@@ -149,17 +149,17 @@ class Changing(Steps):
 
 
 class AtOnce(Steps):
-    """Acts on a command when it is given, not at its row."""
+    """Acts on what the bench knows when it is given, not at its row."""
 
     reported = 0
 
-    def command(self, one: Command) -> None:
-        """Counts the commands."""
+    def notice(self, one: Notice) -> None:
+        """Counts the notices."""
         self.reported += 1
 
     def judge(self, volts: np.ndarray) -> list[SlipEvent]:
-        """Finds nothing after five commands, which are all that the check gives."""
-        return super().judge(volts) if self.reported < 5 else []
+        """Finds nothing after seven notices, which are all that the check gives."""
+        return super().judge(volts) if self.reported < 7 else []
 
 
 class Slow(Steps):
@@ -176,7 +176,7 @@ class Slow(Steps):
 FAULTS: dict[str, type[Detector]] = {
     "blocks-give-the-events-of-the-whole": EachBlockAnew,
     "events-lie-in-the-rows-in-which-they-were-decided": Late,
-    "commands-are-taken": AtOnce,
+    "notices-are-taken": AtOnce,
     "instances-share-nothing": Shared,
     "a-gap-begins-anew": WithoutReset,
     "rows-that-cannot-be-are-refused": Tolerant,

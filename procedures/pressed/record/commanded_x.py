@@ -6,7 +6,7 @@ import math
 from typing import TYPE_CHECKING
 
 from procedures.pressed.record.reading import DECIMATED_Hz
-from rig.detector.commands import XMove
+from rig.detector.notices import XMove
 
 if TYPE_CHECKING:
     from procedures.pressed.record.detection import LiveDetection
@@ -64,4 +64,4 @@ class CommandedX:
         self._passed_mm_s = self._speed_mm_s
         way_s = way_mm / self._speed_mm_s if self._speed_mm_s else 0.0
         sample, until = (math.ceil(at_s * DECIMATED_Hz) for at_s in (now_s, now_s + way_s))
-        self._detection.command(XMove(sample, self._speed_mm_s, until))
+        self._detection.notice(XMove(sample, self._speed_mm_s, until))

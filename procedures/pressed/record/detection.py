@@ -19,6 +19,7 @@ import numpy as np
 
 from rig.analysis.trial.decimation import RATE_Hz
 from rig.core.units import counted
+from rig.detector.notices import CutOff
 from rig.detector.registered import chosen_detector, is_own
 from rig.files.journal.detections import (
     EVENT_CODES,
@@ -35,8 +36,8 @@ if TYPE_CHECKING:
 
     from procedures.pressed.record.reading import TrialRecord
     from rig.core.clock import Clock
-    from rig.detector.commands import Command
     from rig.detector.events import SlipEvent
+    from rig.detector.notices import Notice
     from rig.run.context import Run
 
 SHOWN_SLIPS = 10
@@ -70,10 +71,10 @@ class LiveDetection:
         self.name = name
         self.woken = threading.Event()
         """Set while `news` or `failure` has something to return."""
-        self.commands: list[Command] = []
-        """Commands in this record, from the rows on from which the detector knew of them."""
-        self._waiting: deque[Command] = deque()
-        """Commanded, and not given to the detector yet."""
+        self._commands: list[Notice] = []
+        self._cut_offs: list[CutOff] = []
+        self._waiting: deque[Notice] = deque()
+        """Known, and not given to the detector yet."""
         self._rows = 0
         self._live: LiveDetector | None = None
         if name != NO_DETECTOR:
@@ -89,7 +90,7 @@ class LiveDetection:
 
     def begin(self) -> None:
         """Begin a record: the rows count from 0 again."""
-        self._rows, self.commands = 0, []
+        self._rows, self._commands, self._cut_offs = 0, [], []
         self._waiting.clear()
         if self._live is not None:
             self._live.begin()
@@ -97,30 +98,45 @@ class LiveDetection:
 
     def judge(self, volts: npt.NDArray[np.float64]) -> None:
         """Judge the next rows (n, 2) of v_1 and v_2 in V. Raises nothing."""
-        self._give_commands()
+        self._give_notices()
         first, self._rows = self._rows, self._rows + len(volts)
         if self._live is not None and len(volts):
             self._live.add(volts, first)
 
-    def command(self, given: Command) -> None:
-        """Say what was commanded, before the rows that show it. Raises nothing and waits for
-        nothing: the detector knows of it with the next block."""
+    def notice(self, given: Notice) -> None:
+        """Say what was commanded or cut off, before the rows that show it. Raises nothing and waits
+        for nothing: the detector knows of it with the next block."""
         self._waiting.append(given)
 
-    def _give_commands(self) -> None:
-        """Give the detector the commands since the last block, from its next row on where an
+    @property
+    def notices(self) -> list[Notice]:
+        """What the bench knew in this record, from the rows on from which the detector knew it."""
+        return [*self._commands, *self._cut_offs]
+
+    def _give_notices(self) -> None:
+        """Give the detector the notices since the last block, from its next row on where an
         earlier one was meant. They are stored as they were given, so that a file is judged like the
         trial."""
         for _ in range(len(self._waiting)):
             one = self._waiting.popleft()
             one = replace(one, sample=max(one.sample, self._rows))
-            self.commands.append(one)
+            self._store(one)
             if self._live is not None:
-                self._live.command(one)
+                self._live.notice(one)
+
+    def _store(self, one: Notice) -> None:
+        """Store a notice. One that continues the cut-off before becomes part of it: a strip that
+        stays outside the range is noticed with every block."""
+        if not isinstance(one, CutOff):
+            self._commands.append(one)
+        elif self._cut_offs and one.sample <= self._cut_offs[-1].until:
+            self._cut_offs[-1] = replace(self._cut_offs[-1], until=one.until)
+        else:
+            self._cut_offs.append(one)
 
     def finish(self) -> None:
         """End the record: what the detector reports at its end follows. Raises nothing."""
-        self._give_commands()
+        self._give_notices()
         if self._live is not None:
             self._live.finish()
 

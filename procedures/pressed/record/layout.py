@@ -124,6 +124,9 @@ RECORDED = (
     Column("detections", "", "What it found during the trial, as JSON", "text"),
     Column("x_moves", "", "Commands to x as JSON: from sample, mm/s, to sample", "text"),
     Column("held_forces", "", "Set points of F_n as JSON: from sample, N", "text"),
+    Column(
+        "cut_off_rows", "", "Rows with v_1 or v_2 outside the DAQ's range as JSON: from, to", "text"
+    ),
 )
 """Columns on the quality of the record."""
 

@@ -21,7 +21,7 @@ from rig.analysis.trial.clock_offset import clock_offset
 from rig.analysis.trial.touch_down import TouchDownError, TouchRecord
 from rig.analysis.trial.touch_gain import touch_gain
 from rig.bench.settings import STRIPS
-from rig.detector.commands import columns_of
+from rig.detector.notices import columns_of
 from rig.files.journal.detections import SLIP, Detection, to_text
 from rig.run.press_references import TouchGain
 
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
     from rig.analysis.trial.load_rate import LoadScale
     from rig.control.tick_loop import LoopStatistics
-    from rig.detector.commands import Command
+    from rig.detector.notices import Notice
     from rig.run.context import Run
     from rig.run.points import Reading
 
@@ -116,8 +116,8 @@ class TrialRecord:
     loops: list[LoopStatistics] = field(default_factory=list)
     detections: list[Detection] = field(default_factory=list)
     """What the detector has found."""
-    commands: list[Command] = field(default_factory=list)
-    """What was commanded, as the detector was given it."""
+    notices: list[Notice] = field(default_factory=list)
+    """What was commanded and cut off, as the detector was given it."""
     squeezes: list[Squeeze] = field(default_factory=list)
     """Rises of the set point by the grip (`procedures.pressed.grip`)."""
     detection_ended: bool = False
@@ -232,7 +232,7 @@ def reading_of(run: Run, record: TrialRecord) -> Reading:
         **_completeness(record),
         "detector": settings.detector,
         "detections": to_text(record.detections),
-        **columns_of(record.commands),
+        **columns_of(record.notices),
     }
     _warn_of_z(run, record)
     _warn_of_clipping(run, record)
@@ -311,7 +311,7 @@ def _warn_of_z(run: Run, record: TrialRecord) -> None:
 
 def _warn_of_clipping(run: Run, record: TrialRecord) -> None:
     """Warn of strips whose voltage has left the range of the DAQ: the filter smooths the cut-off
-    peaks, so that the signals do not show it, and a detector judges them like any others."""
+    peaks, so that the signals do not show it."""
     settings: PressedSettings = run.settings
     for strip, samples in record.clipped.items():
         if samples:
@@ -319,9 +319,9 @@ def _warn_of_clipping(run: Run, record: TrialRecord) -> None:
                 "warning",
                 "clipped",
                 f"{record.point}: {samples} of {record.rows} samples of {strip} are at the "
-                f"end of the range of {settings.range_V:g} V: its signal and what a detector finds "
-                "in it are not to be trusted there; choose a larger --range, or a smaller gain of "
-                "its amplifier",
+                f"end of the range of {settings.range_V:g} V: its signal is not to be trusted "
+                "there, and this project's detectors do not judge it; choose a larger --range, or "
+                "a smaller gain of its amplifier",
             )
 
 

@@ -17,6 +17,7 @@ import numpy as np
 from procedures.pressed.record.reading import DECIMATED_Hz, TrialRecord
 from rig.analysis.trial.decimation import Decimator
 from rig.bench.settings import STRIPS
+from rig.detector.notices import CutOff
 from rig.instruments.roles import Record
 from rig.run.streams.sample_stream import SampleStream
 
@@ -131,7 +132,7 @@ class StripRecorder:
             self._record_blocks()
             self._run.check_stop()
         self._detection.finish()
-        self._record.commands = self._detection.commands
+        self._record.notices = self._detection.notices
 
     def stop(self) -> None:
         """End the acquisition."""
@@ -158,12 +159,25 @@ class StripRecorder:
             return False
         self._reading_s += self._run.clock.now() - asked_s
         self._blocks_read += 1
+        if (cut_off := self._cut_off(block)) is not None:
+            self._detection.notice(cut_off)  # before the rows that it is about
         self._rows_read += len(block.counts)
         volts = self._decimator.add(np.stack([block.volts(name) for name in STRIPS], axis=1))
         # Judged first: what acts on a slip must not wait for anything that can come later.
         self._detection.judge(volts)
         self._blocks.append((block, volts))
         return True
+
+    def _cut_off(self, block: Record) -> CutOff | None:
+        """Return the decimated rows in which the next block shows a strip at an end of the DAQ's
+        range, from the first to the last; None without any."""
+        ends = np.logical_or(*(block.at_end_of_range(name) for name in STRIPS))
+        at = np.flatnonzero(ends)
+        if not at.size:
+            return None
+        factor = self._decimator.factor
+        first, last = (math.ceil((self._rows_read + k) / factor) for k in at[[0, -1]])
+        return CutOff(first, last + 1)
 
     def _read_blocks(self, interval_s: float) -> None:
         """Read the blocks that may be there, of many a few."""

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from rig.core.settings import Settings, fingerprint
 from rig.detector import kernel
-from rig.detector.commands import Command
 from rig.detector.contract import Detector
 from rig.detector.events import unjudged_s
+from rig.detector.notices import Notice
 from rig.detector.registered import ChosenDetector
 from rig.evaluation.scoring.baselines import BaselineSettings, baseline_reports
 from rig.evaluation.scoring.outcomes import DetectorReport
@@ -53,7 +53,7 @@ class Contender(Named, Protocol):
         volts: Floats,
         rate_Hz: float,
         factors: tuple[float, ...],
-        commands: tuple[Command, ...] = (),
+        notices: tuple[Notice, ...] = (),
     ) -> list[DetectorReport]:
         """Return its reports on a recording (n, 2) in V with these commands, one for each factor
         on its threshold."""
@@ -85,7 +85,7 @@ class DetectorContender:
         volts: Floats,
         rate_Hz: float,
         factors: tuple[float, ...],
-        commands: tuple[Command, ...] = (),
+        notices: tuple[Notice, ...] = (),
     ) -> list[DetectorReport]:
         """Return the events that it detects at each threshold."""
         reports: dict[str, DetectorReport] = {}
@@ -94,16 +94,16 @@ class DetectorContender:
             detector = self.detector.at_threshold(factor)
             key = fingerprint(detector.settings)  # a detector without a threshold is run once
             if key not in reports:
-                reports[key] = self._report(volts, detector.make(rate_Hz), rate_Hz, commands)
+                reports[key] = self._report(volts, detector.make(rate_Hz), rate_Hz, notices)
             found.append(reports[key])
         return found
 
     @staticmethod
     def _report(
-        volts: Floats, detector: Detector, rate_Hz: float, commands: tuple[Command, ...]
+        volts: Floats, detector: Detector, rate_Hz: float, notices: tuple[Notice, ...]
     ) -> DetectorReport:
-        for one in commands:
-            detector.command(one)
+        for one in notices:
+            detector.notice(one)
         events = [*detector.add(volts), *detector.finish()]
         slips = [one.time_s for one in events if one.kind == "incipient slip"]
         armings = [one.time_s for one in events if one.kind == "predictive"]
@@ -139,7 +139,7 @@ class BaselineContender:
         volts: Floats,
         rate_Hz: float,
         factors: tuple[float, ...],
-        commands: tuple[Command, ...] = (),
+        notices: tuple[Notice, ...] = (),
     ) -> list[DetectorReport]:
         """Return its alarms and armings at each threshold; it does not use commands."""
         return baseline_reports(volts, rate_Hz, self.settings, factors)

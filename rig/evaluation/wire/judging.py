@@ -60,5 +60,5 @@ def _judged(one: MadeTrial, contenders: Sequence[Contender], sweep: bool) -> Sco
     traits = {**drawn, **record.traits}
     return judge_one(
         one.trial.name, truth, record.volts, record.rate_Hz, traits, contenders, sweep=sweep,
-        commands=record.commands,
+        notices=record.notices,
     )  # fmt: skip

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.detector.commands import Command, commands_in, from_text, to_text
+from rig.detector.notices import Notice, from_text, notices_in, to_text
 from rig.evaluation import simulated_truth
 from rig.evaluation.scoring.outcomes import Truth
 from rig.evaluation.scoring.patterns import roll_pattern
@@ -42,7 +42,7 @@ class WireRecord:
     """What the record shows beside what was drawn."""
     slips_s: tuple[tuple[float, float], ...] = ()
     """Begin and end of every slip of the whole ridge, the first included, in s of the record."""
-    commands: tuple[Command, ...] = ()
+    notices: tuple[Notice, ...] = ()
     """What was commanded, as the detector of the trial was given it."""
 
 
@@ -83,10 +83,8 @@ def read_record(path: Path) -> WireRecord:
             traits["pattern"] = roll_pattern(volts, wave.rate_Hz, truth.motion_s)
         way_mm = _way_mm(run, point, truth.ridge_slip_s)
         slips_s = simulated_truth.slips_of(reading, record_s)
-        commands = tuple(commands_in(reading))
-        return WireRecord(
-            volts, wave.rate_Hz, truth, way_mm, tick_from_s, traits, slips_s, commands
-        )
+        notices = tuple(notices_in(reading))
+        return WireRecord(volts, wave.rate_Hz, truth, way_mm, tick_from_s, traits, slips_s, notices)
 
 
 def _way_mm(run: RunFile, point: str, slip_s: float) -> float | None:
@@ -111,7 +109,7 @@ def pack(record: WireRecord) -> bytes:
         "tick_from_s": record.tick_from_s,
         "traits": record.traits,
         "slips_s": record.slips_s,
-        "commands": to_text(record.commands),
+        "commands": to_text(record.notices),
     }
     buffer = io.BytesIO()
     volts = record.volts.astype(np.float32)

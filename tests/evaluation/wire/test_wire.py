@@ -16,7 +16,7 @@ from procedures.path_trial.settings import PathTrialSettings
 from procedures.roll_trial.settings import RollTrialSettings
 from procedures.slip_trial.settings import SlipTrialSettings
 from rig.core.cache import DiskCache
-from rig.detector.commands import XMove
+from rig.detector.notices import XMove
 from rig.evaluation.scoring.outcomes import Truth
 from rig.evaluation.wire import making
 from rig.evaluation.wire.kinds import WIRE_KINDS, Limit, WireKind, drawn
@@ -103,7 +103,7 @@ def test_a_record_is_stored_with_all_that_is_scored():
     assert repr(again.truth) == repr(record.truth)  # NaN is not equal to NaN
     assert np.allclose(again.volts, record.volts, atol=1e-9)
     assert (again.way_mm, again.tick_from_s, again.traits) == (0.2, 0.5, {"kind": "slide"})
-    assert again.commands == (XMove(500, -0.25, 700),)
+    assert again.notices == (XMove(500, -0.25, 700),)
     assert unpack(b"something else") is None
 
 
@@ -111,7 +111,7 @@ def _record() -> WireRecord:
     truth = Truth("slip", 0.5, 0.6, 0.7, 0.8, record_s=1.0, quiet_s=((0.1, 0.5),))
     volts = 1e-3 * np.random.default_rng(0).standard_normal((1000, 2))
     moves = (XMove(500, -0.25, 700),)
-    return WireRecord(volts, 1000.0, truth, 0.2, 0.5, {"kind": "slide"}, commands=moves)
+    return WireRecord(volts, 1000.0, truth, 0.2, 0.5, {"kind": "slide"}, notices=moves)
 
 
 @pytest.fixture

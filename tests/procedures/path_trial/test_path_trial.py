@@ -9,7 +9,7 @@ from pydantic import ValidationError
 
 from procedures.path_trial.path import Course, moves_along
 from procedures.path_trial.settings import PathTrialSettings
-from rig.detector.commands import HeldForce, commands_in
+from rig.detector.notices import HeldForce, notices_in
 from rig.files.definitions import definition_path
 from rig.files.runfile.reader import RunFile
 
@@ -79,7 +79,7 @@ def test_x_follows_the_path_and_the_force_its_course_and_the_skin_is_lifted(rig:
     assert reading["smallest_normal_N"] == pytest.approx(1.5, abs=0.1)
     assert rig.only("*.png").stat().st_size > 20_000, "one trial has one figure"
     assert not reading["invalid"], "the force is judged by the set point of its time"
-    forces = [one for one in commands_in(reading) if isinstance(one, HeldForce)]
+    forces = [one for one in notices_in(reading) if isinstance(one, HeldForce)]
     assert forces[0].force_N == 3.0
     assert 0 < forces[0].sample / 1000 < begun_s
     course = [(one.sample / 1000 - begun_s, one.force_N) for one in forces[1:]]

@@ -15,7 +15,7 @@ from procedures.pressed.record.detection import DetectionRecord, LiveDetection, 
 from procedures.pressed.record.reading import TrialRecord
 from procedures.slip_trial.settings import SlipTrialSettings
 from rig.core.clock import WallClock
-from rig.detector.commands import HeldForce, XMove, columns_of, commands_in
+from rig.detector.notices import HeldForce, XMove, columns_of, notices_in
 from rig.detector.registered import chosen_detector
 from rig.files.journal.detections import (
     EVENT_CODES,
@@ -70,26 +70,26 @@ def test_the_commands_of_a_record_are_those_that_the_detector_knew_and_find_the_
     volts = trials.slipping()
     live = LiveDetection("impulse", WallClock())
     live.begin()
-    live.command(XMove(100, 0.5, 900))
-    live.command(HeldForce(350, 4.0))
+    live.notice(XMove(100, 0.5, 900))
+    live.notice(HeldForce(350, 4.0))
     live.judge(volts[:400])
-    live.command(XMove(380, 0.1, 4000))  # given 20 rows too late
-    live.command(HeldForce(390, 3.5))
+    live.notice(XMove(380, 0.1, 4000))  # given 20 rows too late
+    live.notice(HeldForce(390, 3.5))
     live.judge(volts[400:])
-    live.command(XMove(len(volts) + 5, 0.0, 0))
+    live.notice(XMove(len(volts) + 5, 0.0, 0))
     live.finish()
     rows = len(volts)
     moves = [XMove(100, 0.5, 900), XMove(400, 0.1, 4000), XMove(rows + 5, 0.0, 0)]
     forces = [HeldForce(350, 4.0), HeldForce(400, 3.5)]
-    assert commands_in(columns_of(live.commands)) == [*moves, *forces]
+    assert notices_in(columns_of(live.notices)) == [*moves, *forces]
     again = chosen_detector("impulse").make(trials.RATE_HZ)
-    for one in commands_in(columns_of(live.commands)):
-        again.command(one)
+    for one in notices_in(columns_of(live.notices)):
+        again.notice(one)
     expected = [(e.kind, e.sample, e.confidence) for e in again.add(volts) + again.finish()]
     record, _ = recorded(live)
     assert [(one.kind, one.sample, one.confidence) for one in record.detections] == expected != []
     live.begin()
-    assert live.commands == [], "another record begins"
+    assert live.notices == [], "another record begins"
 
 
 class Wall:
@@ -107,7 +107,7 @@ class Moves:
     def __init__(self) -> None:
         self.moves: list[XMove] = []
 
-    def command(self, move: XMove) -> None:
+    def notice(self, move: XMove) -> None:
         self.moves.append(move)
 
 
