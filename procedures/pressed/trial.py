@@ -35,7 +35,7 @@ from procedures.pressed.links import TrialLinks
 from procedures.pressed.press import Press
 from procedures.pressed.record.block_length import BEHIND_S, CATCH_UP_S, FAR_BEHIND_S
 from procedures.pressed.record.commanded_x import CommandedX
-from procedures.pressed.record.detection import slips_in_words
+from procedures.pressed.record.detection import slips_in_words, unjudged_motion_in_words
 from procedures.pressed.record.reading import CONTACT_N, DECIMATED_Hz
 from procedures.pressed.record.recorder import TickRecorder
 from procedures.pressed.settings import AFTER_S
@@ -326,10 +326,13 @@ class PressedTrial:
         self.record.zero_shift_N = (float(shift_N[0]), float(shift_N[1]), float(shift_N[2]))
 
     def _report_slips(self) -> None:
-        """Show the slips that were detected: only now, since a terminal may make the run wait."""
+        """Show the slips that were detected, and how much of the motion was not judged. Only now,
+        since a terminal may make the run wait."""
         self.recorder.detected()  # what a detector in another process has found since
         for line in slips_in_words(self.record, self.settings.detector):
             self.run.inform(line)
+        if unjudged := unjudged_motion_in_words(self.record, self.settings.detector):
+            self.run.event("warning", "motion-not-judged", unjudged)
 
     def record_load_rates(self) -> Reading:
         """Record the load rates of the strips that are calibrated; return their scales."""

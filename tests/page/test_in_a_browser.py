@@ -103,7 +103,9 @@ def test_a_slip_trial_is_watched_to_its_end_and_the_values_are_those_of_its_file
     for time_s in slips:
         said = f"trial-001: incipient slip at {time_s:.3f} s of its record"
         wait_for(browser, "#events", lambda text, said=said: said in text)
-    assert browser.find_elements("css selector", "#charts canvas")
+    drawn = browser.find_elements("css selector", "#charts canvas")
+    assert any("PVDF strips (V)" in one.get_attribute("aria-label") for one in drawn)
+    assert {one.get_attribute("role") for one in drawn} == {"img"}
 
 
 def test_stop_by_key_in_a_slide_is_red_until_the_end_record_and_a_second_press_says_so(

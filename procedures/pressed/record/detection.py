@@ -8,6 +8,7 @@ tick of the servo waits for either. One that fails ends the detection and nothin
 
 from __future__ import annotations
 
+import math
 import threading
 from collections import deque
 from collections.abc import Callable
@@ -218,3 +219,27 @@ def slips_in_words(record: TrialRecord, detector: str) -> list[str]:
     if more := len(slips) - len(lines):
         lines.append(f"{record.point}: and {counted(more, 'further incipient slip')} ({detector})")
     return lines
+
+
+def unjudged_motion_in_words(record: TrialRecord, detector: str) -> str:
+    """Return a sentence on the part of a trial's motion that its detector could not judge, with the
+    reasons; empty where it could judge all of it."""
+    from_s, to_s = record.motion_from_s, record.motion_to_s
+    seconds, reasons, begun = 0.0, list[str](), None
+    for one in (*record.detections, None):  # None: the end of the record
+        if one is not None and one.kind == "cannot judge":
+            begun = one if begun is None else begun
+        elif begun is not None and (one is None or one.kind == "judges again"):
+            missed_s = min(to_s, math.inf if one is None else one.time_s) - max(
+                from_s, begun.time_s
+            )
+            if missed_s > 0:
+                seconds += missed_s
+                reasons += [begun.reason] * (begun.reason not in reasons)
+            begun = None
+    if not seconds:
+        return ""
+    return (
+        f"{record.point}: the detector {detector} could not judge {seconds:.2f} s of the "
+        f"{to_s - from_s:.2f} s of motion ({'; '.join(reasons)}): a slip there has no alarm"
+    )

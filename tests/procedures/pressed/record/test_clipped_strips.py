@@ -37,6 +37,7 @@ def test_a_strip_that_leaves_the_range_of_the_daq_is_reported(rig: Any) -> None:
         )
         assert said in done.stderr
     assert "choose a larger --range" in done.stderr
+    assert "the detector rig could not judge" in done.stderr
     _the_detector_does_not_judge_what_was_cut_off(rig.only("*.h5"), range_V)
 
 

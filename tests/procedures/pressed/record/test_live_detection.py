@@ -11,7 +11,12 @@ import recorded_trials as trials
 from pydantic import ValidationError
 
 from procedures.pressed.record.commanded_x import CommandedX
-from procedures.pressed.record.detection import DetectionRecord, LiveDetection, slips_in_words
+from procedures.pressed.record.detection import (
+    DetectionRecord,
+    LiveDetection,
+    slips_in_words,
+    unjudged_motion_in_words,
+)
 from procedures.pressed.record.reading import TrialRecord
 from procedures.slip_trial.settings import SlipTrialSettings
 from rig.core.clock import WallClock
@@ -214,3 +219,28 @@ def test_a_detector_that_alarms_without_end_does_not_fill_the_terminal() -> None
     ]
     del record.detections[10:]
     assert slips_in_words(record, "lab-jump") == lines[:10], "all that were found are shown"
+
+
+def unjudged(*found: tuple[str, float, str]) -> str:
+    """What is said of a motion from 1 to 3 s in which a detector reports these events."""
+    record = TrialRecord(1, 100.0, 1000.0, 4.0, motion_from_s=1.0, motion_to_s=3.0)
+    record.detections = [
+        Detection(kind, round(1e3 * at_s), at_s, at_s, 0.0, reason) for kind, at_s, reason in found
+    ]
+    return unjudged_motion_in_words(record, "rig")
+
+
+def test_how_much_of_the_motion_was_not_judged_is_said_with_the_reasons() -> None:
+    cannot, again, slip = "cannot judge", "judges again", "incipient slip"
+    assert unjudged((slip, 2.0, "")) == ""
+    assert unjudged((cannot, 0.2, "noise"), (again, 0.9, "noise"), (cannot, 3.2, "noise")) == ""
+    assert "0.50 s of the 2.00 s of motion (noise)" in unjudged((cannot, 2.5, "noise"))
+    said = unjudged(
+        (cannot, 0.5, "noise"), (cannot, 0.6, "hum"), (again, 1.25, "noise"), (slip, 2.0, ""),
+        (cannot, 2.5, "cut off"), (again, 2.75, "cut off"), (cannot, 2.8, "noise"),
+        (again, 2.9, "noise"),
+    )  # fmt: skip
+    assert said == (
+        "trial-001: the detector rig could not judge 0.60 s of the 2.00 s of motion (noise; "
+        "cut off): a slip there has no alarm"
+    )
