@@ -232,7 +232,9 @@ def test_closing_the_clock_ends_the_bench_it_drives(
 class PtyForce:
     """A force sensor's stream over a pty: the bench writes late, a reader thread reads."""
 
-    def __init__(self) -> None:
+    def __init__(self, watch: Callable[[list[int]], None]) -> None:
+        self._watch = watch
+        self.received: list[int] = []
         self.master, self.slave = pty.openpty()
         tty.setraw(self.slave)
         os.set_blocking(self.slave, False)
@@ -254,18 +256,19 @@ class PtyForce:
         self._deliveries.append(threading.Thread(target=deliver))
         self._deliveries[-1].start()
 
-    def read(self) -> list[int]:
-        """What has arrived, one sample a byte."""
+    def read(self) -> None:
+        """Take what has arrived, one sample a byte."""
         if self.stuck:
             time.sleep(0.001)
-            return []
+            return
         try:
             data = os.read(self.slave, 4096)
         except BlockingIOError:
             time.sleep(0.001)
-            return []
+            return
         self.bytes_consumed += len(data)
-        return list(data)
+        self.received += data
+        self._watch(list(data))
 
     def close(self) -> None:
         for delivery in self._deliveries:
@@ -276,10 +279,10 @@ class PtyForce:
 
 @contextmanager
 def streaming(
-    watchers: tuple[Callable[[object], None], ...] = (),
-) -> Iterator[tuple[SlavedClock, SlavedBench, PtyForce, StreamReader[int]]]:
-    force = PtyForce()
-    reader: StreamReader[int] = StreamReader("force", force, watchers)
+    watch: Callable[[list[int]], None] = lambda samples: None,
+) -> Iterator[tuple[SlavedClock, SlavedBench, PtyForce, StreamReader]]:
+    force = PtyForce(watch)
+    reader = StreamReader("force", force)
     with slaved_bench(force=lambda: force.sent) as bench:
         clock = SlavedClock(ControlLink(bench.port))
         clock.follow_stream("force", reader)
@@ -293,22 +296,24 @@ def streaming(
 
 
 def test_sleep_returns_only_when_the_reader_has_seen_what_the_bench_sent() -> None:
-    with streaming() as (clock, _, force, reader):
+    with streaming() as (clock, _, force, _reader):
         for step in range(5):
             sample = bytes([step] * 8)
             force.send_late(sample, delay_s=0.01)
             clock.sleep(0.01)
-            assert reader.latest(8) == list(sample), "late bytes belong to the step that sent them"
+            assert force.received[-8:] == list(sample), (
+                "late bytes belong to the step that sent them"
+            )
 
 
 def test_watchers_have_acted_before_sleep_returns() -> None:
     seen: list[int] = []
 
-    def slow_watcher(samples: object) -> None:
+    def slow_watcher(samples: list[int]) -> None:
         time.sleep(0.02)
-        seen.extend(samples)  # type: ignore[arg-type]
+        seen.extend(samples)
 
-    with streaming((slow_watcher,)) as (clock, _, force, _):
+    with streaming(slow_watcher) as (clock, _, force, _):
         force.send_late(b"abcdef", delay_s=0.005)
         clock.sleep(0.01)
         assert bytes(seen) == b"abcdef"
@@ -334,7 +339,7 @@ def test_a_reader_that_died_is_reported_with_its_own_cause() -> None:
     def trip(samples: object) -> None:
         raise KeyError("force over its limit")
 
-    with streaming((trip,)) as (clock, _, force, _):
+    with streaming(trip) as (clock, _, force, _):
         force.send_late(b"abcdef", delay_s=0)
         with pytest.raises(KeyError, match="over its limit"):
             clock.sleep(0.01)

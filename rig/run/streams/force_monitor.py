@@ -8,7 +8,7 @@ in the procedure's thread at its next check.
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 import numpy as np
 import numpy.typing as npt
@@ -57,9 +57,7 @@ class ForceMonitor:
         """Time of the latest frame; None until the stream has begun."""
         self._newest_s = 0.0
         """Time at which the newest buffered frame would have come without its delay."""
-        self._reader: StreamReader[ForceFrames] = StreamReader(
-            "force reader", self, around=clock.in_background
-        )
+        self._reader = StreamReader("force reader", self, around=clock.in_background)
         self._unfollow: Callable[[], None] = lambda: None
 
     # --- used by the procedure ----------------------------------------------------------------
@@ -219,9 +217,8 @@ class ForceMonitor:
         """Bytes taken off the sensor's link."""
         return self._sensor.bytes_consumed
 
-    def read(self) -> Sequence[ForceFrames]:
-        """Return the new frames after the watchers have checked them; called by the reader's
-        thread."""
+    def read(self) -> None:
+        """Buffer the new frames and judge each of them; called by the reader's thread."""
         try:
             frames = self._sensor.read()
         except WrongFramesError as error:
@@ -229,7 +226,7 @@ class ForceMonitor:
             raise
         if frames is None:
             self._watch_silence()
-            return []
+            return
         if (unknown := unknown_force(frames)) is not None:
             self._make_safe(unknown)
         now = self._clock.now()
@@ -244,7 +241,6 @@ class ForceMonitor:
         self._frames.add(frames)
         for fault in self._faults.in_frames(frames):
             self._make_safe(fault)
-        return [frames]
 
     def _make_safe(self, fault: FrameFault) -> None:
         """Run the emergency actions and keep the reason. Raises InstrumentError, which ends the

@@ -7,7 +7,6 @@ only has its stream stopped.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -107,7 +106,8 @@ class ForceScale:
 
     def _frames(self) -> list[ForceFrames]:
         """Return, in batches, all frames of a stream that lasts for settling and reading."""
-        reader = StreamReader("force reader", _Frames(self._sensor))
+        source = FrameCollector(self._sensor)
+        reader = StreamReader("force reader", source)
         unfollow = self._clock.follow_stream(FORCE_STREAM, reader)
         try:
             self._rate = self._sensor.start(self._rate)
@@ -116,7 +116,7 @@ class ForceScale:
             needed = round(length_s * self._rate)
             self._clock.sleep(length_s)
             give_up = self._clock.now() + LATE_FRAMES_S
-            while (got := sum(map(len, reader.latest(needed)))) < needed:
+            while (got := sum(map(len, source.batches))) < needed:
                 reader.check()
                 if self._clock.now() > give_up:
                     raise InstrumentError(
@@ -127,7 +127,7 @@ class ForceScale:
                     )
                 self._clock.sleep(LOOK_EVERY_S)
             reader.check()
-            return reader.latest(needed)
+            return source.batches
         finally:
             reader.stop()
             unfollow()
@@ -187,23 +187,28 @@ class CellScale:
         return with_error(float(mean.value[0]), float(mean.standard_error[0])) + " V"
 
 
-class _Frames:
-    """A force sensor as a source of batches of frames."""
+class FrameCollector:
+    """A force sensor as the source of a reader, with all the frames that it has sent."""
 
     def __init__(self, sensor: ForceSensor):
         self._sensor = sensor
+        self.batches: list[ForceFrames] = []
+        """What has come so far, oldest first; the reader's thread appends to it."""
 
     @property
     def bytes_consumed(self) -> int:
+        """Bytes taken off the sensor's link."""
         return self._sensor.bytes_consumed
 
-    def read(self) -> Sequence[ForceFrames]:
+    def read(self) -> None:
+        """Collect the frames that have arrived. Raises InstrumentError for a force that is not a
+        finite number."""
         frames = self._sensor.read()
         if frames is None:
-            return ()
+            return
         if (unknown := unknown_force(frames)) is not None:
             raise InstrumentError("force_sensor", "stream", unknown.cause, unknown.hint)
-        return (frames,)
+        self.batches.append(frames)
 
 
 def _drifted(what: str, trend_N: float, timing: Timing) -> str:

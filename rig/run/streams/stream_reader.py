@@ -1,63 +1,49 @@
-"""The reader thread, which owns a streaming instrument's link, buffers its samples and watches
-them.
+"""The thread that reads a streaming instrument, which owns its link meanwhile.
 
-A procedure may be in a blocking call when the force exceeds its limit; the reader is not. It reads
-each batch and passes it to the watchers, which may act on the bench by themselves. A failure is
-stored and raised in the procedure's thread at its next check.
+A procedure may be in a blocking call when the force exceeds its limit; the reader is not. Its
+source reads and judges what has come, and may act on the bench by itself. A failure is stored and
+raised in the procedure's thread at its next check.
 """
 
 from __future__ import annotations
 
 import contextlib
 import threading
-from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import AbstractContextManager
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Protocol
 
 from rig.core.errors import RigError
 from rig.core.threads import start_thread
 
-Sample = TypeVar("Sample")
-Delivered = TypeVar("Delivered", covariant=True)
-Watcher = Callable[[Sequence[Any]], None]
 
-
-class StreamSource(Protocol[Delivered]):
-    """A link that delivers samples; `read` blocks for a few milliseconds at most."""
+class StreamSource(Protocol):
+    """What a reader reads: a link with samples, and what has to be done with each of them."""
 
     @property
     def bytes_consumed(self) -> int:
         """Bytes taken off the link since it was opened."""
         ...
 
-    def read(self) -> Sequence[Delivered]:
-        """Return the samples that have arrived, possibly none."""
+    def read(self) -> None:
+        """Take in the samples that have arrived, if any; blocks for a few milliseconds at most,
+        unless it acts on the bench. An exception ends the reader."""
         ...
 
 
-class StreamReader(Generic[Sample]):
-    """Reads a source in a separate thread until stopped.
-
-    `samples_kept` is the size of the buffer from which the procedure reads. The thread works within
-    `around`.
-    """
+class StreamReader:
+    """Has a source read in a separate thread until stopped. The thread works within `around`."""
 
     def __init__(
         self,
         name: str,
-        source: StreamSource[Sample],
-        watchers: Sequence[Watcher] = (),
-        samples_kept: int = 100_000,
+        source: StreamSource,
         around: Callable[[], AbstractContextManager[None]] = contextlib.nullcontext,
     ):
         self._source = source
         self._around = around
-        self._watchers = tuple(watchers)
-        self._ring: deque[Sample] = deque(maxlen=samples_kept)
         self._failure: BaseException | None = None
         self._stopping = threading.Event()
-        self._lock = threading.Lock()
         self._handled_bytes = source.bytes_consumed
         self._turned = threading.Condition()
         self._turns = 0
@@ -85,15 +71,15 @@ class StreamReader(Generic[Sample]):
             raise self._failure
 
     def settle(self) -> None:
-        """Wait until the read under way has been handled by all watchers and `check` knows the
-        result; does nothing if the thread does not run."""
+        """Wait until the read under way is over and `check` knows the result; does nothing if the
+        thread does not run."""
         with self._turned:
             turns = self._turns
             self._turned.wait_for(lambda: self._turns != turns or not self._running)
 
     def bytes_handled(self) -> int:
-        """Return the number of bytes whose samples the watchers have seen; a slaved clock waits for
-        it.
+        """Return the number of bytes whose samples the source has taken in; a slaved clock waits
+        for it.
 
         Raises the failure that ended the thread: a dead reader must not be waited for.
         """
@@ -110,11 +96,6 @@ class StreamReader(Generic[Sample]):
                 )
         return self.bytes_handled()
 
-    def latest(self, count: int) -> list[Sample]:
-        """Return the last `count` samples, oldest first; fewer if fewer have come."""
-        with self._lock:
-            return list(self._ring)[-count:] if count else []
-
     def _run(self) -> None:
         with self._around():
             self._read_on()
@@ -122,12 +103,7 @@ class StreamReader(Generic[Sample]):
     def _read_on(self) -> None:
         try:
             while not self._stopping.is_set():
-                samples = self._source.read()
-                if samples:
-                    with self._lock:
-                        self._ring.extend(samples)
-                    for watcher in self._watchers:
-                        watcher(samples)
+                self._source.read()
                 self._handled_bytes = self._source.bytes_consumed
                 self._turn()
         except BaseException as failure:  # noqa: BLE001 - raised again by check()

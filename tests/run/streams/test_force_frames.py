@@ -14,7 +14,7 @@ from rig.instruments.roles import ForceFrames
 from rig.run.holds import Holds
 from rig.run.streams.force_monitor import ForceMonitor
 from rig.run.streams.frame_buffer import FrameBuffer
-from rig.run.streams.scales import _Frames as ForceFramesSource
+from rig.run.streams.scales import FrameCollector
 
 
 class Sensor:
@@ -270,11 +270,12 @@ def test_a_force_that_is_no_number_makes_the_bench_safe_and_reaches_nobody(
 
 
 def test_a_reading_of_a_scale_has_no_frame_without_a_number(sensor: Sensor) -> None:
-    scale = ForceFramesSource(sensor)  # type: ignore[arg-type]
+    source = FrameCollector(sensor)  # type: ignore[arg-type]
     wrong = frames(0, 10)
     wrong.force_N[0, 1] = np.nan
     sensor.coming += [frames(0, 10), wrong]
-    assert len(scale.read()) == 1
+    source.read()
     with pytest.raises(InstrumentError, match="the force of 1 of 10 frames is not a finite number"):
-        scale.read()
-    assert scale.read() == ()
+        source.read()
+    source.read()  # nothing has come
+    assert [len(batch) for batch in source.batches] == [10]

@@ -1,24 +1,26 @@
-"""The reader thread: keeps what comes, lets watchers see it first, and keeps its own failure."""
+"""The reader thread: has its source take in what comes, and keeps the failure that ended it."""
 
 from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 
 import pytest
 
 from rig.core.errors import InstrumentError
-from rig.run.streams.stream_reader import StreamReader, Watcher
+from rig.run.streams.stream_reader import StreamReader
 
 PATIENCE_S = 30.0
 
 
 class Source:
-    """Samples by hand: what is put is read, four bytes each."""
+    """Samples by hand: what is put is read, four bytes each, and judged by `watch`."""
 
     def __init__(self) -> None:
         self.bytes_consumed = 0
+        self.watch: Callable[[list[int]], None] = lambda samples: None
+        self.seen: list[int] = []
         self._batches: list[list[int] | Exception] = []
         self._news = threading.Condition()
 
@@ -27,14 +29,16 @@ class Source:
             self._batches.append(batch)
             self._news.notify()
 
-    def read(self) -> Sequence[int]:
+    def read(self) -> None:
         with self._news:
             self._news.wait_for(lambda: bool(self._batches), timeout=0.01)
             batch = self._batches.pop(0) if self._batches else []
         if isinstance(batch, Exception):
             raise batch
         self.bytes_consumed += 4 * len(batch)
-        return batch
+        if batch:
+            self.watch(batch)
+            self.seen += batch
 
 
 def eventually(condition: Callable[[], bool]) -> None:
@@ -44,88 +48,61 @@ def eventually(condition: Callable[[], bool]) -> None:
         time.sleep(0.002)
 
 
-Started = Callable[..., StreamReader[int]]
-
-
 @pytest.fixture
 def source() -> Source:
     return Source()
 
 
 @pytest.fixture
-def started(source: Source) -> Iterator[Started]:
-    readers: list[StreamReader[int]] = []
-
-    def start(*watchers: Watcher, samples_kept: int = 1000) -> StreamReader[int]:
-        reader: StreamReader[int] = StreamReader("force", source, watchers, samples_kept)
-        reader.start()
-        readers.append(reader)
-        return reader
-
-    yield start
-    for reader in readers:
-        reader.stop()
+def reader(source: Source) -> Iterator[StreamReader]:
+    made = StreamReader("force", source)
+    yield made
+    made.stop()
 
 
-def test_the_latest_samples_come_oldest_first(source: Source, started: Started) -> None:
-    reader = started()
-    source.put([1, 2, 3])
-    source.put([4])
-    eventually(lambda: reader.bytes_handled() == 16)
-    assert reader.latest(2) == [3, 4]
-    assert reader.latest(10) == [1, 2, 3, 4]
-    assert reader.latest(0) == []
-
-
-def test_only_so_many_are_kept(source: Source, started: Started) -> None:
-    reader = started(samples_kept=3)
-    source.put(list(range(10)))
-    eventually(lambda: reader.bytes_handled() == 40)
-    assert reader.latest(100) == [7, 8, 9]
-
-
-def test_bytes_count_as_handled_when_every_watcher_has_seen_them(
-    source: Source, started: Started
+def test_bytes_are_handled_once_the_source_has_judged_them(
+    source: Source, reader: StreamReader
 ) -> None:
-    gate, order = threading.Event(), []
+    judging, gate = threading.Event(), threading.Event()
 
-    def slow(samples: Sequence[int]) -> None:
+    def slow(samples: list[int]) -> None:
+        judging.set()
         gate.wait(PATIENCE_S)
-        order.append("slow")
 
-    reader = started(slow, lambda samples: order.append("second"))
+    source.watch = slow
+    reader.start()
     source.put([1])
-    eventually(lambda: reader.latest(1) == [1])
+    assert judging.wait(PATIENCE_S)
+    assert source.bytes_consumed == 4
     assert reader.bytes_handled() == 0
     gate.set()
     eventually(lambda: reader.bytes_handled() == 4)
-    assert order == ["slow", "second"]
 
 
-def test_watchers_see_every_sample_in_order(source: Source, started: Started) -> None:
-    seen: list[int] = []
-    reader = started(seen.extend)
+def test_the_source_is_read_until_everything_has_come(source: Source, reader: StreamReader) -> None:
+    reader.start()
     for first in range(0, 300, 3):
         source.put(list(range(first, first + 3)))
     eventually(lambda: reader.bytes_handled() == 4 * 300)
-    assert seen == list(range(300))
+    assert source.seen == list(range(300))
 
 
-@pytest.mark.parametrize("where", ["source", "watcher"])
+@pytest.mark.parametrize("where", ["link", "judgement"])
 def test_what_ends_the_thread_is_raised_at_every_look(
-    source: Source, started: Started, where: str
+    source: Source, reader: StreamReader, where: str
 ) -> None:
     error = InstrumentError("force", "stream", "3 frames were lost")
 
-    def watch(samples: Sequence[int]) -> None:
-        if where == "watcher" and 13 in samples:
+    def watch(samples: list[int]) -> None:
+        if where == "judgement" and 13 in samples:
             raise error
 
-    reader = started(watch)
+    source.watch = watch
+    reader.start()
     source.put([12])
     eventually(lambda: reader.bytes_handled() == 4)
     reader.check()
-    source.put(error if where == "source" else [13])
+    source.put(error if where == "link" else [13])
 
     def failed() -> bool:
         try:
@@ -139,21 +116,21 @@ def test_what_ends_the_thread_is_raised_at_every_look(
         with pytest.raises(InstrumentError) as caught:
             look()
         assert caught.value is error
-    assert reader.latest(1) == [13 if where == "watcher" else 12], "what came before is kept"
 
 
-def test_who_lets_the_reader_settle_knows_what_a_watcher_was_about(
-    source: Source, started: Started
+def test_who_lets_the_reader_settle_knows_what_its_source_was_about(
+    source: Source, reader: StreamReader
 ) -> None:
     acting, gate = threading.Event(), threading.Event()
     error = InstrumentError("force", "stream", "saturated")
 
-    def act(samples: Sequence[int]) -> None:
+    def act(samples: list[int]) -> None:
         acting.set()
         gate.wait(PATIENCE_S)
         raise error
 
-    reader = started(act)
+    source.watch = act
+    reader.start()
     source.put([1])
     assert acting.wait(PATIENCE_S)
     threading.Timer(0.05, gate.set).start()
@@ -166,19 +143,17 @@ def test_who_lets_the_reader_settle_knows_what_a_watcher_was_about(
         reader.settle()
 
 
-def test_stopping_ends_the_thread_and_may_be_repeated(source: Source, started: Started) -> None:
-    reader = started()
+def test_stopping_ends_the_thread_and_may_be_repeated(source: Source, reader: StreamReader) -> None:
+    reader.start()
     source.put([1])
     eventually(lambda: reader.bytes_handled() == 4)
     reader.stop()
     reader.stop()
     source.put([2])
-    time.sleep(0.05)
-    assert reader.latest(5) == [1]
+    assert source.seen == [1]
     assert not any(t.name == "force" and t.is_alive() for t in threading.enumerate())
 
 
 def test_a_reader_that_was_never_started_can_be_stopped(source: Source) -> None:
-    reader: StreamReader[int] = StreamReader("force", source)
-    reader.stop()
-    assert reader.latest(1) == []
+    StreamReader("force", source).stop()
+    assert source.seen == []
