@@ -36,14 +36,11 @@ from numbers import Real
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from procedures.pressed.approach.way_down import require_possible
+from procedures.pressed.arming import arm_pressed
 from procedures.pressed.grip import GripSettings, grip_reading
+from procedures.pressed.points import pressed_overhead_s, trial_points
 from procedures.pressed.record.layout import ASKED, CALIBRATED, GRIP, HELD, RECORDED, TOUCHED
-from procedures.pressed.settings import (
-    PressedSettings,
-    arm_pressed,
-    pressed_overhead_s,
-    trial_points,
-)
+from procedures.pressed.settings import PressedSettings
 from procedures.pressed.trial_procedure import TrialProcedure
 from rig.bench.limits import require
 from rig.core.errors import ConfigurationError, RigError, shortened

@@ -14,14 +14,8 @@ from procedures.pressed.approach.way_down import held_speed_bound, require_possi
 from procedures.pressed.grip_summary import grip_summary
 from procedures.pressed.rates import ServoRates, rates_for, warn_of_slow_links
 from procedures.pressed.record.layout import STREAMS
-from procedures.pressed.settings import (
-    SUMMARY_LABELS,
-    TOUCH_DRIFT,
-    PressedSettings,
-    import_what_a_trial_needs,
-    summary_of,
-    truth_of,
-)
+from procedures.pressed.settings import PressedSettings
+from procedures.pressed.summary import SUMMARY_LABELS, TOUCH_DRIFT, summary_of, truth_of
 from rig.core.units import counted
 from rig.run.in_brief import DEVIATION, MEAN, single_values
 from rig.run.points import Reading
@@ -84,9 +78,11 @@ class TrialProcedure(Procedure):
         """Import what a trial needs and try its detector, which takes a minute on the first use on
         a computer: never while something is switched on. Raises RigError for a detector that cannot
         be used."""
+        import scipy.ndimage
+        import scipy.special  # noqa: F401
+
         from procedures.pressed.record.detection import try_detector
 
-        import_what_a_trial_needs()
         try_detector(self.settings.detector)
 
     def check(self, bench: Bench) -> None:

@@ -16,12 +16,8 @@ from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
-from procedures.pressed.settings import (
-    arm_pressed,
-    pressed_overhead_s,
-    pressing_s,
-    trial_points,
-)
+from procedures.pressed.arming import arm_pressed
+from procedures.pressed.points import pressed_overhead_s, pressing_s, trial_points
 from procedures.pressed.trial_procedure import TrialProcedure
 from procedures.roll_trial import layout as roll_layout
 from procedures.roll_trial.settings import (

@@ -15,13 +15,9 @@ from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
-from procedures.pressed.settings import (
-    AFTER_S,
-    arm_pressed,
-    pressed_overhead_s,
-    pressing_s,
-    trial_points,
-)
+from procedures.pressed.arming import arm_pressed
+from procedures.pressed.points import pressed_overhead_s, pressing_s, trial_points
+from procedures.pressed.settings import AFTER_S
 from procedures.pressed.trial_procedure import TrialProcedure
 from procedures.slip_trial import layout as slip_layout
 from procedures.slip_trial.settings import SlipTrialSettings

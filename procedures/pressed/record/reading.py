@@ -13,10 +13,11 @@ import numpy as np
 
 from procedures.pressed.approach.earlier_runs import EarlierPress
 from procedures.pressed.approach.tare import ForceZero
+from procedures.pressed.points import point_name
 from procedures.pressed.record.layout import TOUCHED
 from procedures.pressed.record.lost_frames import lost_frames
 from procedures.pressed.record.squeeze import STALE_S, Squeeze
-from procedures.pressed.settings import AFTER_S, PressedSettings, point_name
+from procedures.pressed.settings import AFTER_S, PressedSettings
 from rig.analysis.trial.clock_offset import clock_offset
 from rig.analysis.trial.touch_down import TouchDownError, TouchRecord
 from rig.analysis.trial.touch_gain import touch_gain

@@ -16,7 +16,7 @@ from procedures.pressed import PressedProcedure, PressedSettings
 from procedures.pressed.hold import LOST_STEPS, ForceHold
 from procedures.pressed.record.motion import plain
 from procedures.pressed.record.reading import TrialRecord
-from procedures.pressed.settings import summary_of
+from procedures.pressed.summary import summary_of
 from rig.core.errors import ConfigurationError, InstrumentError
 from rig.files.journal.layout import Column
 from rig.files.runfile.reader import RunFile

@@ -8,9 +8,10 @@ from typing import Any
 import pytest
 
 from procedures.pressed.approach.contact import FORCE_RATE_S_S, stream_force
+from procedures.pressed.arming import MIN_FORCE_RATE_S_S, arm_pressed
 from procedures.pressed.rates import ServoRates
 from procedures.pressed.record.force import FORCE_AGE_S, FORCE_WINDOW_S, ForceTiming
-from procedures.pressed.settings import DELAY_S, MIN_FORCE_RATE_S_S, arm_pressed
+from procedures.pressed.settings import DELAY_S
 from rig.core.errors import LimitError
 from rig.instruments.roles import Limits
 
