@@ -116,8 +116,7 @@ class Armed:
     off: Act
     deadline_s: float
     emergency: Act | None
-    """Emergency action, which a watcher runs first, from its own thread and without a wait on the
-    bench clock."""
+    """Emergency action, which a watcher has run first. It does not wait on the bench clock."""
     watches: bool
     """True for a watcher: it stays on while a run is on hold, and until everything else is off."""
     drives: bool
@@ -187,10 +186,12 @@ class Arming:
         return next((armed.thread for armed in self._armed if armed.name == name), None)
 
     def emergency_stop(self) -> list[str]:
-        """Run all emergency actions from a watcher's thread, each isolated; return the failures in
+        """Run all emergency actions, each isolated, and wait for them; return the failures in
         words.
 
-        Everything stays registered: the shutdown actions themselves still run at the exit.
+        In real time each runs in the thread of its armed thing, so that none delays another, unless
+        the shutdown action is under way there. Everything stays registered: the shutdown actions
+        themselves still run at the exit.
         """
         begun: list[tuple[Armed, Task]] = []
         here: list[Task] = []

@@ -97,8 +97,8 @@ class Run:
         again replaces its shutdown action.
 
         `off`, the shutdown action, has `deadline_s` of wall time, not counting what a broken link
-        makes it wait. `emergency` is the emergency action: the first thing that a watcher runs,
-        from its own thread; it may talk to the instrument once and may not wait on the bench clock.
+        makes it wait. `emergency` is the emergency action, which a watcher has run first, from
+        another thread; it may talk to the instrument once and may not wait on the bench clock.
         `done` is shown when `off` has worked: "generator off"; without it, "`name` off". `drives`
         is False for what moves nothing and puts nothing out, such as an acquisition: the bench is
         safe although its `off` has failed.
