@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     import numpy.typing as npt
 
     from procedures.pressed.axes import SentMove
-    from procedures.pressed.record.reading import TrialRecord
+    from procedures.pressed.record.trial_record import TrialRecord
     from rig.files.journal.detections import Detection
     from rig.run.context import Run
     from rig.run.points import Reading

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from procedures.pressed.axes import PressingStage
     from procedures.pressed.links import TrialLinks
     from procedures.pressed.record.force import TrialForce
-    from procedures.pressed.record.reading import TrialRecord
+    from procedures.pressed.record.trial_record import TrialRecord
     from procedures.pressed.ticks import TrialTicks
     from rig.control.force_servo import ContactShift, ForceServo
 

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING
 from procedures.pressed.record.block_length import BEHIND_S, READING_SHARE, longer_block_s
 
 if TYPE_CHECKING:
-    from procedures.pressed.record.reading import TrialRecord
     from procedures.pressed.record.strips import StripRecorder
+    from procedures.pressed.record.trial_record import TrialRecord
     from procedures.pressed.series import PressedSeries
     from procedures.pressed.settings import PressedSettings
     from rig.run.context import Run

@@ -14,8 +14,7 @@ from procedures.pressed.approach.contact import (
     refuse_early_contact,
 )
 from procedures.pressed.approach.way_down import BOTTOM_mm, held_speed_bound
-from procedures.pressed.record.reading import CONTACT_N
-from procedures.pressed.settings import TAP_S, NEAR_mm
+from procedures.pressed.settings import CONTACT_N, TAP_S, NEAR_mm
 from rig.control.approach import Approach
 from rig.control.speed_bound import largest_speed_mm_s
 from rig.core.errors import InstrumentError
@@ -24,8 +23,8 @@ if TYPE_CHECKING:
     from procedures.pressed.approach.earlier_runs import EarlierPress
     from procedures.pressed.approach.torque_watch import TorqueWatch
     from procedures.pressed.axes import PressingStage
-    from procedures.pressed.record.reading import TrialRecord
     from procedures.pressed.record.recorder import TickRecorder
+    from procedures.pressed.record.trial_record import TrialRecord
     from procedures.pressed.series import PressedSeries
     from procedures.pressed.settings import PressedSettings
     from procedures.pressed.ticks import TrialTicks

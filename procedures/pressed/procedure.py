@@ -241,7 +241,8 @@ class PressedProcedure(TrialProcedure):
         """Make ready, press, do what the subclass does under the force, lift; then its reading."""
         # Imported by import_ahead(), and not at the top: numpy would slow `rig --help`.
         from procedures.pressed.record.motion import motion_record, plain
-        from procedures.pressed.record.reading import TrialRecord, reading_of
+        from procedures.pressed.record.reading import reading_of
+        from procedures.pressed.record.trial_record import TrialRecord
         from procedures.pressed.trial import PressedTrial
 
         series = self._series

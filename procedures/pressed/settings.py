@@ -23,6 +23,8 @@ TICK_Hz = 100.0
 POLL_RATE_Hz = 100.0
 """Highest rate at which stages and DAQ are polled and recorded, also if ticks are more frequent. An
 approach, which needs the position of z in every tick, has no higher tick rate."""
+CONTACT_N = 0.1
+"""Force that means contact: ten times the sensor's noise over a look."""
 NEAR_mm = 0.06
 """Distance before the place of an earlier contact at which the slow search begins."""
 TAP_S = 0.04

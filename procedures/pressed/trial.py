@@ -36,10 +36,11 @@ from procedures.pressed.press import Press
 from procedures.pressed.record.block_length import BEHIND_S, CATCH_UP_S, FAR_BEHIND_S
 from procedures.pressed.record.commanded_x import CommandedX
 from procedures.pressed.record.detection import slips_in_words, unjudged_motion_in_words
-from procedures.pressed.record.reading import CONTACT_N, DECIMATED_Hz
+from procedures.pressed.record.reading import load_scale_columns
 from procedures.pressed.record.recorder import TickRecorder
-from procedures.pressed.settings import AFTER_S
+from procedures.pressed.settings import AFTER_S, CONTACT_N
 from procedures.pressed.ticks import TrialTicks
+from rig.analysis.trial.decimation import DECIMATED_Hz
 from rig.bench.limits import require
 from rig.control.force_servo import ForceServo, settings_from
 from rig.core.errors import InstrumentError, RigError
@@ -47,7 +48,7 @@ from rig.detector.notices import HeldForce
 from rig.run.points import RetakeError
 
 if TYPE_CHECKING:
-    from procedures.pressed.record.reading import TrialRecord
+    from procedures.pressed.record.trial_record import TrialRecord
     from procedures.pressed.series import PressedSeries
     from procedures.pressed.settings import PressedSettings
     from rig.control.force_servo import ContactShift
@@ -340,7 +341,7 @@ class PressedTrial:
         if scales:
             rates = record.load_rates(scales)
             self.run.streams.record_rows("load_rate", 0, rates, DECIMATED_Hz, units="N/s")
-        return record.load_scales(scales)
+        return load_scale_columns(scales)
 
     @property
     def normal_force_N(self) -> float:  # noqa: N802 - the unit keeps its capital

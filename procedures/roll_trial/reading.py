@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from procedures.pressed.record import reading as pressed_reading
-from procedures.pressed.record.reading import DECIMATED_Hz, TrialRecord
+from procedures.pressed.record.trial_record import TrialRecord
 from rig.analysis.response.spectrum import rms_above
+from rig.analysis.trial.decimation import DECIMATED_Hz
 
 if TYPE_CHECKING:
     from procedures.roll_trial.settings import RollTrialSettings

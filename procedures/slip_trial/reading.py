@@ -10,7 +10,7 @@ import numpy as np
 
 from procedures.pressed.grip import grip_reading
 from procedures.pressed.record import reading as pressed_reading
-from procedures.pressed.record.reading import TrialRecord
+from procedures.pressed.record.trial_record import TrialRecord
 from procedures.slip_trial.layout import FRICTION, RAMP, WEIGHT
 from rig.analysis.trial.friction import FrictionError, friction
 from rig.files.journal.layout import without_values

@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-from procedures.pressed.record.reading import DECIMATED_Hz
+from rig.analysis.trial.decimation import DECIMATED_Hz
 from rig.detector.notices import XMove
 
 if TYPE_CHECKING:
     from procedures.pressed.record.detection import LiveDetection
-    from procedures.pressed.record.reading import TrialRecord
+    from procedures.pressed.record.trial_record import TrialRecord
     from rig.core.clock import Clock
 
 SAME_SPEED = 0.1

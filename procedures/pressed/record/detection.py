@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from rig.analysis.trial.decimation import RATE_Hz
+from rig.analysis.trial.decimation import DECIMATED_Hz
 from rig.core.units import counted
 from rig.detector.notices import CutOff
 from rig.detector.registered import chosen_detector, is_own
@@ -35,7 +35,7 @@ from rig.processing.live import LiveDetector, start
 if TYPE_CHECKING:
     import numpy.typing as npt
 
-    from procedures.pressed.record.reading import TrialRecord
+    from procedures.pressed.record.trial_record import TrialRecord
     from rig.core.clock import Clock
     from rig.detector.events import SlipEvent
     from rig.detector.notices import Notice
@@ -55,9 +55,9 @@ def try_detector(name: str) -> None:
     if name == NO_DETECTOR:
         return
     if is_own(name):
-        chosen_detector(name).make(RATE_Hz).add(np.zeros((1, 2)))
+        chosen_detector(name).make(DECIMATED_Hz).add(np.zeros((1, 2)))
     else:
-        start(name, RATE_Hz, patient=True, woken=lambda: None).close()
+        start(name, DECIMATED_Hz, patient=True, woken=lambda: None).close()
 
 
 class LiveDetection:
@@ -81,7 +81,7 @@ class LiveDetection:
         if name != NO_DETECTOR:
             patient = clock.is_virtual
             self._live = start(
-                name, RATE_Hz, patient=patient, woken=self.woken.set, beat=clock.beat
+                name, DECIMATED_Hz, patient=patient, woken=self.woken.set, beat=clock.beat
             )
 
     @property

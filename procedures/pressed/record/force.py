@@ -12,7 +12,7 @@ from procedures.pressed.record.lost_frames import COMPARED_LOOKS
 
 if TYPE_CHECKING:
     from procedures.pressed.rates import ServoRates
-    from procedures.pressed.record.reading import TrialRecord
+    from procedures.pressed.record.trial_record import TrialRecord
     from rig.run.context import Run
 
 FORCE_WINDOW_S = 0.004

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from procedures.pressed.record.reading import DECIMATED_Hz
+from rig.analysis.trial.decimation import DECIMATED_Hz
 
 if TYPE_CHECKING:
     import numpy.typing as npt
 
-    from procedures.pressed.record.reading import TrialRecord
+    from procedures.pressed.record.trial_record import TrialRecord
     from rig.run.points import Reading
 
     Values = npt.NDArray[np.float64]

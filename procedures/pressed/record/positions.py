@@ -18,7 +18,7 @@ from procedures.pressed.record.force import BLOCK_S
 
 if TYPE_CHECKING:
     from procedures.pressed.axes import Look, PolledAxis, PolledStage
-    from procedures.pressed.record.reading import TrialRecord
+    from procedures.pressed.record.trial_record import TrialRecord
     from rig.run.context import Run
 
 

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from procedures.pressed.axes import PolledAxis, PolledStage
     from procedures.pressed.links import TrialLinks
     from procedures.pressed.record.detection import LiveDetection
-    from procedures.pressed.record.reading import TrialRecord
+    from procedures.pressed.record.trial_record import TrialRecord
     from rig.control.tick_loop import Tick
     from rig.files.journal.detections import Detection
     from rig.run.context import Run

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from procedures.pressed.record.reading import DECIMATED_Hz, TrialRecord
-from rig.analysis.trial.decimation import Decimator
+from procedures.pressed.record.trial_record import TrialRecord
+from rig.analysis.trial.decimation import DECIMATED_Hz, Decimator
 from rig.bench.settings import STRIPS
 from rig.detector.notices import CutOff
 from rig.instruments.roles import Record

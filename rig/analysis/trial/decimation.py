@@ -28,7 +28,7 @@ from rig.detector.fir import StreamingFir, frequency_response, kaiser_low_pass, 
 Reals = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 
-RATE_Hz = 1000.0
+DECIMATED_Hz = 1000.0
 """Output rate, in Hz, whatever the input rate."""
 SLOWEST_Hz, FASTEST_Hz = 10_000.0, 50_000.0
 """Input rates that are accepted, in Hz."""
@@ -55,12 +55,12 @@ class Decimator:
     """
 
     def __init__(self, rate_Hz: float, channels: int = 2):
-        """Begin a record. Raises ValueError for a rate that is not a whole multiple of `RATE_Hz`
-        between `SLOWEST_Hz` and `FASTEST_Hz`, and for fewer than one channel."""
-        factor = round(rate_Hz / RATE_Hz)
-        if not SLOWEST_Hz <= rate_Hz <= FASTEST_Hz or abs(factor * RATE_Hz - rate_Hz) > 1e-9:
+        """Begin a record. Raises ValueError for a rate that is not a whole multiple of
+        `DECIMATED_Hz` between `SLOWEST_Hz` and `FASTEST_Hz`, and for fewer than one channel."""
+        factor = round(rate_Hz / DECIMATED_Hz)
+        if not SLOWEST_Hz <= rate_Hz <= FASTEST_Hz or abs(factor * DECIMATED_Hz - rate_Hz) > 1e-9:
             raise ValueError(
-                f"rate_Hz {rate_Hz:g} Hz must be a whole multiple of {RATE_Hz:g} Hz between "
+                f"rate_Hz {rate_Hz:g} Hz must be a whole multiple of {DECIMATED_Hz:g} Hz between "
                 f"{SLOWEST_Hz:g} and {FASTEST_Hz:g} Hz"
             )
         if channels < 1:

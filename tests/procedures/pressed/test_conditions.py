@@ -15,7 +15,7 @@ from packages import install, on_path
 from procedures.pressed import PressedProcedure, PressedSettings
 from procedures.pressed.hold import LOST_STEPS, ForceHold
 from procedures.pressed.record.motion import plain
-from procedures.pressed.record.reading import TrialRecord
+from procedures.pressed.record.trial_record import TrialRecord
 from procedures.pressed.summary import summary_of
 from rig.core.errors import ConfigurationError, InstrumentError
 from rig.files.journal.layout import Column

@@ -14,7 +14,7 @@ from procedures.path_trial.settings import PathTrialSettings
 from procedures.pressed.axes import SentMove
 from procedures.pressed.grip import Grip, GripSettings, grip_reading
 from procedures.pressed.hold import ForceHold
-from procedures.pressed.record.reading import TrialRecord
+from procedures.pressed.record.trial_record import TrialRecord
 from procedures.slip_trial.settings import SlipTrialSettings
 from rig.control.force_servo import ForceServo, settings_from
 from rig.core.errors import InstrumentError, LimitError

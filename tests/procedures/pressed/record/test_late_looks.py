@@ -12,7 +12,8 @@ from test_pressed_reading import record as a_record
 
 from procedures.pressed.axes import PolledStage
 from procedures.pressed.record.positions import LookWatch, PositionRecorder
-from procedures.pressed.record.reading import OLDEST_LOOK, TrialRecord
+from procedures.pressed.record.reading import OLDEST_LOOK
+from procedures.pressed.record.trial_record import TrialRecord
 
 TICK_S = 0.01
 SPEED_mm_s = 6.0

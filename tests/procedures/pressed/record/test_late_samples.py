@@ -15,8 +15,8 @@ from test_pressed_reading import record as a_record
 
 from procedures.pressed.grip_summary import grip_summary
 from procedures.pressed.record.block_length import longer_block_s
-from procedures.pressed.record.reading import TrialRecord
 from procedures.pressed.record.strips import StripRecorder
+from procedures.pressed.record.trial_record import TrialRecord
 from procedures.pressed.settings import PressedSettings
 from procedures.slip_trial.settings import SlipTrialSettings
 from rig.files.journal.detections import SLIP, Detection

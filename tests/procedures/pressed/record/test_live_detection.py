@@ -17,7 +17,7 @@ from procedures.pressed.record.detection import (
     slips_in_words,
     unjudged_motion_in_words,
 )
-from procedures.pressed.record.reading import TrialRecord
+from procedures.pressed.record.trial_record import TrialRecord
 from procedures.slip_trial.settings import SlipTrialSettings
 from rig.core.clock import WallClock
 from rig.detector.notices import HeldForce, XMove, columns_of, notices_in

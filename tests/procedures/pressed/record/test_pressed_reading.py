@@ -7,7 +7,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from procedures.pressed.record.reading import TrialRecord, reading_of
+from procedures.pressed.record.reading import reading_of
+from procedures.pressed.record.trial_record import TrialRecord
 from procedures.pressed.settings import PressedSettings
 from procedures.slip_trial.settings import SlipTrialSettings
 from rig.control.tick_loop import LoopStatistics
