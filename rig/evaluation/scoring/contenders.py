@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -11,8 +12,8 @@ from numpy.typing import NDArray
 from rig.core.settings import Settings, fingerprint
 from rig.detector import kernel
 from rig.detector.contract import Detector
-from rig.detector.events import unjudged_s
-from rig.detector.notices import Notice
+from rig.detector.events import SlipEvent, unjudged_s
+from rig.detector.notices import CutOff, HeldForce, Notice, XMove
 from rig.detector.registered import ChosenDetector
 from rig.evaluation.scoring.baselines import BaselineSettings, baseline_reports
 from rig.evaluation.scoring.outcomes import DetectorReport
@@ -23,6 +24,8 @@ Floats = NDArray[np.float64]
 FACTORS: tuple[float, ...] = tuple(2.0 ** (-half / 2) for half in range(-6, 7))
 """Factors on the threshold, descending: the points of a ROC. For a probability, the odds are
 multiplied by the square of the factor."""
+BLOCK_S = 0.002
+"""Length of the blocks in which a trial hands rows to a detector."""
 
 
 class Named(Protocol):
@@ -45,7 +48,7 @@ class Named(Protocol):
 
 
 class Contender(Named, Protocol):
-    """A detector or baseline that can be scored: it sees the recording and the commands, and
+    """A detector or baseline that can be scored: it sees the recording and what the bench knew, and
     nothing else."""
 
     def reports(
@@ -55,7 +58,7 @@ class Contender(Named, Protocol):
         factors: tuple[float, ...],
         notices: tuple[Notice, ...] = (),
     ) -> list[DetectorReport]:
-        """Return its reports on a recording (n, 2) in V with these commands, one for each factor
+        """Return its reports on a recording (n, 2) in V with these notices, one for each factor
         on its threshold."""
         ...
 
@@ -98,13 +101,13 @@ class DetectorContender:
             found.append(reports[key])
         return found
 
-    @staticmethod
     def _report(
-        volts: Floats, detector: Detector, rate_Hz: float, notices: tuple[Notice, ...]
+        self, volts: Floats, detector: Detector, rate_Hz: float, notices: tuple[Notice, ...]
     ) -> DetectorReport:
-        for one in notices:
-            detector.notice(one)
-        events = [*detector.add(volts), *detector.finish()]
+        # One of this project gives the same events however the rows are cut. Another package's may
+        # not, and would see what comes after a slip if it had the whole recording.
+        rows = len(volts) if self.detector.is_own else max(1, round(BLOCK_S * rate_Hz))
+        events = _events_of(detector, volts, rows, notices)
         slips = [one.time_s for one in events if one.kind == "incipient slip"]
         armings = [one.time_s for one in events if one.kind == "predictive"]
         rolls = [one.time_s for one in events if one.kind == "roll"]
@@ -115,6 +118,33 @@ class DetectorContender:
             inverted=any(one.reason == kernel.REASONS[kernel.ONE_INVERTED] for one in events),
             unjudged_s=unjudged_s(events, len(volts) / rate_Hz),
         )
+
+
+def _events_of(
+    detector: Detector, volts: Floats, rows: int, notices: tuple[Notice, ...]
+) -> list[SlipEvent]:
+    """Return the events of a recording that is given in blocks of this many rows, each notice
+    before the block in which it takes effect, as in a trial."""
+    waiting = [
+        _due([one for one in notices if isinstance(one, kind)])
+        for kind in (XMove, HeldForce, CutOff)
+    ]
+    events: list[SlipEvent] = []
+    for first in range(0, max(1, len(volts)), max(1, rows)):
+        for queue in waiting:
+            while queue and queue[0][0] < first + rows:
+                detector.notice(queue.popleft()[1])
+        events += detector.add(volts[first : first + rows])
+    return [*events, *detector.finish()]
+
+
+def _due(notices: list[Notice]) -> deque[tuple[int, Notice]]:
+    """Return notices of one kind in their order, each with the row before which it is given: a
+    later one may take the place of one that has not taken effect."""
+    due = deque[tuple[int, Notice]]()
+    for one in reversed(notices):
+        due.appendleft((min(one.sample, due[0][0]) if due else one.sample, one))
+    return due
 
 
 @dataclass(frozen=True)
@@ -141,5 +171,5 @@ class BaselineContender:
         factors: tuple[float, ...],
         notices: tuple[Notice, ...] = (),
     ) -> list[DetectorReport]:
-        """Return its alarms and armings at each threshold; it does not use commands."""
+        """Return its alarms and armings at each threshold; it does not use notices."""
         return baseline_reports(volts, rate_Hz, self.settings, factors)
