@@ -33,6 +33,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.core.entry_points import DETECTORS, packages_of
 from rig.core.errors import LONGEST_REASON, ConfigurationError, ExitCode, RigError, shortened
 from rig.detector.checking import event_fault
 from rig.detector.events import SlipEvent
@@ -104,7 +105,7 @@ class LiveDetector(ABC):
     """What a record states of it."""
 
     def __init__(self, name: str, woken: Callable[[], None]):
-        self._name, self._woken = name, woken
+        self._called, self._woken = f"detector {name}", woken
         self._events: deque[LiveEvent] = deque()
         self._reason: str | None = None
         self.in_use = True
@@ -159,7 +160,7 @@ class LiveDetector(ABC):
         """Stop using it; only the first reason is reported."""
         if self.in_use:
             self.in_use = False
-            self._reason = f"detector {self._name} {reason}: no longer used"
+            self._reason = f"{self._called} {reason}: no longer used"
             self._woken()
 
 
@@ -243,6 +244,10 @@ class _Direct(LiveDetector):
             self._drop(f"failed ({type(error).__name__}: {error})")
 
 
+def _called(name: str, package: str) -> str:
+    return f"detector {name} of the package {package}" if package else f"detector {name}"
+
+
 @dataclass(frozen=True)
 class _Sent:
     """A message without an answer."""
@@ -267,6 +272,7 @@ class _InChild(LiveDetector):
         beat: Callable[[], None],
     ):
         super().__init__(name, woken)
+        self._called = _called(name, " and ".join(packages_of(DETECTORS, name)))
         self._rate_Hz, self._patient, self._beat = rate_Hz, patient, beat
         self._longest_lag_s = PATIENCE_S if patient else longest_lag_s
         self._sent: deque[_Sent] = deque()
@@ -289,12 +295,13 @@ class _InChild(LiveDetector):
                 )
             except OSError as error:
                 self._socket.close()
-                raise RigError(f"detector {name} cannot be started: {error}") from error
+                raise RigError(f"{self._called} cannot be started: {error}") from error
         try:
             self.identity = self._first_answer()
         except BaseException:
             self.close()
             raise
+        self._called = _called(name, self.identity.package)
         self._reader = threading.Thread(target=self._read, name=f"detector {name}", daemon=True)
         self._reader.start()
 
@@ -359,15 +366,15 @@ class _InChild(LiveDetector):
 
     def _first_answer(self) -> DetectorIdentity:
         """Return the identity of the detector that is ready. Raises RigError where it is not."""
-        name = self._name
+        called = self._called
         self._socket.settimeout(START_S)
         try:
             answer = self._socket.recv(MOST_BYTES)
         except TimeoutError:
-            raise RigError(f"detector {name} was not ready within {START_S:g} s") from None
+            raise RigError(f"{called} was not ready within {START_S:g} s") from None
         self._socket.setblocking(True)
         if not answer:
-            raise RigError(f"detector {name}: its process ended ({self._how_it_ended()})")
+            raise RigError(f"{called}: its process ended ({self._how_it_ended()})")
         kind, _, _ = HEAD.unpack_from(answer)
         said = json.loads(answer[HEAD.size :])
         if kind != READY:

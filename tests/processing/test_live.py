@@ -254,7 +254,7 @@ def test_one_that_fails_is_dropped_and_nobody_waits_for_it(
     said = until(one.dropped)
     assert isinstance(said, str)
     assert reason in said
-    assert said.startswith("detector lab-level ")
+    assert said.startswith("detector lab-level of the package lab-level ")
     assert said.endswith(": no longer used")
     assert one.dropped() is None, "one warning"
     process = one._process  # type: ignore[attr-defined]

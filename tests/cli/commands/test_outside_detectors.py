@@ -324,7 +324,7 @@ def test_one_that_hangs_is_dropped_on_the_simulated_bench_and_the_trial_continue
         "--distance", "0.4mm", "--rest", "100ms", "--force-error-peak", "100",
     )  # fmt: skip
     assert done.code in (0, 5), done.stderr
-    assert re.search(r"detector lab-level fell behind by \d+ ms: no longer used", done.stderr)
+    assert re.search(r"of the package \S+ fell behind by \d+ ms: no longer used", done.stderr)
     assert done.object["outcome"] == "complete"
 
 
