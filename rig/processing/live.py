@@ -330,13 +330,17 @@ class _InChild(LiveDetector):
 
     def close(self) -> None:
         self.in_use = False
-        self._kill()
-        with contextlib.suppress(OSError):
-            self._socket.shutdown(socket.SHUT_RDWR)  # the reader wakes
+        self._kill()  # the reader wakes
         reader = getattr(self, "_reader", None)
         if reader is not None and reader is not threading.current_thread():
             reader.join(ENDED_S)
         self._socket.close()
+        if self._process.returncode is None:
+            self._how_it_ended()
+            # What is left where the watching process has been stopped or killed. No one has asked
+            # for its exit code before, so its number still is that of its session.
+            with contextlib.suppress(ProcessLookupError, PermissionError):
+                os.killpg(self._process.pid, signal.SIGKILL)
         with contextlib.suppress(subprocess.TimeoutExpired):
             self._process.wait(ENDED_S)
 
@@ -450,11 +454,9 @@ class _InChild(LiveDetector):
         self._kill()
 
     def _kill(self) -> None:
-        """Kill its process with all that it started; wait for nothing."""
-        # No one has asked for its exit code before, so its number still is that of its session.
-        if self._process.returncode is None:
-            with contextlib.suppress(ProcessLookupError, PermissionError):
-                os.killpg(self._process.pid, signal.SIGKILL)
+        """Let its watching process kill it with all that it started; wait for nothing."""
+        with contextlib.suppress(OSError):
+            self._socket.shutdown(socket.SHUT_RDWR)
 
     def _how_it_ended(self) -> str:
         """Return how its process ended, waiting for that, but leave its exit code to `close`."""

@@ -1,32 +1,41 @@
 """The process in which another package's detector runs beside a trial (`rig.processing.live`).
 
 It has no descriptor of the run but one socket. It consists of two processes: one that runs the
-detector, and one that does nothing but watch. When the run has ended, or the detector's process has
-ended, the watching one kills whatever is left in their session, also where the detector hangs in C
-code or has started processes.
+detector, and one that does nothing but watch. When the run has closed the connection or ended, or
+the detector's process has ended, the watching one kills all that is left, also where the detector
+hangs in C code or has started processes. It is the subreaper of these, so that one that has left
+their session and lost its parent still is its descendant.
 """
 
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import json
 import os
 import select
 import signal
 import socket
 import sys
+import time
+from collections import defaultdict
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 NICENESS = 10
 """Niceness of the detector: the run and the guard come first."""
+ENDED_S = 1.0
+"""Longest time in s in which what was killed may disappear; a dead disk holds a process for
+longer."""
+_PR_SET_CHILD_SUBREAPER = 36
 
 
 def main() -> None:
     """Serve the run on the socket whose descriptor is the first argument; never returns."""
     connection = socket.socket(fileno=int(sys.argv[1]))
     connection.set_inheritable(False)
+    ctypes.CDLL(None).prctl(_PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)  # not inherited by the worker
     worker = os.fork()
     if worker:
         _watch(connection, worker)
@@ -45,25 +54,40 @@ def _watch(connection: socket.socket, worker: int) -> None:
     poller.register(os.pidfd_open(worker), select.POLLIN)
     poller.poll()
     ended = os.waitid(os.P_PID, worker, os.WEXITED | os.WNOHANG)
-    status = 0
+    status = 128 + signal.SIGKILL  # the run has ended, or needs it no more
     if ended is not None:
         by_signal = ended.si_code != os.CLD_EXITED
         status = ended.si_status + (128 if by_signal else 0)
-    if ended is None:
-        os.killpg(0, signal.SIGKILL)  # the run has ended
     _kill_the_others()
     os._exit(status)
 
 
 def _kill_the_others() -> None:
-    """Kill what the detector has left in this session, but not this process, whose exit code the
-    run reads."""
-    own, session = os.getpid(), os.getsid(0)
-    for entry in Path("/proc").iterdir():
-        if entry.name.isdecimal() and int(entry.name) != own:
+    """Kill all descendants of this process, whose exit code the run reads, until none is left: one
+    that loses its parent becomes a child of this process."""
+    until_s = time.monotonic() + ENDED_S
+    while (left := _descendants(os.getpid())) and time.monotonic() < until_s:
+        for pid in left:
             with contextlib.suppress(OSError):
-                if os.getsid(int(entry.name)) == session:
-                    os.kill(int(entry.name), signal.SIGKILL)
+                os.kill(pid, signal.SIGKILL)
+        with contextlib.suppress(ChildProcessError):
+            while os.waitpid(-1, os.WNOHANG)[0]:
+                pass
+        time.sleep(0.002)
+
+
+def _descendants(of: int) -> list[int]:
+    """Return the numbers of the processes that a process has started, and those these have."""
+    children = defaultdict(list)
+    for entry in Path("/proc").iterdir():
+        if entry.name.isdecimal():
+            with contextlib.suppress(OSError, IndexError, ValueError):
+                parent = (entry / "stat").read_bytes().rpartition(b")")[2].split()[1]
+                children[int(parent)].append(int(entry.name))
+    found = list(children[of])
+    for pid in found:
+        found += children[pid]
+    return found
 
 
 def _serve(connection: socket.socket) -> None:

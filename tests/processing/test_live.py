@@ -308,6 +308,47 @@ def test_it_ends_with_the_run_also_where_it_hangs(lab: Callable[..., None]) -> N
     until(lambda: session_of(pid) == [])
 
 
+DAEMON = """
+import os, sys, time
+if os.fork():
+    os._exit(0)
+os.setsid()
+if os.fork():
+    os._exit(0)
+with open(sys.argv[1] + ".new", "w") as file:
+    file.write(str(os.getpid()))
+os.rename(sys.argv[1] + ".new", sys.argv[1])
+time.sleep(1000)
+"""
+STARTS = """import subprocess, sys
+        subprocess.run([sys.executable, "-c", {daemon!r}, {noted!r}])
+        while not os.path.exists({noted!r}):
+            pass
+        return str(1 // {divisor})"""
+
+
+@pytest.mark.parametrize("divisor", [1, 0], ids=["closed", "dropped"])
+def test_a_process_that_has_left_its_session_ends_with_it(
+    lab: Callable[..., None],
+    started: Callable[..., live.LiveDetector],
+    tmp_path: Path,
+    divisor: int,
+) -> None:
+    """A server that a detector's package starts, for example one that draws, outlives no run."""
+    noted = tmp_path / "pid"
+    lab((SAY, STARTS.format(daemon=DAEMON, noted=str(noted), divisor=divisor)))
+    one = started(longest_lag_s=PATIENCE_S)
+    one.begin()
+    one.add(crossing()[:201], 0)
+    until(noted.exists)
+    if divisor:
+        until(one.take)
+        one.close()
+    else:
+        assert "ZeroDivisionError" in until(one.dropped)
+    until(lambda: not Path(f"/proc/{noted.read_text()}").exists())
+
+
 @pytest.mark.parametrize(
     ("name", "instead", "reason"),
     [
