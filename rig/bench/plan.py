@@ -43,6 +43,8 @@ WAITS_PER_CALL = 2
 RETRY_S = 0.1
 """Time in s from the end of a link's time-out until the next request has reached the drive: a wait
 slice, a new connection, and a computer that is busy."""
+OF_THE_FILE = "bench file"
+"""Key of the faults of a bench file that are not those of an instrument's table."""
 
 
 @dataclass(frozen=True)
@@ -105,9 +107,11 @@ def longest_call_s(settings: Settings) -> float:
     return WAITS_PER_CALL * float(getattr(settings, "timeout_s", 0.0))
 
 
-def read_bench(path: Path) -> BenchPlan:
-    """Read and validate a bench file. Raises ConfigurationError, which lists every fault of it."""
-    hint = "give the file with --bench, or leave it out for the simulated bench"
+def read_bench(
+    path: Path, hint: str = "give the file with --bench, or leave it out for the simulated bench"
+) -> BenchPlan:
+    """Read and validate a bench file. Raises ConfigurationError, which lists every fault of it;
+    `hint` is the remedy where the file cannot be read."""
     plan = parse_bench(read_text(path, "bench file", MAX_TOML_BYTES, hint), str(path))
     return replace(plan, file=path)
 
@@ -155,8 +159,8 @@ class Restable:
 
     instruments: tuple[InstrumentPlan, ...]
     failures: dict[str, str]
-    """Reason why an instrument cannot be made safe, by role; under "bench file", the faults of the
-    rest of the file."""
+    """Reason why an instrument cannot be made safe, by role; under OF_THE_FILE, the faults of
+    the rest of the file."""
     settings: BenchSettings | None
     """Settings of the bench itself; None if they are wrong."""
 
@@ -184,7 +188,7 @@ def parse_to_make_safe(text: str, source: str) -> Restable:
     except ConfigurationError as error:
         if not described:
             raise
-        failures["bench file"] = error.one_line()
+        failures[OF_THE_FILE] = error.one_line()
     return Restable(tuple(instruments), failures, settings)
 
 

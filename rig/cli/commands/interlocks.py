@@ -139,12 +139,10 @@ def _declared(path: Path, name: str | None = None) -> tuple[BenchPlan, Interlock
     from rig.bench.plan import read_bench
     from rig.run.interlocks.store import InterlockStore
 
+    hint = "interlocks belong to a bench with a bench file: name it with --bench"
     if not path.exists():
-        raise ConfigurationError(
-            f"bench file {path} not found",
-            "interlocks belong to a bench with a bench file: name it with --bench",
-        )
-    plan = read_bench(path)
+        raise ConfigurationError(f"bench file {path} not found", hint)
+    plan = read_bench(path, hint)
     known = [contact.name for contact in plan.settings.interlock]
     if not known:
         raise ConfigurationError(

@@ -32,7 +32,7 @@ def make_safe(
     from rig.run.stopping import StopFlag
 
     with reported(debug), StopFlag():
-        from rig.bench.plan import parse_to_make_safe
+        from rig.bench.plan import OF_THE_FILE, parse_to_make_safe
         from rig.core.toml_files import MAX_TOML_BYTES, read_text
         from rig.run.locks.bench_users import StopRequests, take_turn
         from rig.run.locks.lock import address_names
@@ -44,8 +44,15 @@ def make_safe(
                 "name the bench file with --bench (a simulated bench that a command starts for "
                 "itself makes itself safe)",
             )
-        text = read_text(bench, "bench file", MAX_TOML_BYTES)
-        described = parse_to_make_safe(text, str(bench))
+        try:
+            text = read_text(bench, "bench file", MAX_TOML_BYTES)
+            described = parse_to_make_safe(text, str(bench))
+        except ConfigurationError as error:
+            raise ConfigurationError(
+                f"nothing was made safe: {error.message}",
+                f"{error.hint or 'name the file of your bench with --bench'}; until this command "
+                "has succeeded, switch the bench off by hand if it is not at rest",
+            ) from error
         if not described.instruments and not described.failures:
             raise ConfigurationError(
                 f"the bench file {bench} names no instruments: nothing was made safe",
@@ -74,6 +81,12 @@ def make_safe(
             say_all(made_safe)
             for role, why in failures.items():
                 say_failure(UnsafeError(f"{role}: {why}"), debug)
+            if list(failures) == [OF_THE_FILE]:
+                raise UnsafeError(
+                    f"NOT SAFE: every instrument that {bench} names was made safe, but because of "
+                    "the rest of the file it is not known whether these are all",
+                    "correct the file, then run this command again",
+                )
             raise UnsafeError(
                 f"NOT SAFE: {', '.join(failures) or name}. Switch the bench off by hand and find "
                 "out why"

@@ -95,3 +95,37 @@ def test_the_batch_of_a_run_is_ended_and_not_only_the_run(acted, monkeypatch, tm
     monkeypatch.setattr("rig.batch.running.ask_batch", ask_batch)
     assert ended() == ExitCode.DONE
     assert asked.read_text() == f"stop-now {tmp_path / 'night'}"
+
+
+@pytest.mark.parametrize(
+    "text", ["[generator", "name = 5", None], ids=["syntax", "empty", "folder"]
+)
+def test_a_file_that_cannot_be_used_is_said_to_have_made_nothing_safe(acted, capfd, text) -> None:
+    if text is None:
+        Path("bench.toml").unlink()
+        Path("bench.toml").mkdir()
+    else:
+        Path("bench.toml").write_text(text)
+    assert ended() == ExitCode.USAGE
+    assert acted == []
+    last = capfd.readouterr().err.splitlines()[-1]
+    assert last.startswith("error: nothing was made safe: ")
+    assert "switch the bench off by hand" in last
+
+
+def test_a_fault_beside_the_instruments_does_not_say_that_the_bench_has_to_be_switched_off(
+    acted, monkeypatch, capfd
+) -> None:
+    """An instrument may be missing because its table is misspelled, so it is not called safe."""
+
+    def act(_: str, source: str) -> MadeSafe:
+        acted.append(source)
+        return MadeSafe({"bench file": f"{source}: fixture.mountd: unknown key"}, False)
+
+    monkeypatch.setattr("rig.run.making_safe.guard.make_bench_safe", act)
+    Path("bench.toml").write_text(BENCH.replace("mounted", "mountd"))
+    assert ended() == ExitCode.UNSAFE
+    assert acted == ["bench.toml"]
+    *_, last = capfd.readouterr().err.splitlines()
+    assert last.startswith("error: NOT SAFE: every instrument that bench.toml names was made safe")
+    assert last.endswith("correct the file, then run this command again")
