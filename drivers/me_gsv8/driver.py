@@ -129,23 +129,23 @@ class ForceAmplifier(ForceStream):
         """Return the frame rates of the amplifier, and the force that the bench file allows on an
         axis."""
         limited_by = f"{DEVICE} {self.identity.model}"
-        limit = self._settings.force_limit
+        limit_N = self._settings.force_limit_N
         return {
             "rate": Limits(*self._rates, "1/s", limited_by),
-            "force": Limits(-limit, limit, "N", limited_by),
+            "force": Limits(-limit_N, limit_N, "N", limited_by),
         }
 
     def start(self, rate_S_s: float) -> float:
         """Begin to stream at the nearest rate that the amplifier has; return that rate in
         frames/s."""
-        self._set_rate(rate_S_s)
+        nearest_S_s = self._set_rate(rate_S_s)
         self._link.discard()
         self._link.expect(self._layout)
         self._broken = None
         self._next = 0
         self._link.request(START_TRANSMISSION)
-        self._begun(self._rate)
-        return self._rate
+        self._begun(nearest_S_s)
+        return nearest_S_s
 
     def read(self) -> ForceFrames | None:
         """Return the frames that have arrived, or None; waits a few milliseconds at most.
@@ -265,22 +265,25 @@ class ForceAmplifier(ForceStream):
                 "something else controls the amplifier, or the value is outside its range",
             )
 
-    def _set_rate(self, rate_S_s: float) -> None:
-        """Set the nearest rate that the amplifier has, and read it back."""
-        if self._read_rate() != rate_S_s:
-            self._link.request(WRITE_DATA_RATE, struct.pack(">f", rate_S_s))
-            got = self._read_rate()
-            if not 0.5 * rate_S_s <= got <= 2 * rate_S_s:  # NaN too
-                raise InstrumentError(
-                    DEVICE,
-                    WRITE_DATA_RATE.name,
-                    f"set to {rate_S_s:g} frames/s but reads back {got:g}",
-                    "something else controls the amplifier",
-                )
+    def _set_rate(self, rate_S_s: float) -> float:
+        """Set the nearest rate that the amplifier has; return that rate as read back, in
+        frames/s."""
+        if (now_S_s := self._read_rate()) == rate_S_s:
+            return now_S_s
+        self._link.request(WRITE_DATA_RATE, struct.pack(">f", rate_S_s))
+        got_S_s = self._read_rate()
+        if not 0.5 * rate_S_s <= got_S_s <= 2 * rate_S_s:  # NaN too
+            raise InstrumentError(
+                DEVICE,
+                WRITE_DATA_RATE.name,
+                f"set to {rate_S_s:g} frames/s but reads back {got_S_s:g}",
+                "something else controls the amplifier",
+            )
+        return got_S_s
 
     def _read_rate(self) -> float:
-        (self._rate,) = struct.unpack(">f", self._link.request(READ_DATA_RATE))
-        return self._rate
+        (rate_S_s,) = struct.unpack(">f", self._link.request(READ_DATA_RATE))
+        return float(rate_S_s)
 
     def _read_rate_range(self) -> tuple[float, float]:
         """Return the slowest and fastest rate as the amplifier is set."""

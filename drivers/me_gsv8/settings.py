@@ -57,6 +57,6 @@ class MeGsv8Settings(Settings):
         return ((gain, 0.0, 0.0), (0.0, gain, 0.0), (0.0, 0.0, gain))
 
     @property
-    def force_limit(self) -> float:
+    def force_limit_N(self) -> float:  # noqa: N802 - the unit keeps its capital
         """The largest force allowed along an axis, in N."""
         return self.max_force_N if self.max_force_N is not None else self.nominal_force_N
