@@ -11,16 +11,13 @@ import contextlib
 import math
 import threading
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
-from pydantic import Field, field_validator
-
+from drivers.keysight_u2300a.models import MODELS, U2300AModel
+from drivers.keysight_u2300a.settings import KeysightU2300ASettings
 from drivers.shared.visa_link import VisaLink
 from rig.core.clock import Clock, WallClock
 from rig.core.errors import InstrumentError, InstrumentTimeoutError, LimitError
-from rig.core.settings import Address, Channels, Wiring
-from rig.core.settings import Settings as BaseSettings
 from rig.instruments.roles import Acquisition, Identity, InputChannel, Limits, Record, Scaling
 
 if TYPE_CHECKING:
@@ -45,60 +42,8 @@ ASKED_EVERY_S = 0.1
 UNIT_BEHIND = 0.02
 """Far more than the clocks of unit and computer do: a block that is asked for too early ends the
 acquisition, and one more question costs a reader who is behind little."""
-WIDE_RANGES_V = (10.0, 5.0, 2.5, 1.25)
-
-
-@dataclass(frozen=True)
-class U2300AModel:
-    """One model's data from the data sheet."""
-
-    bits: int
-    """Resolution; 12-bit codes stand left-justified in 16-bit words."""
-    total_rate_S_s: float
-    """Highest rate of one channel, or of all scanned channels together."""
-    simultaneous: bool
-    ranges_V: tuple[float, ...] = WIDE_RANGES_V
-    terminals: int = 64
-
-
-MODELS: dict[str, U2300AModel] = {
-    "U2331A": U2300AModel(12, 1e6, False, (10, 5, 2.5, 2, 1.25, 1, 0.5, 0.25, 0.2, 0.05)),
-    "U2351A": U2300AModel(16, 250e3, False, terminals=16),
-    "U2352A": U2300AModel(16, 250e3, False, terminals=16),
-    "U2353A": U2300AModel(16, 500e3, False, terminals=16),
-    "U2354A": U2300AModel(16, 500e3, False, terminals=16),
-    "U2355A": U2300AModel(16, 250e3, False),
-    "U2356A": U2300AModel(16, 500e3, False),
-    "U2541A": U2300AModel(16, 250e3, True, terminals=4),
-    "U2542A": U2300AModel(16, 500e3, True, terminals=4),  # simultaneous sampling is unconfirmed
-}
 
 _READBACK_HINT = "check the cable and that nothing else controls the DAQ; then start again"
-
-
-class KeysightU2300ASettings(BaseSettings):
-    """Address and wiring of the DAQ."""
-
-    driver: Literal["keysight-u2300a"] = "keysight-u2300a"
-    resource: Address[str]
-    """VISA resource, for example USB0::0x0957::0x1518::TW12345678::INSTR."""
-    timeout_s: Wiring[float] = Field(default=2.0, gt=0, le=60)
-    """Longest wait for an answer."""
-    channels: Channels[dict[str, int]] = Field(min_length=1)
-    """Terminal by signal name, for example load_cell = 101."""
-
-    @field_validator("channels")
-    @classmethod
-    def _terminals_differ(cls, channels: dict[str, int]) -> dict[str, int]:
-        if len(set(channels.values())) != len(channels):
-            raise ValueError("two signals are wired to one terminal; give each its own")
-        for name, terminal in channels.items():
-            if not 101 <= terminal <= 164:
-                raise ValueError(
-                    f"{name} = {terminal} is not a terminal; terminals are numbered 101 to 164"
-                )
-        return channels
-
 
 Settings = KeysightU2300ASettings
 """The settings of a bench file, under the name by which the bench asks any driver for them."""
@@ -162,7 +107,7 @@ class U2300ADaq:
         limited_by = f"daq {self.identity.model}"
         return {"rate": Limits(LOWEST_RATE_S_S, self.model.total_rate_S_s, "S/s", limited_by)}
 
-    def highest_rate(self, channels: int) -> float:
+    def highest_rate_S_s(self, channels: int) -> float:  # noqa: N802 - the unit keeps its capital
         """Return the highest rate per channel, in S/s, at which `channels` channels can be
         sampled."""
         sharing = 1 if self.model.simultaneous else channels
@@ -194,7 +139,7 @@ class U2300ADaq:
                     f"choose one of {choices} V",
                 )
         count = len(acquisition.channels)
-        highest = self.highest_rate(count)
+        highest = self.highest_rate_S_s(count)
         if not LOWEST_RATE_S_S <= acquisition.rate_S_s <= highest:
             raise LimitError(
                 f"{device}: {acquisition.rate_S_s:g} S/s a channel for {count} channels is outside "

@@ -9,7 +9,8 @@ import pytest
 from pydantic import ValidationError
 from transcript import playing
 
-from drivers.keysight_u2300a.driver import KeysightU2300ASettings, U2300ADaq, connect, make_safe
+from drivers.keysight_u2300a.driver import U2300ADaq, connect, make_safe
+from drivers.keysight_u2300a.settings import KeysightU2300ASettings
 from rig.core.clock import WallClock
 from rig.core.errors import InstrumentError, LimitError
 from rig.instruments.roles import Acquisition, InputChannel
@@ -420,7 +421,7 @@ def test_what_the_unit_cannot_do_is_refused_before_anything_is_sent(
 def test_the_highest_rate_of_a_scan_is_one_the_unit_takes() -> None:
     with playing("hislip", *hello("U2331A")) as resource:
         daq = connected(resource)
-        assert daq.highest_rate(3) == 333_333.0, "whole samples a second"
+        assert daq.highest_rate_S_s(3) == 333_333.0, "whole samples a second"
         daq.close()
 
 
