@@ -318,13 +318,6 @@ class ForceServo:
         axis.command(increment, speed_mm_s)
         return ServoStep(increment, speed_mm_s)
 
-    def correct(self, difference_mm: float) -> None:
-        """Add `difference_mm` to the latest increment, because a different one was commanded.
-
-        Call it if the resolution of the axis is coarser than the increment, or a limit cut it off.
-        """
-        self._axis.correct(difference_mm)
-
     def _follow(self, level_N: float, disturbance_N: float, passed_s: float) -> None:
         fading = math.exp(-passed_s / self.settings.memory_s)
         expected = level_N + self._slope_N_s * passed_s
@@ -375,13 +368,6 @@ class _AxisAccount:
         self.target_mm += increment_mm
         self._speed = speed_mm_s
         self._orders.append((after_s, self.target_mm, speed_mm_s))
-
-    def correct(self, difference_mm: float) -> None:
-        """Shift the current target."""
-        self.target_mm += difference_mm
-        if self._orders:
-            at_s, target_mm, speed_mm_s = self._orders[-1]
-            self._orders[-1] = at_s, target_mm + difference_mm, speed_mm_s
 
     def _cycle(self, target_mm: float, speed_mm_s: float) -> None:
         dt, acceleration = self._dt, self._settings.acceleration_mm_s2

@@ -68,15 +68,14 @@ class PressedSkin:
         last = len(self._frames) - LATENCY_ms
         return float(np.mean(self._frames[max(last - MEAN, 0) : last])) if last > 0 else 0.0
 
-    def go(self, position_mm: float, speed_mm_s: float) -> float:
-        """Send the axis there, to the nearest count; where that is."""
+    def go(self, position_mm: float, speed_mm_s: float) -> None:
+        """Send the axis there, to the nearest count."""
         counted = round(position_mm / self._unit_mm) * self._unit_mm
         acceleration = ACCELERATION_mm_s2
         command = AxisCommand(
             ORIGIN_mm + counted, max(speed_mm_s, 1e-3), acceleration, acceleration
         )
         self._orders.append((self.now_ms + LINK_ms, command))
-        return counted
 
     def pass_ms(self) -> None:
         """A millisecond."""
@@ -151,9 +150,8 @@ def press_and_slide(
             bench.slide_from_ms, bench.speed_mm_s = begin, speed_mm_s
             servo.slide_begins(expected)
         move = servo.step(bench.force_N())
-        counted = bench.go(commanded + move.increment_mm, move.speed_mm_s)
-        servo.correct(counted - commanded - move.increment_mm)
-        commanded = counted
+        commanded += move.increment_mm
+        bench.go(commanded, move.speed_mm_s)
         for _ in range(period):
             bench.pass_ms()
     error = np.array(bench.normal_N) / target_N - 1

@@ -149,19 +149,17 @@ def test_one_step_never_asks_for_more_than_the_axis_may_do() -> None:
     assert settings.speed_mm_s * STIFFNESS_N_mm == pytest.approx(200.0)  # N/s
 
 
-def test_counts_of_the_axis_do_not_add_up() -> None:
-    """A servo that knows what the axis made of its command keeps the force within a count."""
+def test_the_resolution_of_the_axis_does_not_add_up() -> None:
+    """A drive rounds each target to a count. Targets are absolute, so the force stays within a
+    count although the servo does not know what the drive has made of its commands."""
     unit_mm, k = 1e-3, STIFFNESS_N_mm
     servo = ForceServo(settings_from(TARGET_N, k, 0.01, 0.005, 1e6))
-    commanded, forces = 0.0, []
+    forces = []
     for _ in range(500):
-        forces.append(TARGET_N + 0.213 + k * commanded)
-        move = servo.step(forces[-1])
-        counted = round((commanded + move.increment_mm) / unit_mm) * unit_mm
-        servo.correct(counted - commanded - move.increment_mm)
-        commanded = counted
-        assert servo.commanded_mm == pytest.approx(commanded, abs=1e-12)
-    assert np.abs(np.array(forces[-100:]) - TARGET_N).max() <= 0.51 * unit_mm * k
+        counted_mm = round(servo.commanded_mm / unit_mm) * unit_mm
+        forces.append(TARGET_N + 0.213 + k * counted_mm)
+        servo.step(forces[-1])
+    assert np.abs(np.array(forces[-100:]) - TARGET_N).max() <= 1.01 * unit_mm * k
 
 
 @pytest.mark.parametrize("wrong", [0.0, -1.0, float("nan"), float("inf")])
