@@ -251,8 +251,6 @@ def simulated_variant_for(plan: BenchPlan) -> str | None:
 
 def _import_drivers(names: tuple[str, ...]) -> None:
     """Import drivers. One that is broken is reported when the bench file that names it is read."""
-    from rig.core.errors import ConfigurationError
-
     for name in names:
         with suppress(ConfigurationError):
             load(DRIVERS, name)
@@ -274,9 +272,9 @@ def refuse_seed(request: BenchRequest) -> None:
         )
 
 
-def _refuse_simulation_options(request: BenchRequest, path: Path | None) -> None:
-    from rig.core.errors import ConfigurationError
-
+def _refuse_simulation_options(request: BenchRequest, path: Path) -> None:
+    """Raise ConfigurationError for an option of a simulated bench beside the bench file at
+    `path`."""
     own = ("stages", "world", "fault", "world_log")
     given = [name for name in own if getattr(request, name) is not None]
     if given:

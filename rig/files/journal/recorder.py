@@ -50,6 +50,9 @@ class Recorder:
         shortly before; None if everything is on the disk."""
         self._closing = False
         self._failure: Exception | None = None
+        self._due: float | None = None
+        """Time by the monotonic clock by which what is written has to be on the disk; None if all
+        of it is."""
         self._moved: JournalMovedError | None = None
         """Message that the journal continues at another path, until a thread of the run has
         received it."""
@@ -226,8 +229,6 @@ class Recorder:
         except JournalMovedError as moved:
             with self._lock:
                 self._moved = moved
-
-    _due: float | None = None
 
     def _gather(self) -> tuple[list[bytes], int, bool]:
         """Wait for work, but not longer than a moment; take all of it."""
