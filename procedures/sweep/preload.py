@@ -297,11 +297,10 @@ def _press_from(
     """Go from contact to the held preload in small targets ahead of the stage that depend on the
     measured stiffness; None if the contact was not confirmed."""
     stage, clock = run.bench.stage_z, run.clock
-    start_s, held_since_s = clock.now(), None
-    felt_s = start_s
+    start_s = clock.now()
+    felt, held = _FeltContact(start_s), _HoldTimer(target_N)
     stiffness, largest_N = FIRST_STIFFNESS_N_mm, 0.0
     target_mm = contact_mm
-    deepest_mm = contact_range_mm(run.bench)[1]
     watch = ApproachWatch(run, CONTACT_N, target_N, torque)
     while clock.now() - start_s < PATIENCE_S:
         if torque is not None and torque.is_due():
@@ -313,19 +312,11 @@ def _press_from(
         watch.step(here_mm, force_N, touched=True)
         if force_N < target_N / 2:
             refuse_way(pressed_mm, force_N)
-        # Later than this it is a real contact: a film does not disappear.
-        if force_N > CONTACT_N / 2 or pressed_mm > KNOWN_AFTER_mm:
-            felt_s = clock.now()
-        elif clock.now() - felt_s >= GONE_S:
+        if felt.is_gone(clock.now(), force_N, pressed_mm):
             return None
         if pressed_mm > KNOWN_AFTER_mm:
             stiffness = max((force_N - CONTACT_N) / pressed_mm, 1e-3)
-        missing_N = target_N - force_N
-        if abs(missing_N) > HELD * target_N:
-            held_since_s = None
-        elif held_since_s is None:
-            held_since_s = clock.now()
-        elif clock.now() - held_since_s >= HOLD_S:
+        if (held_since_s := held.held_since_s(clock.now(), force_N)) is not None:
             return Preload(
                 target_N,
                 contact_mm,
@@ -335,13 +326,12 @@ def _press_from(
                 held_since_s - start_s,
                 target_mm,
             )
+        missing_N = target_N - force_N
         if abs(missing_N) > CLOSE * target_N:
             speed_mm_s = _possible_mm_s(stage, _speed(stiffness, missing_N))
             ahead_mm = AHEAD_S * speed_mm_s
             target_mm = here_mm + min(max(missing_N / stiffness, -ahead_mm), ahead_mm)
-            refuse_deeper(target_mm, deepest_mm)
-            require("position for the preload", target_mm, stage.limits()["position"])
-            stage.start_move(target_mm, speed_mm_s)
+            _start_move(run, target_mm, speed_mm_s)
             watch.commanded(target_mm - here_mm, speed_mm_s)
         clock.sleep(TICK_S)
     raise InstrumentError(
@@ -352,6 +342,50 @@ def _press_from(
         "check the film and its clamp; for a small preload or a stiff film the steps of the stage "
         f"may be too coarse to hold it within {100 * HELD:g} %: choose a larger preload",
     )
+
+
+class _FeltContact:
+    """A contact that was felt, until it is certain to be one: a sensor that was shaken shows a
+    force for a moment only."""
+
+    def __init__(self, felt_s: float):
+        self._felt_s = felt_s
+        """Time at which it was felt last."""
+
+    def is_gone(self, now_s: float, force_N: float, pressed_mm: float) -> bool:
+        """Return whether nothing has been felt for `GONE_S`."""
+        # Once pressed so far it is a real contact: a film does not disappear.
+        if force_N > CONTACT_N / 2 or pressed_mm > KNOWN_AFTER_mm:
+            self._felt_s = now_s
+        return now_s - self._felt_s >= GONE_S
+
+
+class _HoldTimer:
+    """A force that has to stay within `HELD` of its target for `HOLD_S`."""
+
+    def __init__(self, target_N: float):
+        self._target_N = target_N
+        self._since_s: float | None = None
+        """Time since which the force has been near its target; None while it is not."""
+
+    def held_since_s(self, now_s: float, force_N: float) -> float | None:
+        """Return since when the force is held; None if it is not, or not for long enough."""
+        if abs(self._target_N - force_N) > HELD * self._target_N:
+            self._since_s = None
+        elif self._since_s is None:
+            self._since_s = now_s
+        elif now_s - self._since_s >= HOLD_S:
+            return self._since_s
+        return None
+
+
+def _start_move(run: Run, target_mm: float, speed_mm_s: float) -> None:
+    """Begin a move under the force. Raises TripError for a target below the latest contact, and
+    LimitError for one outside the stage's limits."""
+    stage = run.bench.stage_z
+    refuse_deeper(target_mm, contact_range_mm(run.bench)[1])
+    require("position for the preload", target_mm, stage.limits()["position"])
+    stage.start_move(target_mm, speed_mm_s)
 
 
 def _possible_mm_s(stage: LinearStage, wanted_mm_s: float) -> float:
