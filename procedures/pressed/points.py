@@ -77,7 +77,7 @@ def pressed_overhead_s(
     after each press. Stages that are `homed` wait where they are parked, x where the last run has
     left it.
     """
-    # Here and not at the top: numpy would slow `rig --help`.
+    # Here and not at the top: numpy would slow a command's `--help`.
     from rig.control.approach import TOUCH
     from rig.control.speed_bound import largest_speed_mm_s
 

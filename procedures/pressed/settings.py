@@ -78,7 +78,7 @@ class PressedSettings(BaseSettings):
     def _detector_is_known(cls, name: str, info: ValidationInfo) -> str:
         # A file can be read where the package of its detector is not installed.
         if name not in (DEFAULT_DETECTOR, NO_DETECTOR) and info.context != STORED:
-            # Here and not at the top: numpy would slow `rig --help`.
+            # Here and not at the top: numpy would slow a command's `--help`.
             from rig.detector.registered import detector_names
 
             if name not in detector_names():

@@ -84,6 +84,16 @@ def test_help_of_the_skin_imports_nothing_expensive() -> None:
         assert "slide" in shown.stdout
 
 
+@pytest.mark.parametrize(
+    "trial", mostly_thorough(["slip-trial", "roll-trial", "path-trial"], ["slip-trial"])
+)
+def test_help_of_a_trial_imports_nothing_expensive(trial: str) -> None:
+    shown = rig(trial, "--help")
+    imported = shown.stderr.splitlines()[-1].split()[1:]
+    assert set(imported) <= {"pydantic"}, shown.stderr
+    assert "--normal-force" in shown.stdout
+
+
 def test_a_command_that_does_not_exist_is_a_usage_error() -> None:
     shown = rig("swoop")
     assert shown.returncode == 2

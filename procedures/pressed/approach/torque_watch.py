@@ -9,10 +9,10 @@ has to come with some change of force, whichever. A stage without `ReadsTorque` 
 
 from __future__ import annotations
 
+import math
 from collections import deque
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
-
-import numpy as np
 
 from procedures.pressed.approach.torque_limit import torque_limit_percent
 from rig.core.errors import InstrumentError
@@ -63,7 +63,7 @@ class TorqueWatch:
         if self._stage is not None:
             link_s = 1 / stage.limits()["update_rate"].high
             self._every_s = max(EVERY_S, link_s / LINK_SHARE)
-        self._read_at_s = -np.inf
+        self._read_at_s = -math.inf
         self.latest_percent: float | None = None
         """Latest reading; None before the first, and where the drive does not report it."""
         self._fresh = False
@@ -143,7 +143,7 @@ class TorqueWatch:
             return None
         if len(before) < ENOUGH or len(self._shown) < 2:
             return None
-        free, margin = float(np.mean(before)), self._margin_beyond(before)
+        free, margin = _mean(before), self._margin_beyond(before)
         if self._limit_percent - abs(free) <= margin:
             return None
         return latest if abs(latest - free) <= margin else None
@@ -180,7 +180,7 @@ class TorqueWatch:
             self._held.append(latest)
             return
         margin = self._hold_margin_percent()
-        rise = abs(latest - float(np.mean(self._held)))
+        rise = abs(latest - _mean(self._held))
         if rise <= margin or margin > self._hidden_percent:
             return
         if abs(force_N - self._held_N) < changed_N:
@@ -200,6 +200,8 @@ class TorqueWatch:
 
     def _margin_beyond(self, free: list[float]) -> float:
         """Return the rise that is more than ripple and the scatter of readings in free air."""
+        import numpy as np  # as in _mean()
+
         scatter = float(np.std(free)) if free else 0.0
         return max(SHARE * self._limit_percent, LEAST_percent, SIGMAS * scatter)
 
@@ -213,7 +215,7 @@ class TorqueWatch:
 
     def _free_percent(self) -> float | None:
         if self.is_learnt:
-            return float(np.mean(self._free_readings))
+            return _mean(self._free_readings)
         return self._resting
 
     def _friction_percent(self) -> float:
@@ -255,3 +257,9 @@ class WayTorque:
         if torque.is_learnt and (rise := torque.rise_percent()) > torque.margin_percent:
             self._run.bench.stage_z.stop()
             raise torque.suspect("way down", rise, force_N)
+
+
+def _mean(readings: Sequence[float]) -> float:
+    import numpy as np  # not at the top: a command's help does not need it
+
+    return float(np.mean(readings))
