@@ -36,7 +36,6 @@ from numbers import Real
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from procedures.pressed.approach.way_down import require_possible
-from procedures.pressed.arming import arm_pressed
 from procedures.pressed.grip import GripSettings, grip_reading
 from procedures.pressed.points import pressed_overhead_s, trial_points
 from procedures.pressed.record.layout import ASKED, CALIBRATED, GRIP, HELD, RECORDED, TOUCHED
@@ -191,7 +190,7 @@ class PressedProcedure(TrialProcedure):
         """Import what a trial needs: never while something is switched on."""
         super().import_ahead()
         import procedures.pressed.record.motion
-        import procedures.pressed.trial  # noqa: F401 - with numpy: not for `rig --help`
+        import procedures.pressed.trial  # noqa: F401 - with numpy: not for `--help`
 
     def points(self) -> tuple[Point, ...]:
         """Return one point for each trial.
@@ -232,14 +231,11 @@ class PressedProcedure(TrialProcedure):
 
     def arm(self, run: Run) -> None:
         """Watch the force; register the end of everything before it begins; park."""
-        self.start_series(run)
-        assert self._series is not None
-        x, tick_Hz = run.bench.stage_x, self._series.rates.tick_Hz
-        arm_pressed(run, "motion", x.stop, x.make_safe, "x stage stopped", tick_Hz)
+        self._arm_with_x(run, "motion")
 
     def take(self, run: Run, point: Point) -> Reading:
         """Make ready, press, do what the subclass does under the force, lift; then its reading."""
-        # Imported by import_ahead(), and not at the top: numpy would slow `rig --help`.
+        # Imported by import_ahead(), and not at the top: numpy would slow a command's `--help`.
         from procedures.pressed.record.motion import motion_record, plain
         from procedures.pressed.record.reading import reading_of
         from procedures.pressed.record.trial_record import TrialRecord

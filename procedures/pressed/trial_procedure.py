@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from procedures.pressed.approach.contact import contact_range_mm
 from procedures.pressed.approach.torque_limit import require_torque_limit
 from procedures.pressed.approach.way_down import held_speed_bound, require_possible
+from procedures.pressed.arming import arm_pressed
 from procedures.pressed.grip_summary import grip_summary
 from procedures.pressed.rates import ServoRates, rates_for, warn_of_slow_links
 from procedures.pressed.record.layout import STREAMS
@@ -103,7 +104,7 @@ class TrialProcedure(Procedure):
 
     def start_series(self, run: Run) -> None:
         """Make the series at the first arming; it lasts through holds and trips."""
-        # Imported by import_ahead(), and not at the top: numpy would slow `rig --help`.
+        # Imported by import_ahead(), and not at the top: numpy would slow a command's `--help`.
         from procedures.pressed.record.detection import start_detection
         from procedures.pressed.series import load_scales_for
 
@@ -119,6 +120,14 @@ class TrialProcedure(Procedure):
             series.detection = start_detection(run)
             self._series = series
         self._series.way_is_clear = False  # during a hold something may have been put in the way
+
+    def _arm_with_x(self, run: Run, what: str) -> None:
+        """Arm a trial in which x moves under the held force; `what` names that motion. Whatever
+        ends the run, x stops first, then z goes up."""
+        self.start_series(run)
+        assert self._series is not None, "start_series() has made it"
+        x, tick_Hz = run.bench.stage_x, self._series.rates.tick_Hz
+        arm_pressed(run, what, x.stop, x.make_safe, "x stage stopped", tick_Hz)
 
     def new_series(self, rates: ServoRates, scales: dict[str, LoadScale]) -> PressedSeries:
         """Return what the trials of a run share, before the first one."""

@@ -30,6 +30,7 @@ from procedures.roll_trial.settings import (
     RollTrialSettings,
     TURN_deg_s,
 )
+from rig.bench.limits import require
 from rig.bench.settings import FixtureSettings
 from rig.core.errors import ConfigurationError, LimitError
 from rig.run.points import Move, Point, Reading, as_option, remedy
@@ -78,6 +79,10 @@ class RollTrial(TrialProcedure):
             "mean_high_rest_rms_mV": "v_d above 100 Hz at rest, rms, mean",
         }
     )
+    not_in_brief = TrialProcedure.not_in_brief | {
+        *("mean_high_roll_rms_mV", "mean_high_rest_rms_mV", "axis_offset_mm"),
+        *("axis_offset_error_mm", "simulated_ridge_lifted"),
+    }
 
     settings: RollTrialSettings
     _series: RollSeries | None
@@ -87,7 +92,7 @@ class RollTrial(TrialProcedure):
     def import_ahead(self) -> None:
         """Import what a trial needs: never while something is switched on."""
         super().import_ahead()
-        import procedures.roll_trial.trial  # noqa: F401 - with numpy: not for `rig --help`
+        import procedures.roll_trial.trial  # noqa: F401 - with numpy: not for `--help`
 
     def points(self) -> tuple[Point, ...]:
         """Return one point per trial."""
@@ -193,8 +198,6 @@ class RollTrial(TrialProcedure):
     ) -> None:
         """Raise LimitError unless the bench can reach a value. The message says what was `given`
         and how the value was `reckoned` from it."""
-        from rig.bench.limits import require
-
         limits = bench.limits()[quantity]
         try:
             require(quantity.replace(".", " "), value, limits)
@@ -232,7 +235,7 @@ class RollTrial(TrialProcedure):
 
     def new_series(self, rates: ServoRates, scales: dict[str, LoadScale]) -> RollSeries:
         """Return what the trials share: the offset of the rotary axis."""
-        # Imported by import_ahead(), and not at the top: numpy would slow `rig --help`.
+        # Imported by import_ahead(), and not at the top: numpy would slow a command's `--help`.
         from procedures.roll_trial.trial import RollSeries
 
         return RollSeries(rates, scales)
@@ -258,11 +261,6 @@ class RollTrial(TrialProcedure):
         return trial.reading()
 
     # --- afterwards -----------------------------------------------------------------------------
-
-    not_in_brief = TrialProcedure.not_in_brief | {
-        *("mean_high_roll_rms_mV", "mean_high_rest_rms_mV", "axis_offset_mm"),
-        *("axis_offset_error_mm", "simulated_ridge_lifted"),
-    }
 
     def summarise(self, readings: Sequence[Reading]) -> Mapping[str, Any]:
         """Return means of patterns, forces and angle over the valid trials, how many are valid,

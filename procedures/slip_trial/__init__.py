@@ -15,7 +15,6 @@ from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
-from procedures.pressed.arming import arm_pressed
 from procedures.pressed.points import pressed_overhead_s, pressing_s, trial_points
 from procedures.pressed.settings import AFTER_S
 from procedures.pressed.trial_procedure import TrialProcedure
@@ -62,7 +61,7 @@ class SlipTrial(TrialProcedure):
     def import_ahead(self) -> None:
         """Import what a trial needs: never while something is switched on."""
         super().import_ahead()
-        import procedures.slip_trial.trial  # noqa: F401 - with numpy: not for `rig --help`
+        import procedures.slip_trial.trial  # noqa: F401 - with numpy: not for `--help`
 
     def points(self) -> tuple[Point, ...]:
         """Return one point per trial."""
@@ -89,14 +88,11 @@ class SlipTrial(TrialProcedure):
 
     def arm(self, run: Run) -> None:
         """Watch the force; register the end of everything before it begins; park."""
-        self.start_series(run)
-        assert self._series is not None
-        x, tick_Hz = run.bench.stage_x, self._series.rates.tick_Hz
-        arm_pressed(run, "slide", x.stop, x.make_safe, "x stage stopped", tick_Hz)
+        self._arm_with_x(run, "slide")
 
     def new_series(self, rates: ServoRates, scales: dict[str, LoadScale]) -> SlipSeries:
         """Return what the trials share: the first slide teaches the servo."""
-        # Imported by import_ahead(), and not at the top: numpy would slow `rig --help`.
+        # Imported by import_ahead(), and not at the top: numpy would slow a command's `--help`.
         from procedures.slip_trial.trial import SlipSeries
 
         return SlipSeries(rates, scales)
