@@ -13,6 +13,7 @@ from procedures.pressed.approach.contact import (
     nothing_felt,
     refuse_early_contact,
 )
+from procedures.pressed.approach.earlier_runs import EarlierPress
 from procedures.pressed.approach.way_down import BOTTOM_mm, held_speed_bound
 from procedures.pressed.settings import CONTACT_N, TAP_S, NEAR_mm
 from rig.control.approach import Approach
@@ -20,8 +21,6 @@ from rig.control.speed_bound import largest_speed_mm_s
 from rig.core.errors import InstrumentError
 
 if TYPE_CHECKING:
-    from procedures.pressed.approach.earlier_runs import EarlierPress
-    from procedures.pressed.approach.torque_watch import TorqueWatch
     from procedures.pressed.axes import PressingStage
     from procedures.pressed.record.recorder import TickRecorder
     from procedures.pressed.record.trial_record import TrialRecord
@@ -49,15 +48,15 @@ class Press:
         z: PressingStage,
         recorder: TickRecorder,
         ticks: TrialTicks,
-        earlier: EarlierPress,
-        torque: TorqueWatch,
     ):
         """Prepare the press with the record's `normal_force_N`."""
         self._run, self._series, self._record = run, series, record
         self._force_N = record.normal_force_N
         self._z, self._recorder, self._ticks = z, recorder, ticks
-        self._earlier, self._torque = earlier, torque
         self._settings: PressedSettings = run.settings
+        self._earlier = EarlierPress(run, self._force_N, self._settings.kind_of_press)
+        assert series.torque is not None, "a trial watches the torque from its beginning"
+        self._torque = series.torque
         self._delay_s = recorder.force.timing.delay_s(series.rates)
         """Time in s from a command to the first force that shows it."""
         settings = self._settings

@@ -22,7 +22,6 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from procedures.pressed.approach.contact import come_close
-from procedures.pressed.approach.earlier_runs import EarlierPress
 from procedures.pressed.approach.tare import tare_in_free_air
 from procedures.pressed.approach.torque_watch import TorqueWatch
 from procedures.pressed.approach.unload import SETTLED_S
@@ -148,17 +147,7 @@ class PressedTrial:
         behind than the DAQ's stream tolerates.
         """
         settings, record = self.settings, self.record
-        earlier = EarlierPress(self.run, record.normal_force_N, settings.kind_of_press)
-        press = Press(
-            self.run,
-            self.series,
-            record,
-            self.z,
-            self.recorder,
-            self._ticks,
-            earlier,
-            self.torque,
-        )
+        press = Press(self.run, self.series, record, self.z, self.recorder, self._ticks)
         stiffness_N_mm = record.stiffness_N_mm = press.down()
         servo = ForceServo(
             settings_from(
