@@ -120,6 +120,11 @@ class ConfigurationError(RigError):
         return cls(f"{source}: " + "; ".join(findings), hint)
 
 
+class OutputError(RigError):
+    """Raised where what a command has made cannot be written (exit code 1, whatever it is). A place
+    that is refused before anything is computed or measured is a ConfigurationError instead."""
+
+
 class InstrumentError(RigError):
     """Raised when an instrument fails, refuses, misreports or falls silent; names device, command,
     cause."""

@@ -18,7 +18,7 @@ import matplotlib as mpl
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.core.errors import ConfigurationError, is_stop
+from rig.core.errors import ConfigurationError, OutputError, is_stop
 from rig.core.file_entry_points import OVERLAYS, entries_of, strays
 from rig.core.quiet_stdout import quiet_stdout
 from rig.core.settings import name_without_unit, unit_of
@@ -71,7 +71,7 @@ def draw_overlay(files: Sequence[Path], folder: Path | None = None, pdf: bool = 
 
     Raises ConfigurationError for fewer than two files, for files of several kinds or of one that
     has no such figure, for files without a completed point, and if every overlay fails;
-    RunFileError for one that cannot be read.
+    RunFileError for one that cannot be read; OutputError where the figure cannot be written.
     """
     if len(files) < 2:
         raise ConfigurationError("--overlay draws several runs in one figure", "name two or more")
@@ -91,7 +91,7 @@ def draw_overlay(files: Sequence[Path], folder: Path | None = None, pdf: bool = 
             ]
             return Drawn(tuple(saved), tuple(warnings), tuple(tracebacks))
         except OSError as error:
-            raise ConfigurationError(
+            raise OutputError(
                 f"{place.parent} cannot be written to ({error.strerror or error})",
                 "name another folder with --figures-to",
             ) from error

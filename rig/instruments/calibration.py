@@ -23,7 +23,7 @@ from typing import Annotated, Any, Literal, TypeVar
 from pydantic import AwareDatetime, Field, ValidationError, model_validator
 
 from rig.core.atomic import write_text
-from rig.core.errors import ConfigurationError
+from rig.core.errors import ConfigurationError, OutputError
 from rig.core.settings import Settings
 from rig.core.toml_files import MAX_JSON_BYTES, check_nesting, read_text
 
@@ -323,7 +323,7 @@ def write_calibration(record: CalibrationRecord, folder: Path) -> Path:
     """Write a record to a new file in the folder and return its path; no file is overwritten.
 
     The name is ``<kind>-<sensor>-<date>.json``, with a number appended from the second record of a
-    day on. The file appears whole or not at all. Raises ConfigurationError if it cannot be written.
+    day on. The file appears whole or not at all. Raises OutputError if it cannot be written.
     """
     day = record.date.strftime("%Y-%m-%d")
     stem = f"{record.kind}-{_in_a_name(record.sensor)}-{day}"
@@ -337,7 +337,7 @@ def write_calibration(record: CalibrationRecord, folder: Path) -> Path:
             raise
         return path
     except OSError as error:
-        raise _unwritable(folder, error) from error
+        raise OutputError(*_unwritable(folder, error)) from error
 
 
 def require_folder(folder: Path) -> Path:
@@ -348,7 +348,7 @@ def require_folder(folder: Path) -> Path:
         with tempfile.TemporaryFile(dir=folder):
             return folder
     except OSError as error:
-        raise _unwritable(folder, error) from error
+        raise ConfigurationError(*_unwritable(folder, error)) from error
 
 
 def as_text(record: CalibrationRecord) -> str:
@@ -430,8 +430,9 @@ def _claim(folder: Path, stem: str) -> Path:
         number += 1
 
 
-def _unwritable(folder: Path, error: OSError) -> ConfigurationError:
-    return ConfigurationError(
+def _unwritable(folder: Path, error: OSError) -> tuple[str, str]:
+    """Return message and hint."""
+    return (
         f"the calibration record cannot be written to {folder}: {error.strerror or error}",
         "give another folder with --to",
     )

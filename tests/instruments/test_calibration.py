@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from rig.core.errors import ConfigurationError, ExitCode
+from rig.core.errors import ConfigurationError, ExitCode, OutputError
 from rig.instruments.calibration import (
     CalibrationRecord,
     FilmCalibration,
@@ -21,6 +21,7 @@ from rig.instruments.calibration import (
     as_text,
     header_entry,
     read_calibration,
+    require_folder,
     require_valid,
     write_calibration,
 )
@@ -166,11 +167,15 @@ def test_the_name_says_kind_sensor_and_day_and_nothing_is_overwritten(tmp_path: 
     assert sorted(tmp_path.iterdir()) == sorted([first, second])
 
 
-def test_a_folder_that_takes_no_file_is_a_usage_error(tmp_path: Path) -> None:
+def test_a_folder_that_takes_no_file_is_a_usage_error_before_anything_is_measured(
+    tmp_path: Path,
+) -> None:
     (tmp_path / "taken").write_text("")
-    with pytest.raises(ConfigurationError, match="taken: File exists") as caught:
+    with pytest.raises(OutputError, match="taken: File exists") as caught:
         write_calibration(film(), tmp_path / "taken")
     assert "--to" in caught.value.one_line()
+    with pytest.raises(ConfigurationError, match="taken: File exists"):
+        require_folder(tmp_path / "taken")
 
 
 # --- reading ---------------------------------------------------------------------------------

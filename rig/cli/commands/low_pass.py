@@ -12,7 +12,7 @@ import typer
 
 from rig.cli.options.shared import RESULTS, AsJson, Debug
 from rig.cli.outcome import print_json, reported
-from rig.core.errors import ConfigurationError
+from rig.core.errors import ConfigurationError, OutputError
 
 if TYPE_CHECKING:
     from rig.analysis.low_pass_curves import LowPassCurves
@@ -172,7 +172,7 @@ def _save(results: Path, stem: str, figure: Any, curves: LowPassCurves) -> list[
             _table(results / f"{stem}-step.csv", curves, RESPONSES),
         ]
     except OSError as error:
-        raise ConfigurationError(
+        raise OutputError(
             f"figure and data cannot be written to {results}: {error.strerror or error}",
             "choose another folder with --results, or omit them with --no-figures",
         ) from error

@@ -17,7 +17,7 @@ import typer
 
 from rig.cli.commands.score_tables import score_tables
 from rig.cli.outcome import print_json
-from rig.core.errors import ConfigurationError
+from rig.core.errors import OutputError
 
 if TYPE_CHECKING:
     from rig.evaluation.scoring.contenders import Contender, Named
@@ -159,7 +159,7 @@ def _cell(value: Any) -> Any:
 
 
 def write(file: Path, text: str) -> None:
-    """Write a text file. Raises ConfigurationError if it cannot be written."""
+    """Write a text file. Raises OutputError if it cannot be written."""
     with _writing(file):
         file.write_text(text, encoding="utf-8")
 
@@ -174,6 +174,6 @@ def _writing(file: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise ConfigurationError(
+        raise OutputError(
             f"{file} cannot be written: {error.strerror}", "choose another place"
         ) from error

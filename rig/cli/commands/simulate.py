@@ -13,7 +13,7 @@ from rig.cli.options.settings import SimulatedStages
 from rig.cli.options.shared import Debug, World
 from rig.cli.outcome import reported, say
 from rig.core.atomic import write_text
-from rig.core.errors import ConfigurationError
+from rig.core.errors import ConfigurationError, OutputError
 from rig.core.text import in_shell
 
 if TYPE_CHECKING:
@@ -92,7 +92,7 @@ def _write_bench_file(path: Path, text: str) -> None:
     try:
         write_text(path, text, durable=False)
     except OSError as error:
-        raise ConfigurationError(
+        raise OutputError(
             f"the bench file {path} cannot be written: {error.strerror}",
             "name a file in an existing folder",
         ) from error

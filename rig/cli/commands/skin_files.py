@@ -6,7 +6,7 @@ import itertools
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from rig.core.errors import ConfigurationError
+from rig.core.errors import OutputError
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -108,7 +108,7 @@ def quantities_of_map(found: DesignMap) -> dict[str, ModelQuantity]:
 def save_model(model: Model, drawn: dict[str, Figure], results: Path) -> list[Path]:
     """Save the data as HDF5 and each figure as PNG and SVG in `results`, with a number if one of
     the names is taken: what took minutes to compute is not lost, and nothing is overwritten.
-    Returns the paths of the files, the data first. Raises ConfigurationError where they cannot be
+    Returns the paths of the files, the data first. Raises OutputError where they cannot be
     written."""
     from rig.figures.style import save
     from rig.files.model_file import write_model
@@ -127,7 +127,7 @@ def save_model(model: Model, drawn: dict[str, Figure], results: Path) -> list[Pa
             for file in save(figure, results / f"{stem}{number}.png", simulated=True)
         ]
     except OSError as error:
-        raise ConfigurationError(
+        raise OutputError(
             f"the results cannot be written to {results}: {error.strerror}",
             "choose another folder with --results",
         ) from error
