@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from rig.physics.skin.condensed import CondensedSkin
     from rig.physics.skin.elasticity import ElasticSkin
     from rig.physics.skin.settings import SkinSettings
-    from rig.physics.trials import SkinTrial
+    from rig.physics.trials import RollSettings, SkinTrial
 
 
 app = typer.Typer(
@@ -100,7 +100,7 @@ class SkinOptions:
 
     def normal_newtons(self) -> float:
         """Return the normal force in N; raises ConfigurationError if the text is not a force."""
-        return number_in(self.normal_force, "N", "--normal-force")
+        return number_in(self.normal_force, "N", "--normal-force", above=0.0)
 
     def skin_settings(self) -> SkinSettings:
         """Return the settings of the skin. Raises ConfigurationError, which names the file, for one
@@ -126,6 +126,7 @@ LABELS = {
     "hf_peak_mV": "largest v_d above 100 Hz when the ridge slips (mV)",
 }
 """Labels of the printed summary; the keys of --json are not translated."""
+SHAPES = ("cylinder", "sphere")
 RELIEF_TITLES = {
     "normal_raised": "relief by a raised $F_n$",
     "tangential_lowered": "relief by a lowered $F_t$",
@@ -151,13 +152,13 @@ def slide(
     with reported(output.debug, output.as_json), model_errors():
         default = SlideSettings(
             press=PressSettings(normal_force_N=pressed.normal_newtons()),
-            speed_mm_s=number_in(speed, "mm/s", "--speed"),
+            speed_mm_s=number_in(speed, "mm/s", "--speed", above=0.0),
         )
         chosen = read_settings(default, output.settings)
         if chosen.speed_mm_s == 0:
             raise ConfigurationError(
-                "speed 0 mm/s: the plate does not slide",
-                "choose a speed above 0, for example 0.5mm/s",
+                f"{output.settings}: speed_mm_s = 0 mm/s: the plate does not slide",
+                "choose a speed above 0, for example 0.5",
             )
         instants = _times(at)
         if _shown(output, pressed, chosen):
@@ -190,6 +191,8 @@ def roll(
     from rig.physics.trials import roll as run
 
     with reported(output.debug, output.as_json), model_errors():
+        if shape not in SHAPES:
+            raise ConfigurationError(f"--shape {shape}: must be one of {', '.join(SHAPES)}")
         default = RollSettings.model_validate(
             {
                 "body": {"shape": shape},
@@ -201,6 +204,11 @@ def roll(
         chosen = read_settings(default, output.settings)
         if _shown(output, pressed, chosen):
             return
+        if output.settings is None:
+            start = f"--start {start}"
+        else:
+            start = f"{output.settings}: start_x_mm = {chosen.start_x_mm:g} mm"
+        _refuse_out_of_reach(start, chosen, pressed.skin_settings())
         elastic, skin = _skin(pressed.skin_settings())
         trial = run(skin, chosen, keep_forces=True)
         what = f"Roll of a {chosen.body.shape} by {chosen.angle_deg:g}°"
@@ -341,6 +349,21 @@ def _report(
         "v_d_max_mV": float(moving.max()),
     }
     _print_summary(summary, files, output.as_json)
+
+
+def _refuse_out_of_reach(start: str, roll: RollSettings, skin: SkinSettings) -> None:
+    """Raise ConfigurationError where the object touches no ridge at the start of a roll, which
+    `start` names as it was given: its contact would have no solution."""
+    from rig.physics.contact.settings import Plate
+
+    if isinstance(roll.body, Plate):  # refused by the roll itself
+        return
+    axes_mm, radius_mm = skin.ridge_axes_mm(), roll.body.radius_mm
+    if not axes_mm[0] - radius_mm < roll.start_x_mm < axes_mm[-1] + radius_mm:
+        raise ConfigurationError(
+            f"{start}: an object with a radius of {radius_mm:g} mm touches no ridge there",
+            f"the ridges lie from {axes_mm[0]:g} to {axes_mm[-1]:g} mm",
+        )
 
 
 def _instants(

@@ -43,17 +43,23 @@ def real_number(least: float, most: float | None = None) -> Callable[[object], f
     return parse
 
 
-def number_in(text: str, unit: str, option: str) -> float:
+def number_in(text: str, unit: str, option: str, *, above: float = -math.inf) -> float:
     """Return the number in an option's text, with or without its unit, in that unit.
 
-    Raises ConfigurationError for any other text.
+    Raises ConfigurationError, which names the option as it was given, for any other text and for a
+    number that is not finite or not above a bound.
     """
     from rig.core.units import quantity
 
     try:
-        return quantity(text, unit)
+        number = quantity(text, unit)
     except ValueError as error:
         raise ConfigurationError(f"{option} {text}: {error}", f"write it in {unit}") from error
+    if not math.isfinite(number):
+        raise ConfigurationError(f"{option} {text}: has to be a finite number", f"of {unit}")
+    if not number > above:
+        raise ConfigurationError(f"{option} {text}: has to be above {above:g} {unit}")
+    return number
 
 
 def _refused(given: object, what: str, least: float, most: float | None) -> typer.BadParameter:

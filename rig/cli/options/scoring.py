@@ -180,7 +180,7 @@ def ranges_with_options(
     if elements is not None:
         body["elements_per_ridge"] = elements
     if youngs_modulus is not None:
-        body["youngs_modulus_MPa"] = number_in(youngs_modulus, "MPa", "--youngs-modulus")
+        body["youngs_modulus_MPa"] = number_in(youngs_modulus, "MPa", "--youngs-modulus", above=0.0)
     changed["skin"] = SkinSettings.model_validate(body)
     if ridge is not None:
         changed["ridge"] = ridge
@@ -194,7 +194,8 @@ def ranges_with_options(
     changed_ranges = PopulationSettings.model_validate({**ranges.model_dump(), **changed})
     if changed_ranges.ridge > changed_ranges.skin.ridges:
         raise ConfigurationError(
-            f"ridge {changed_ranges.ridge}: the skin has only {changed_ranges.skin.ridges} ridges",
+            f"{'ridge' if ridge is None else '--ridge'} {changed_ranges.ridge}: the skin has only "
+            f"{changed_ranges.skin.ridges} ridges",
             f"choose 1 to {changed_ranges.skin.ridges}",
         )
     return changed_ranges

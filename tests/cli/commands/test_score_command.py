@@ -84,8 +84,10 @@ def population(tmp_path: Path) -> Path:
         (["--detector", "ouija"], "--detector ouija: has to be one of impulse, paper-hp,"),
         (["--speed", "0"], "--speed 0: must be a speed above 0 mm/s"),
         (["--speed", "3N"], "--speed 3N: 'N' does not convert to mm/s"),
-        (["--youngs-modulus", "-1MPa"], "youngs_modulus_MPa = -1.0 MPa: has to be above 0 MPa"),
-        (["--ridge", "12"], "ridge 12: the skin has only 9 ridges"),
+        (["--youngs-modulus", "-1MPa"], "--youngs-modulus -1MPa: has to be above 0 MPa"),
+        (["--youngs-modulus", "nan"], "--youngs-modulus nan: has to be a finite number"),
+        (["--speed", "nan"], "--speed nan: has to be a finite number"),
+        (["--ridge", "12"], "--ridge 12: the skin has only 9 ridges"),
         (["--files", "nowhere.csv"], "nowhere.csv: No such file"),
         (
             ["--files", "list.csv", "--tune", "x.json"],

@@ -279,12 +279,18 @@ def test_every_figure_says_that_it_is_simulated(tmp_path: Path, monkeypatch):
     [
         (
             ["slide", "--normal-force", "-1"],
-            "normal_force_N = -1.0 N: has to be above 0 N",
+            "--normal-force -1: has to be above 0 N",
         ),
         (["slide", "--normal-force", "4s"], "--normal-force 4s: 's' does not convert to N"),
-        (["slide", "--speed", "0"], "speed 0 mm/s: the plate does not slide"),
+        (["slide", "--speed", "0"], "--speed 0: has to be above 0 mm/s"),
+        (["slide", "--speed", "nan"], "--speed nan: has to be a finite number"),
+        (["roll", "--start", "inf"], "--start inf: has to be a finite number"),
+        (
+            ["roll", "--start", "1e9mm"],
+            "--start 1e9mm: an object with a radius of 30 mm touches no ridge there; the",
+        ),
         (["slide", "--at", "soon"], "--at soon"),
-        (["roll", "--shape", "cone"], "cone"),
+        (["roll", "--shape", "cone"], "--shape cone: must be one of cylinder, sphere"),
         (["history", "--relief", "none"], "--relief none: must be one of normal_raised"),
         (["slide", "--settings", "nowhere.json"], "nowhere.json: No such file"),
         (["history", "--at", "600"], "--at 600 (a step) must lie between 1 and 550"),
