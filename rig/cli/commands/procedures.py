@@ -29,6 +29,7 @@ from rig.cli.options.shared import (
 )
 from rig.cli.options.utf8 import as_utf8
 from rig.cli.outcome import reported, say, start_log, turning
+from rig.core.errors import ConfigurationError
 from rig.run.bench_selector import BenchRequest, BenchSelector, bench_file, refuse_seed
 
 if TYPE_CHECKING:
@@ -62,12 +63,12 @@ class ProcedureRequest(BenchRequest):
     sample: Annotated[str, typer.Option(help="Sample on the bench.", metavar="NAME")] = ""
     notes: Notes = ""
     accept: Annotated[
-        str,
+        str | None,
         typer.Option(
             metavar="REASON",
             help="Accept a press that does not fit earlier runs, and make it the reference.",
         ),
-    ] = ""
+    ] = None
     figures: Annotated[bool, typer.Option(help="Draw the figures of the run.")] = True
     allow_expired: Annotated[
         bool, typer.Option("--allow-expired", help="Use calibration records that have expired.")
@@ -89,7 +90,12 @@ def command(name: str) -> Callable[..., None]:
         request = ProcedureRequest(**options | {"bench": bench_file(options["bench"])})
         with reported(request.debug, request.as_json):
             for text in STORED_TEXTS:
-                as_utf8(f"--{text}", getattr(request, text), "a run file")
+                as_utf8(f"--{text}", getattr(request, text) or "", "a run file")
+            if request.accept is not None and not request.accept.strip():
+                raise ConfigurationError(
+                    f"--accept {request.accept!r}: has to be a reason, which the run file states",
+                    "write why the press is to be the reference, or leave --accept out",
+                )
             refuse_seed(request)
             settings = settings_from(procedure.Settings, texts_of(procedure.Settings, given))
             perform(procedure(settings), request)
@@ -139,7 +145,7 @@ def perform(
             user=request.user,
             sample=request.sample,
             notes=request.notes,
-            accept=request.accept,
+            accept=request.accept or "",
             resume=resume,
             collection=None if resume is None else resume.header.collection,
             run_number=0 if resume is None else resume.header.run_number,

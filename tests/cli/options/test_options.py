@@ -324,6 +324,17 @@ def test_a_text_that_is_not_utf8_is_refused_before_a_bench_is_started(rig, given
     assert error.endswith("; set the terminal to UTF-8, or use ASCII characters only")
 
 
+@pytest.mark.parametrize("reason", ["", " "])
+def test_an_acceptance_without_a_reason_is_refused_before_a_bench_is_started(
+    rig, reason: str
+) -> None:
+    """Without this it was taken for none, and the run was compared with the earlier ones."""
+    ended = rig.run("path-trial", "--accept", reason)
+    assert (ended.code, ended.stderr.splitlines()) == (ExitCode.USAGE, ended.errors)
+    (error,) = ended.errors
+    assert f"--accept {reason!r}: has to be a reason" in error
+
+
 def test_bounds_in_the_help_are_words(rig) -> None:
     shown = rig.run("train", "--help").stdout
     assert "x<=" not in shown
