@@ -1,9 +1,10 @@
 """Watches the interlock contacts of a bench while a command uses it.
 
-Contacts are read by `rig.run.interlocks.contact_readings`. In real time a thread judges: what is
-open, and what has not been read for too long. When a person's contact opens, that thread runs the
-emergency actions of everything that is armed, records the latch, and keeps the reason, which the
-procedure's next wait raises. In virtual time all of it is done in each slice of a wait.
+Contacts are read by `rig.run.interlocks.contact_readings`, in real time by a thread for each
+instrument; a further thread judges what has not been read for too long. Where a person's contact
+opens, the thread that finds it has the emergency actions of everything that is armed run, records
+the latch, and keeps the reason, which the procedure's next wait raises. In virtual time all of it
+is done in each slice of a wait.
 
 The states are those of `rig.control.interlock`.
 """
