@@ -32,7 +32,7 @@ def next_run_path(results: Path | str, procedure: str, when: datetime) -> Path:
     return folder / f"{when:%Y-%m-%dT%H-%M-%S}_{procedure}_r{number:03d}{RUN_SUFFIX}"
 
 
-def results_of(journal: Path | str) -> Path:
+def results_folder_of(journal: Path | str) -> Path:
     """Return the results folder of a journal: the folder above its day's folder. For a journal that
     lies anywhere else, such as a copy, it is the journal's own folder.
     """

@@ -23,7 +23,7 @@ from rig.files.describe import describe
 from rig.files.errors import RunFileError
 from rig.files.journal.format import MAGIC, RecordKind
 from rig.files.journal.reader import read_journal
-from rig.files.naming import results_of
+from rig.files.naming import results_folder_of
 from rig.files.runfile.compile import compile_run
 from rig.files.runfile.reader import RunFile
 from rig.files.runfile.recover import recover
@@ -110,8 +110,8 @@ def test_a_pipe_is_no_journal(tmp_path: Path) -> None:
 
 def test_a_journal_anywhere_has_its_own_folder_for_results(tmp_path: Path) -> None:
     """So that resuming a copy writes nothing above it."""
-    assert results_of(tmp_path / "r" / "2026-11-21" / "a.rigj") == tmp_path / "r"
-    assert results_of(tmp_path / "a.rigj") == tmp_path
+    assert results_folder_of(tmp_path / "r" / "2026-11-21" / "a.rigj") == tmp_path / "r"
+    assert results_folder_of(tmp_path / "a.rigj") == tmp_path
 
 
 # --- run files -------------------------------------------------------------------------------

@@ -32,7 +32,7 @@ def resume(
         from rig.cli.commands.procedures import ProcedureRequest, perform
         from rig.cli.show.digest import not_usable
         from rig.core.entry_points import PROCEDURES, names
-        from rig.files.naming import results_of
+        from rig.files.naming import results_folder_of
         from rig.files.runfile.recover import interrupted
         from rig.run.load_procedure import load_procedure
 
@@ -61,7 +61,7 @@ def resume(
             bench_file = None if world is not None else Path(header.bench_file)
             request = ProcedureRequest(
                 bench=bench_file,
-                results=results_of(contents.path),
+                results=results_folder_of(contents.path),
                 seed=header.seed,
                 as_json=as_json,
                 figures=figures,
