@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING
 
 from procedures.pressed.approach.approach_watch import ApproachWatch, naming_the_sensor
 from procedures.pressed.approach.contact import (
-    CLEAR_mm,
     contact_range_mm,
     felt_N,
     not_there,
@@ -16,6 +15,7 @@ from procedures.pressed.approach.contact import (
 from procedures.pressed.approach.earlier_runs import EarlierPress
 from procedures.pressed.approach.way_down import BOTTOM_mm, held_speed_bound
 from procedures.pressed.settings import CONTACT_N, TAP_S, NEAR_mm
+from rig.bench.clear_of_contact import CLEAR_mm
 from rig.control.approach import Approach
 from rig.control.speed_bound import largest_speed_mm_s
 from rig.core.errors import InstrumentError

@@ -13,14 +13,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+from rig.bench.clear_of_contact import PRESSED_N
+
 Word = Literal["running", "holding", "pressed", "safe", "UNSAFE", "unknown"]
 
 SILENT_S = 3.0
 """Age of the newest sign of a living run from which its state is unknown, in s. A run synchronises
 its journal every 0.25 s while it records."""
-PRESSED_N = 0.4
-"""Force above which something is pressed, as in the guard's report
-(`rig.run.making_safe.still_pressed`)."""
 EXIT_UNSAFE = 7
 
 

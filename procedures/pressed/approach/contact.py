@@ -24,6 +24,7 @@ from procedures.pressed.approach.way_down import (
     speed_bound,
     travel_mm_s,
 )
+from rig.bench.clear_of_contact import CLEAR_mm
 from rig.core.errors import (
     ConfigurationError,
     InstrumentError,
@@ -38,8 +39,6 @@ if TYPE_CHECKING:
 
 FORCE_RATE_S_S = 1000.0
 """Frames a second that a force sensor is asked for (paper 4.1)."""
-CLEAR_mm = 0.3
-"""Distance before the earliest contact at which the quick way ends."""
 HOMING_S = 0.68
 """Expected homing time of a stage without a reference, wherever it stands (measured on simulated
 drives)."""

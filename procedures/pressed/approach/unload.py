@@ -12,6 +12,7 @@ import math
 from typing import TYPE_CHECKING
 
 from procedures.pressed.approach.way_down import BOTTOM_mm, travel_mm_s
+from rig.bench.clear_of_contact import PRESSED_N
 from rig.core.errors import (
     InstrumentError,
     InstrumentLinkError,
@@ -24,9 +25,6 @@ from rig.instruments.roles import LastSeen, LinearStage, RemembersPosition
 if TYPE_CHECKING:
     from rig.run.context import Run
 
-PRESSED_N = 0.4
-"""Mean force that is still pressed after the way back: far above the sensor's noise and its drift
-within a run."""
 SETTLED_S = 0.1
 """Time in s from the end of the way back until the force is judged, and the length of the force
 record that is judged."""

@@ -18,22 +18,20 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
+from rig.bench.clear_of_contact import CLEAR_mm
 from rig.bench.connected import Bench
 from rig.bench.settings import FixtureSettings
+from rig.control.interlock import STEADY_S
 from rig.core.errors import RigError
 from rig.instruments.roles import Instrument, ReadsInputs, ReportsFault
 from rig.run.interlocks.store import InterlockStore
 
 LIFT_mm_s = 1.0
 """Speed: that of hand control, slow enough for a person to react."""
-CLEAR_mm = 0.3
-"""Distance above the earliest contact at which z is clear of it, as in the procedures."""
 THERE_mm = 0.002
 """Distance to that place within which z is regarded as clear, in mm."""
 RISE_N = 1.0
 """Rise of the force on the way up from which something else is in the way."""
-STEADY_S = 0.5
-"""Time for which every contact has to read closed before z moves: a bouncing one does not."""
 LOOK_EVERY_S = 0.1
 """Interval between two readings of the contacts, which every driver can keep."""
 LONGEST_S = 10.0

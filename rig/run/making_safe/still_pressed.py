@@ -16,6 +16,7 @@ from datetime import datetime
 import numpy as np
 
 from rig.bench.apply_calibrations import apply_calibrations
+from rig.bench.clear_of_contact import PRESSED_N
 from rig.bench.connect import connect
 from rig.bench.connected import Bench, close_all
 from rig.bench.plan import BenchPlan, parse_bench
@@ -31,8 +32,6 @@ SECONDS = 0.3
 patience."""
 AGAIN_S, AGAIN_EVERY_S = 5.0, 0.5
 """Time in s for which a z that does not answer is tried again, and the pause before each try."""
-PRESSED_N = 0.4
-"""Force above which something is pressed: far above the sensor's noise and its drift in a run."""
 
 LATEST = 5
 """Minimum number of frames that the first force of a lift is the mean of."""
