@@ -422,10 +422,11 @@ def test_a_batch_that_waits_for_a_person_waits_also_when_its_worker_has_died(
 
         def beat(self) -> None: ...
 
+        def send(self, command: str) -> None: ...
+
     waiting._log = None  # type: ignore[assignment]
     monkeypatch.setattr("rig.batch.execute.supervisor.WorkerProcess", Worker)
-    for name in ("_poll", "_send"):
-        monkeypatch.setattr(waiting, name, lambda *_: None)
+    monkeypatch.setattr(waiting, "_poll", lambda: None)
     with Queue.open(BatchFolder(tmp_path).queue) as waiting._queue:
         waiting._reports = reports(tmp_path, waiting._queue)
         assert waiting._workers() == ExitCode.INTERNAL, "none of these workers has begun a run"

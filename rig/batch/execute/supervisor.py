@@ -187,9 +187,9 @@ class Supervisor:
 
     def _one_worker(self) -> int:
         """Start a worker and listen to it until it has ended; returns its exit code."""
-        stop_recorded, reports = False, self._reports
+        stop_recorded = False
         with (
-            WorkerProcess(self._folder.path, self._log, reports.waits_because) as worker,
+            WorkerProcess(self._folder.path, self._log, self._reports.waits_because) as worker,
             self._stopped_with_the_batch(worker),
         ):
             self._record(self._queue.set_meta, "worker", str(worker.pid))
@@ -201,18 +201,10 @@ class Supervisor:
                     self._pass_stop_on()
                     self._record_request(f"stop by {WORDS[self._stop.requested]}")
                 for command in self._requests():
-                    self._asked_to_end |= _ends_the_batch(command)
-                    if command == "pause":
-                        reports.wait_because(reports.waits_because or "a person has paused it")
-                    elif command == "go":
-                        reports.wait_because("")
-                    self._send(worker, command, REQUESTS.get(command.split()[0], command))
+                    self._pass_request_on(worker, command)
                 self._poll()
                 worker.beat()
-                if reports.plan_due_s is not None and time.monotonic() > reports.plan_due_s:
-                    reports.plan_due_s = None
-                    self._say(f"warning: the worker was silent for {STARTING_S:g} s and was killed")
-                    worker.kill()
+                self._kill_if_silent(worker)
             # The worker may have ended by it while the disk kept this thread waiting.
             if self._stopping is worker and not stop_recorded and self._stop.requested is not None:
                 self._record_request(f"stop by {WORDS[self._stop.requested]}")
@@ -224,10 +216,24 @@ class Supervisor:
         except (QueueWriteError, QueueDamagedError):  # on a full disk they stay
             return []
 
-    def _send(self, worker: WorkerProcess, command: str, request: str) -> None:
-        """Pass a command on to the worker; `request` says for people what was requested."""
-        worker.send(command)  # first: the disk may keep the record waiting
-        self._record_request(request)
+    def _pass_request_on(self, worker: WorkerProcess, command: str) -> None:
+        """Pass a request of another terminal on to the worker, and record it."""
+        self._asked_to_end |= _ends_the_batch(command)
+        if command == "pause":
+            self._reports.wait_because(self._reports.waits_because or "a person has paused it")
+        elif command == "go":
+            self._reports.wait_because("")
+        worker.send(command)  # before the record, which the disk may keep waiting
+        self._record_request(REQUESTS.get(command.split()[0], command))
+
+    def _kill_if_silent(self, worker: WorkerProcess) -> None:
+        """Kill a worker that has not reported the plan of the run that it has claimed in time."""
+        due_s = self._reports.plan_due_s
+        if due_s is None or time.monotonic() <= due_s:
+            return
+        self._reports.plan_due_s = None
+        self._say(f"warning: the worker was silent for {STARTING_S:g} s and was killed")
+        worker.kill()
 
     def _record_request(self, request: str) -> None:
         self._record(self._queue.add_event, "info", f"{request} requested")
