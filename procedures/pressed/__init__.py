@@ -1,4 +1,5 @@
 """The common parts of all procedures that press the skin on an object at a controlled normal force.
+What is in `approach` belongs to every procedure that presses, that of a film in the sweep as well.
 
 `PressedProcedure` is the base class for a procedure of your own: docs/add-a-procedure.md.
 """

@@ -92,6 +92,8 @@ def pressed_state(bench_toml: str, source: str, orders: Orders) -> PressedState:
 
 
 def _measured(whole: BenchPlan, orders: Orders) -> PressedState:
+    """Connect to z and whatever helps to judge it, and lift z off what it may press; z is stopped
+    at the end. Raises RigError or OSError for a z that cannot be reached."""
     parts = {part.role: part for part in whole.instruments}
     if "stage_z" not in parts:
         return PressedState("nothing can be pressed without a stage_z", released=True)
