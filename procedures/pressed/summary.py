@@ -15,6 +15,7 @@ from procedures.pressed.approach.tare import ZERO_LABEL, force_zero_of
 from rig.bench.settings import STRIPS
 from rig.core.settings import name_without_unit
 from rig.files.journal.detections import SLIP, from_text
+from rig.files.journal.layout import TRUTH
 from rig.run.procedure import DriftFigure
 
 if TYPE_CHECKING:
@@ -97,7 +98,7 @@ def _own_error(readings: Sequence[Reading], name: str) -> float | None:
 
 def truth_of(readings: Sequence[Reading]) -> dict[str, Any]:
     """Return the simulated bench's record of the latest trial that has one; empty on a real one."""
-    accounts = [str(truth) for r in readings if (truth := r.get("simulated_truth"))]
+    accounts = [str(truth) for r in readings if (truth := r.get(TRUTH))]
     known: dict[str, Any] = json.loads(accounts[-1]) if accounts else {}
     return known
 

@@ -13,7 +13,7 @@ from procedures.pressed.record import reading as pressed_reading
 from procedures.pressed.record.trial_record import TrialRecord
 from procedures.slip_trial.layout import FRICTION, RAMP, WEIGHT
 from rig.analysis.trial.friction import FrictionError, friction
-from rig.files.journal.layout import without_values
+from rig.files.journal.layout import TRUTH, without_values
 
 if TYPE_CHECKING:
     import numpy.typing as npt
@@ -82,7 +82,7 @@ def _weight(
     used_N = float(force[t >= t[-1] - USED_S, 0].mean())
     pressed = force[:, 0] > PRESSED_SHARE * settings.normal_force_N
     shown = float(np.max(np.abs(force[pressed, 1]) / force[pressed, 0], initial=0.0))
-    truth = json.loads(str(reading.get("simulated_truth") or "{}"))
+    truth = json.loads(str(reading.get(TRUTH) or "{}"))
     static = truth.get("static_coefficient")
     return {
         "outcome": outcome,

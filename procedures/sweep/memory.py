@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from procedures.sweep.settings import CHANNELS
 from rig.analysis.response.levelling import LearnedGain, LearnedMains
-from rig.run.checked_procedure import TRUTH
+from rig.files.journal.layout import TRUTH
 
 if TYPE_CHECKING:
     from procedures.sweep.preload import Preload

@@ -14,7 +14,7 @@ from procedures.sweep.layout import LAYOUT
 from rig.analysis.estimate import COVERAGE_95, with_error
 from rig.analysis.response.curve import CurveError, ResponseCurve, points_of
 from rig.analysis.verdict import Bounds, Verdict
-from rig.run.checked_procedure import TRUTH
+from rig.files.journal.layout import TRUTH
 from rig.run.points import Reading
 
 if TYPE_CHECKING:

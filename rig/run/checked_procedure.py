@@ -33,6 +33,7 @@ from rig.core.errors import (
 from rig.core.time_limit import TimeLimitError, time_limit
 from rig.core.toml_files import check_nesting
 from rig.files.journal.format import MAX_JSON, to_json, unlike_json
+from rig.files.journal.layout import TRUTH
 from rig.run.passing import KeptBackError
 from rig.run.points import Move, Point, Reading
 from rig.run.procedure import Procedure
@@ -50,8 +51,6 @@ LONGEST_SUMMARY_S = 120.0
 """Longest time of a hook that computes when the bench is safe."""
 VERDICT = "invalid"
 """Key of the column that says why a reading is invalid."""
-TRUTH = "simulated_truth"
-"""Key that every reading may have: the simulated bench's own record of the point."""
 
 
 class ProcedureFaultError(RigError):

@@ -20,6 +20,7 @@ from rig.analysis.trial.touch_gain import touch_gain
 from rig.bench.settings import STRIPS
 from rig.detector.notices import columns_of
 from rig.files.journal.detections import to_text
+from rig.files.journal.layout import TRUTH
 from rig.run.press_references import TouchGain
 
 if TYPE_CHECKING:
@@ -52,7 +53,11 @@ assumed offset."""
 def reading_of(run: Run, record: TrialRecord) -> Reading:
     """Return the reading of a trial: how the force was held during the motion, the quality of the
     record, both clocks, the truth of a simulated bench; and the reason why the trial is invalid, if
-    it is (``invalid``)."""
+    it is (``invalid``).
+
+    Records warnings of what the reading does not show. Raises InstrumentError where a strip's gain
+    does not fit that of earlier runs on this bench at all.
+    """
     settings: PressedSettings = run.settings
     force = record.forces_N()
     reading: Reading = {
@@ -73,7 +78,7 @@ def reading_of(run: Run, record: TrialRecord) -> Reading:
     run.check_stop()
     if truth := run.clock.truth():
         begun_us = round(1e6 * record.begun_s)
-        reading["simulated_truth"] = json.dumps({**truth, "record_begun_us": begun_us})
+        reading[TRUTH] = json.dumps({**truth, "record_begun_us": begun_us})
     late_share = record.late_ticks / max(record.tick_count, 1)
     reading["invalid"] = "; ".join(_doubts(settings, record, reading, late_share))
     return reading
@@ -173,7 +178,7 @@ def _warn_of_clipping(run: Run, record: TrialRecord) -> None:
 
 def _touch_down(run: Run, record: TrialRecord, force: npt.NDArray[np.float64]) -> Reading:
     """Return the offset of the force sensor's clock from the DAQ's, and each strip's gain, from
-    touch-down and tap."""
+    touch-down and tap. Raises InstrumentError as `EarlierPress.judge_gains`."""
     volts = np.concatenate(record.volts)
     rate_S_s = record.force_rate_S_s
     touch_s = float(np.argmax(force[:, 0] > CONTACT_N)) / rate_S_s

@@ -18,12 +18,16 @@ from rig.core.settings import UNIT_BY_SUFFIX, unit_of
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]{0,62}\Z")
 _DEFINITION = re.compile(r"NX[A-Za-z0-9_]{1,60}\Z")
 
+TRUTH = "simulated_truth"
+"""Key that every reading may have, and name of its group in the run file: the simulated bench's own
+record of the point, as JSON text."""
+
 RESERVED_GROUPS = frozenset(
     {
         *("definition", "title", "start_time", "end_time", "duration", "program_name"),
         *("identifier_experiment", "identifier_collection", "user", "sample", "parameters"),
         *("configuration", "journal_header", "notes", "outcome", "events", "instrument"),
-        *("simulated_truth", "simulated_world", "origin", "results"),
+        *(TRUTH, "simulated_world", "origin", "results"),
         *("points", "attempts", "waveforms", "discarded", "between_points", "blocks"),
     }
 )

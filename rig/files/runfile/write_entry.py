@@ -25,6 +25,7 @@ from rig.files.hdf5.nexus import (
     write_values,
 )
 from rig.files.journal.format import to_json
+from rig.files.journal.layout import TRUTH
 from rig.files.journal.reader import JournalContents, ending
 from rig.files.journal.values import (
     SIMULATED,
@@ -41,8 +42,6 @@ from rig.files.runfile.write_results import write_results
 if TYPE_CHECKING:
     import h5py
 
-TRUTH = "simulated_truth"
-"""Key of a reading, JSON text, and name of the group: the World's ground truth."""
 WORLD = "simulated_world"
 """Name of the group with the parameters of the World."""
 
