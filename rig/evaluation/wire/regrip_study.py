@@ -120,15 +120,24 @@ def read_holding(path: Path) -> float:
 
 
 def read_weight(path: Path) -> dict[str, Any]:
-    """Return the values of `Weight` that the reading of the only trial has."""
+    """Return the values of `Weight` that the reading of the only trial has. Raises ValueError for
+    an invalid trial."""
     with RunFile.open(path) as run:
         (reading,) = run.readings()
-        return {
-            "outcome": str(reading["outcome"]),
-            "squeezes": int(float(reading["squeezes"] or 0)),
-            "force_used_N": _number(reading["force_used_N"]),
-            "risen_s": _number(reading["squeeze_risen_s"]),
-        }
+        return weight_of(reading)
+
+
+def weight_of(reading: dict[str, Any]) -> dict[str, Any]:
+    """Return the values of `Weight` that a reading has. Raises ValueError for an invalid trial: a
+    detector that was dropped squeezes no hold, which would be its merit."""
+    if reading.get("invalid"):
+        raise ValueError(f"the trial is invalid: {reading['invalid']}")
+    return {
+        "outcome": str(reading["outcome"]),
+        "squeezes": int(float(reading["squeezes"] or 0)),
+        "force_used_N": _number(reading["force_used_N"]),
+        "risen_s": _number(reading["squeeze_risen_s"]),
+    }
 
 
 def _number(value: object) -> float | None:
@@ -144,7 +153,9 @@ def _of_detector(trial: WireTrial) -> str:
     if name == NONE:
         return ""
     chosen = chosen_detector(name)
-    return f"-{fingerprint(chosen.version, chosen.code_digest, chosen.settings)[:24]}"
+    made_by = f"-{fingerprint(chosen.version, chosen.code_digest, chosen.settings)[:24]}"
+    # What was stored of another package's may be of a trial in which it was dropped.
+    return made_by if chosen.is_own else f"{made_by}-valid"
 
 
 class RegripStudy:

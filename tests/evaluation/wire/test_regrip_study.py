@@ -18,7 +18,7 @@ from rig.cli.commands.regrip_study import regrip_study as command
 from rig.detector.registered import ChosenDetector, chosen_detector
 from rig.evaluation.wire import regrip_study
 from rig.evaluation.wire.kinds import WireTrial
-from rig.evaluation.wire.regrip_study import RegripStudy, Weight, as_object, table
+from rig.evaluation.wire.regrip_study import RegripStudy, Weight, as_object, table, weight_of
 
 
 class Stored:
@@ -205,3 +205,14 @@ def study(*arguments: str) -> Result:
     app = typer.Typer(pretty_exceptions_enable=False)
     app.command()(command)
     return CliRunner().invoke(app, ["--strategies", "rig", *arguments])
+
+
+def test_a_trial_whose_detector_was_dropped_is_not_a_hold_without_a_squeeze() -> None:
+    reading: dict[str, Any] = {
+        "outcome": "held", "squeezes": 0, "force_used_N": 2.1, "squeeze_risen_s": None,
+        "invalid": None,
+    }  # fmt: skip
+    assert weight_of(reading)["outcome"] == "held"
+    reading["invalid"] = "detector lab was dropped, so the grip got no alarms"
+    with pytest.raises(ValueError, match="invalid: detector lab was dropped"):
+        weight_of(reading)
