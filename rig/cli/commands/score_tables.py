@@ -39,8 +39,8 @@ LABELS = {
     "alarms_after": "slips with an alarm after the time to find them",
     "found_at_a_stop": "slips with which the motion ended, found in time",
     "early_at_a_stop": "slips with which the motion ended, with an early alarm",
-    "found_in_a_slide": "slips after which the motion went on, found in time",
-    "early_in_a_slide": "slips after which the motion went on, with an early alarm",
+    "found_in_a_slide": "slips after which the motion continued, found in time",
+    "early_in_a_slide": "slips after which the motion continued, with an early alarm",
     "found_in_roll": "slips within rolls found in time",
     "early_in_roll": "slips within rolls with an early alarm",
     "no_slip_alarms": "trials without a whole slip, with a false alarm",
@@ -86,7 +86,7 @@ LEGEND = (
     "In time: 10 ms before to 30 ms after the whole ridge slips. Rates: share (95 % interval) of "
     "the number of cases. Times: value (95 % interval) in ms. Possible: what an ideal observer "
     "finds, who knows what the slip does to the signals, in noise and servo steps like those "
-    "before it; no detector finds more."
+    "before it, with one false alarm an hour; more is found only with more false alarms."
 )
 
 
