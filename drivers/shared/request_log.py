@@ -35,12 +35,14 @@ class RequestLog:
 
     def whose_silence(self, timeout_s: float) -> str:
         """Return, for the end of a sentence on the drive's time-out, whose silence it was."""
-        pause_s, _ = self._pause
+        pause_s, ended_s = self._pause
         if pause_s < timeout_s:
             return (
                 f"requests were sent every {pause_s:.2g} s or more often and did not reach it: the "
                 "connection was silent"
             )
+        if (what := self._what_hung(ended_s - pause_s, ended_s)) is not None:
+            return f"this program sent it nothing for {pause_s:.2g} s: it waited for {what}"
         waited = self._clock.overdue
         # A wait much shorter than the pause did not cause it, or the computer was suspended.
         if waited is None or waited[1] < 0.5 * pause_s:
@@ -49,3 +51,13 @@ class RequestLog:
             instrument, waited_s = waited
             why = f"the procedure waited for {instrument}, without an answer for {waited_s:.2g} s"
         return f"this program sent it nothing for {pause_s:.2g} s: {why}"
+
+    def _what_hung(self, begun_s: float, ended_s: float) -> str | None:
+        """Return what has kept the procedure from its next wait in a pause; None if that is not
+        known."""
+        if self._clock.hung is None:
+            return None
+        what, found_s = self._clock.hung
+        if not self._clock.is_virtual:
+            found_s += suspended_s()
+        return what if begun_s <= found_s <= ended_s else None

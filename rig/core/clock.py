@@ -84,6 +84,9 @@ class Clock(ABC):
         self.overdue: tuple[str, float] | None = None
         """The instrument for whose answer the procedure has waited longer than it may take, and
         for how long; the latest such wait."""
+        self.hung: tuple[str, float] | None = None
+        """What has kept the procedure from its next wait, and the bench time in s at which that was
+        found; the latest such case (`rig.run.hang_watch`)."""
 
     @abstractmethod
     def now(self) -> float:

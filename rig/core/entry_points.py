@@ -250,6 +250,13 @@ def place_of_this_call(module: str) -> str:
     return _last_place(module, reversed(list(traceback.walk_stack(None))))
 
 
+def place_of(module: str, frame: FrameType) -> str:
+    """Return where in a module, or in a package with its modules, a thread is whose innermost frame
+    is `frame`, as ``lab/creep.py line 11``."""
+    calls = reversed(list(traceback.walk_stack(frame)))
+    return _last_place(module, calls).removesuffix(": ")
+
+
 def _last_place(module: str, calls: Iterable[tuple[FrameType, int]]) -> str:
     places = [
         (Path(frame.f_code.co_filename), line)

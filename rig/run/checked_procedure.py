@@ -213,6 +213,19 @@ class CheckedProcedure:
             f"{where}: let exceptions of waits pass, or raise them again ({kept.cause.message})"
         )
 
+    def packages(self, plan: BenchPlan) -> dict[str, str]:
+        """Return whose code the top modules of other packages are that a run of this procedure
+        calls on a bench: that of the procedure and those of drivers."""
+        found = {}
+        for part in plan.instruments:
+            if (entry := foreign(part)) is not None:
+                name = f"driver {part.driver_name} of package {package(entry)}"
+                found[entry.module.split(".")[0]] = name
+        cls = type(self._procedure)
+        if (name := package_of(cls)) != OWN_PACKAGE:
+            found[cls.__module__.split(".")[0]] = f"procedure {cls.name} of package {name}"
+        return found
+
     def _points(self, hook: str, found: Any) -> tuple[Point, ...]:
         points = tuple(found) if isinstance(found, (tuple, list)) else (found,)
         moves: Any = ()

@@ -37,6 +37,7 @@ from rig.run.checked_procedure import (
     internal,
 )
 from rig.run.context import Run
+from rig.run.hang_watch import HangWatch
 from rig.run.holds import HoldError, PauseSwitch
 from rig.run.interlocks.proof import prove
 from rig.run.interlocks.store import InterlockStore
@@ -223,7 +224,7 @@ class _Execution:
         self.bench.clock.while_computing(self.guard.beat)
         try:
             self.marks.running(self.guard.pid)  # before anything is switched on
-            with PauseSwitch(self.run.holds):
+            with PauseSwitch(self.run.holds), self._hang_watch():
                 self._begin_interlocks()
                 self.loop.record_all(points)
             self.outcome.status, self.outcome.code = "complete", self._judge()
@@ -294,6 +295,11 @@ class _Execution:
         """Return the exit code of a run that has all its points."""
         invalid = any(self.procedure.why_invalid(reading) for reading in self.readings.values())
         return ExitCode.FINISHED_WITH_FAILURES if invalid else ExitCode.DONE
+
+    def _hang_watch(self) -> HangWatch:
+        packages = self.procedure.packages(self.bench.plan)
+        warn = self.observers.warn_at_once
+        return HangWatch(self.bench.clock, packages, self.guard.hangs, warn)
 
     # --- during every wait ------------------------------------------------------------------------
 

@@ -33,6 +33,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from rig.core.errors import RigError
+from rig.core.text import in_shell
 from rig.run.making_safe.guard_report import in_words, write
 
 if TYPE_CHECKING:
@@ -64,6 +65,8 @@ class _Watch:
     done: bool = False
     kill: bool = False
     """True if the run has asked to be killed: it cannot end in order."""
+    hangs: str = ""
+    """What keeps the run from its next heartbeat, if that is known."""
 
     @property
     def cause(self) -> str:
@@ -92,11 +95,14 @@ def _listen(pipe: int) -> tuple[_Watch | None, bool]:
     it lives and has to be killed: it hangs, or has asked for it."""
     buffer = b""
     watch: _Watch | None = None
+    beat_s = time.monotonic()
     while watch is None or not watch.kill:
         patience = watch.order["heartbeat_timeout_s"] if watch and not watch.safe else None
-        ready, _, _ = select.select([pipe], [], [], patience)
+        left_s = None if patience is None else max(0.0, beat_s + patience - time.monotonic())
+        ready, _, _ = select.select([pipe], [], [], left_s)
         if not ready and watch:
-            watch.order["cause"] = f"no sign of life for {patience:g} s; the run was killed"
+            why = f": it waited for {watch.hangs}" if watch.hangs else ""
+            watch.order["cause"] = f"no sign of life for {patience:g} s{why}; the run was killed"
             return watch, True
         chunk = os.read(pipe, 65536)
         if not chunk:
@@ -104,6 +110,8 @@ def _listen(pipe: int) -> tuple[_Watch | None, bool]:
         *lines, buffer = (buffer + chunk).split(b"\n")
         for line in lines:
             watch = _understand(line, watch)
+            if not watch.hangs:
+                beat_s = time.monotonic()
     # A guard that was stopped meanwhile finds a run that has killed itself, and its number may be
     # another process's by now.
     ready, _, _ = select.select([pipe], [], [], 0.0)
@@ -148,7 +156,7 @@ def _closing(report: dict[str, Any]) -> str:
         reasons = "; ".join(f"{role}: {why}" for role, why in report["failures"].items())
         line = f"Bench is NOT safe: {reasons}. Switch it off by hand and find out why."
     if report["journal"] is not None and "file" in report:
-        line += f" Data: {report['file']}"
+        line += f" Data: {report['file']}. Resume with: rig resume {in_shell(report['journal'])}"
     return line
 
 
@@ -304,6 +312,7 @@ def _understand(line: bytes, watch: _Watch | None) -> _Watch:
     for word in ("zero", "limit", "cause"):
         if line.startswith(word.encode() + b" "):
             watch.order[word] = json.loads(line[len(word) :])
+    watch.hangs = json.loads(line[len(b"hangs ") :]) if line.startswith(b"hangs ") else ""
     watch.safe = watch.safe or line == b"safe"
     watch.done = watch.done or line == b"done"
     watch.kill = watch.kill or line == b"kill"

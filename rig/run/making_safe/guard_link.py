@@ -178,6 +178,11 @@ class GuardLink:
         """Send why the guard has to act, or may have to: a sentence for its report."""
         self._send(f"cause {json.dumps(text)}")
 
+    def hangs(self, what: str) -> None:
+        """Send what keeps the run from its next heartbeat. From any thread; a heartbeat that comes
+        after all ends it."""
+        self._send(f"hangs {json.dumps(what)}")
+
     def kill(self) -> NoReturn:
         """Have the guard kill this run and make the bench safe. This process ends as well if the
         guard does not react."""
