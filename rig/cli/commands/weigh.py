@@ -77,10 +77,27 @@ def weigh(
     repeated.
 
     Raises QuitError where the person quits. Without a person it raises ConfigurationError where the
-    weights cannot be put on by the bench itself, and RejectedError after several bad readings.
+    weights cannot be put on by the bench itself, and RejectedError after several bad readings. The
+    message of each says that the readings so far are not kept.
     """
-    largest_N = max(abs(value) for force in forces_N for value in force)
     means: list[Mean] = []
+    try:
+        return _weigh(forces_N, scale, person, clock, means)
+    except RigError as error:
+        if means:
+            error.message += f"; the readings taken so far ({len(means)}) are not kept"
+        raise
+
+
+def _weigh(
+    forces_N: Sequence[Vector],
+    scale: Scale,
+    person: WeighingOperator,
+    clock: Clock,
+    means: list[Mean],
+) -> list[Mean]:
+    """Return `means` once it has a reading under each of the forces."""
+    largest_N = max(abs(value) for force in forces_N for value in force)
     rejected = 0
     while True:
         done = len(means)

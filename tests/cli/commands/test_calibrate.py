@@ -304,6 +304,7 @@ def test_a_saturated_channel_is_rejected_and_nothing_is_written(rig: Any) -> Non
     assert ended.stderr.count("reading rejected: ") == 2
     (error,) = ended.errors
     assert "at the end of the 1.25 V range" in error
+    assert re.search(r"; the readings taken so far \(\d\) are not kept; ", error)
     assert not list(rig.folder.rglob("*.json"))
 
 
@@ -443,7 +444,10 @@ def test_a_person_may_stop_at_a_question_and_nothing_is_written(
     else:
         at.process.send_signal(how)
     assert at.finish() == (code, "")
-    assert at.reported.splitlines()[-1] == f"{reported}; nothing was written, the sensor is at rest"
+    assert at.reported.splitlines()[-1] == (
+        f"{reported}; the readings taken so far (1) are not kept; nothing was written, the sensor "
+        "is at rest"
+    )
     assert "Traceback" not in at.reported
     assert not list(rig.folder.rglob("*.json"))
 
