@@ -44,6 +44,15 @@ def readable_time(time: str) -> str:
     return datetime.fromisoformat(time).isoformat(" ", "seconds")
 
 
+def to_the_minute(time: str) -> str:
+    """Return an ISO time to the minute, with its zone.
+
+    >>> to_the_minute("2026-11-21T22:00:00.250000+01:00")
+    '2026-11-21 22:00+01:00'
+    """
+    return datetime.fromisoformat(time).isoformat(" ", "minutes")
+
+
 def listed(parts: Iterable[str]) -> str:
     """Return parts as a sentence lists them. Raises ValueError where there are none.
 

@@ -7,6 +7,7 @@ import json
 import tomllib
 from typing import TYPE_CHECKING, Any
 
+from rig.core.text import to_the_minute
 from rig.figures.style import NO_BREAK
 from rig.files.describe import bench_name, mounted_on
 
@@ -47,7 +48,7 @@ def statements(run: RunFile) -> list[str]:
     if header.sample.name:
         parts.append(f"sample {header.sample.name}")
     parts.append(bench_name(header))
-    parts.append(str(header.start_time or "")[:16].replace("T", " "))
+    parts.append("" if header.start_time is None else to_the_minute(header.start_time))
     return [part for part in parts if part]
 
 

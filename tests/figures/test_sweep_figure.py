@@ -111,7 +111,8 @@ def test_the_title_names_the_film_and_the_load_and_the_lines_below_it_the_rest()
     assert figure.get_suptitle() == "SIMULATED sweep of film f1 at 1 N peak load"
     (below,) = figure.texts[1:] if figure.texts[0] is figure._suptitle else figure.texts
     assert (
-        below.get_text() == f"25 N preload, sample s1, bench b, 2026-11-25 10:00\nrun.h5\n{PAPER}"
+        below.get_text()
+        == f"25 N preload, sample s1, bench b, 2026-11-25 10:00+00:00\nrun.h5\n{PAPER}"
     )
 
 

@@ -94,7 +94,7 @@ def run(
         if prepared.bench is None:
             takes += " of virtual time"
         else:
-            takes += f", until {forecast.ends.astimezone():%Y-%m-%d %H:%M:%S}"
+            takes += f", until {forecast.ends.astimezone():%Y-%m-%d %H:%M:%S} local time"
         say(f"batch {folder.path}: {counted(len(prepared.plan.runs), 'run')}, {takes}")
         _supervise(folder, as_json)
 

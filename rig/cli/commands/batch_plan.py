@@ -102,7 +102,7 @@ def _table(prepared: PreparedBatch) -> Iterator[str]:
     what is varied."""
     width = max(map(len, ("condition", *prepared.plan.conditions)))
     digits = max(len("run"), len(str(len(prepared.plan.runs))))
-    yield f"{'run':>{digits}} {'begins':14} {'condition':{width}} repeat  duration  varied"
+    yield f"{'run':>{digits}} {'begins (local)':14} {'condition':{width}} repeat  duration  varied"
     for placed in prepared.forecast.runs:
         yield _line(prepared, placed, digits, width)
 
@@ -132,13 +132,13 @@ def _summary(prepared: PreparedBatch, free_B: int) -> Iterator[str]:
     yield (
         f"{name}: {counted(runs, 'run')} ({counted(len(prepared.plan.conditions), 'condition')}), "
         f"about {time_span(forecast.duration_s)} ± {time_span(forecast.spread_s)}, "
-        f"from {_local(forecast.begins)} to {_local(forecast.ends)}"
+        f"from {_local(forecast.begins)} to {_local(forecast.ends)} local time"
     )
     yield f"disk: about {_size(forecast.size_B)} of run files, {_size(free_B)} free"
     if forecast.size_B > free_B:
         yield "warning: the disk is too small: free space, or choose another folder for results"
     if forecast.stop_by is not None:
-        stop_by = f"stop_by {_local(forecast.stop_by)}"
+        stop_by = f"stop_by {_local(forecast.stop_by)} local time"
         if forecast.in_time < runs:
             from rig.batch.plan.window import how_to_continue
 
@@ -153,8 +153,8 @@ def _summary(prepared: PreparedBatch, free_B: int) -> Iterator[str]:
         then = "it will be used all the same" if allowed else "later runs will be held"
         yield (
             f"warning: {one.path}: the calibration of {one.record.sensor!r} expires on "
-            f"{one.record.valid_until.astimezone():%Y-%m-%d %H:%M}, during the batch: {then}; "
-            "calibrate before it begins"
+            f"{one.record.valid_until.astimezone():%Y-%m-%d %H:%M} local time, "
+            f"during the batch: {then}; calibrate before it begins"
         )
 
 

@@ -45,10 +45,15 @@ def test_a_plan_lists_every_run_and_foretells_the_night(rig: Any) -> None:
     ended = rig.run("batch", "plan", write(rig, until))
     assert "SIMULATED bench (to check the batch; seed " in ended.stderr
     assert ended.code == 0, ended.stderr
-    assert "stop_by 2099-01-01 07:00:00: 7 of 7 runs will have ended by then" in ended.stderr
+    assert (
+        "stop_by 2099-01-01 07:00:00 local time: 7 of 7 runs will have ended by then"
+        in ended.stderr
+    )
     assert "warning" not in ended.stderr
     heading, *lines = ended.stdout.splitlines()
-    assert heading.split() == ["run", "begins", "condition", "repeat", "duration", "varied"]
+    assert heading.split() == [
+        *("run", "begins", "(local)", "condition", "repeat", "duration", "varied")
+    ]
     for word in ("begins", "condition"):
         place = heading.index(word)
         assert all(line[place - 1] == " " != line[place] for line in lines), word
@@ -58,7 +63,9 @@ def test_a_plan_lists_every_run_and_foretells_the_night(rig: Any) -> None:
         *("sweep-001", "sweep-002", "reference-001"),
     ]
     assert lines[2].endswith("load_N=2")
-    assert re.search(r"films: 7 runs \(3 conditions\), about .* ± .*, from .* to ", ended.stderr)
+    assert re.search(
+        r"films: 7 runs \(3 conditions\), about .* ± .*, from .* to .* local time", ended.stderr
+    )
     assert "of run files" in ended.stderr
     assert not (rig.folder / "nights").exists(), "planning leaves nothing"
     assert not (rig.folder / "results").exists()
