@@ -150,12 +150,12 @@ class _Ticks:
         """Numbers of ticks due, missed and late so far."""
         self._largest_s = self._total_s = 0.0
         self._behind_since_s: float | None = None
-        self._going_on = True
+        self._continues = True
 
     @property
     def over(self) -> bool:
         """True after the last tick."""
-        return not self._going_on or self._due >= self._planned
+        return not self._continues or self._due >= self._planned
 
     @property
     def next_due_s(self) -> float:
@@ -183,7 +183,7 @@ class _Ticks:
         tick = Tick(number, self._start_s + number / self._rate_Hz, now_s, number - self._due)
         self._count(tick)
         self._due = number + 1
-        self._going_on = self._on_tick(tick)
+        self._continues = self._on_tick(tick)
 
     def statistics(self) -> LoopStatistics:
         """Return the statistics of the ticks so far."""
@@ -196,7 +196,7 @@ class _Ticks:
             self._largest_s,
             mean_s,
             self._clock.now() - self._start_s,
-            not self._going_on,
+            not self._continues,
         )
 
     def _count(self, tick: Tick) -> None:

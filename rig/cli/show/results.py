@@ -50,9 +50,9 @@ def compared_in_words(stored: Results, now: Results | None) -> dict[str, Any]:
     found: dict[str, str] = {}
     if now is not None:
         full = stored.program.version == now.program.version
-        by, anew_by = _named(stored.program, full), _named(now.program, full)
+        by, recomputed_by = _named(stored.program, full), _named(now.program, full)
         found = {
-            name: _remark(one, by, anew_by)
+            name: _remark(one, by, recomputed_by)
             for name, one in differences(stored.values, now.values).items()
         }
     return {"results": _in_words(stored.values, found), "results_by": computed_by(stored, now)}
@@ -140,13 +140,13 @@ def _named(program: Program, full: bool) -> str:
     return f"{program.version} ({commit[:COMMIT_LETTERS]}{plus}{dirty})"
 
 
-def _remark(one: Difference, by: str, anew_by: str) -> str:
+def _remark(one: Difference, by: str, recomputed_by: str) -> str:
     """Return ``stored 20 dB/decade by A, recomputed 19.9 by B``."""
     unit = f" {one.unit}" if one.unit else ""
-    anew = "nothing" if one.recomputed is None else _shown(one.recomputed)
+    recomputed = "nothing" if one.recomputed is None else _shown(one.recomputed)
     if one.stored is None:
-        return f"not stored by {by}, {anew}{unit} by {anew_by}"
-    return f"stored {_shown(one.stored)}{unit} by {by}, recomputed {anew} by {anew_by}"
+        return f"not stored by {by}, {recomputed}{unit} by {recomputed_by}"
+    return f"stored {_shown(one.stored)}{unit} by {by}, recomputed {recomputed} by {recomputed_by}"
 
 
 def _in_words(values: Mapping[str, Any], found: Mapping[str, str]) -> dict[str, Any]:
