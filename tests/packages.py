@@ -105,7 +105,7 @@ def _stage(axis: str, high_mm: float) -> str:
     return f"""[stage_{axis}]
 driver = "festo-cmmt"
 axis = "{axis}"
-host = "127.0.0.1"
+host = "127.0.0.{1 if axis == "z" else 2}"
 low_limit_mm = 0.0
 high_limit_mm = {high_mm}
 max_speed_mm_s = 20.0

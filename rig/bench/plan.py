@@ -24,7 +24,14 @@ from rig.bench.driver_settings import (
 )
 from rig.bench.interlocks import unreadable
 from rig.bench.settings import ROLES, STRIPS, BenchSettings, Fixture
-from rig.core.entry_points import DRIVERS, BrokenPackageError, find, load, package
+from rig.core.entry_points import (
+    DRIVERS,
+    OWN_PACKAGE,
+    BrokenPackageError,
+    find,
+    load,
+    package,
+)
 from rig.core.errors import (
     ConfigurationError,
     RigError,
@@ -147,6 +154,7 @@ def parse_bench(text: str, source: str) -> BenchPlan:
             )
     findings += _communication_findings(plans, source)
     findings += _address_findings(plans, source)
+    findings += _same_instrument_findings(plans, source)
     if findings or settings is None:
         hints = dict.fromkeys(finding.hint or "correct the bench file" for finding in findings)
         raise ConfigurationError("; ".join(f.message for f in findings), "; ".join(hints))
@@ -367,6 +375,34 @@ def _communication_findings(
             f"set timeout_s to {drive.seconds * 0.4:g} s or less for [{plan.role}], or "
             f"{drive.name} to {least} or more",
         )
+
+
+def _same_instrument_findings(
+    plans: list[InstrumentPlan], source: str
+) -> Iterator[ConfigurationError]:
+    """Yield a fault for each two tables that name one instrument: what is meant for one axis would
+    move the other, past its limits. `rig make-safe` works with such a file.
+
+    One instrument of this program's drivers plays one role. That of another package may have
+    several axes behind one address, which its own settings distinguish.
+    """
+    seen: dict[tuple[Any, ...], str] = {}
+    for plan in plans:
+        entry = find(DRIVERS, plan.driver_name)
+        if entry is None or package(entry) != OWN_PACKAGE:
+            continue
+        values = address_values(plan.settings)
+        if (unit := getattr(plan.settings, "unit_id", None)) is not None:
+            values["unit_id"] = unit
+        key = (plan.driver_name, *sorted(values.items()))
+        if values and key in seen:
+            same = ", ".join(f"{name} = {value}" for name, value in values.items())
+            yield ConfigurationError(
+                f"{source}: [{seen[key]}] and [{plan.role}] name the same instrument ({same}): "
+                f"what is meant for {plan.role} would act on {seen[key]}",
+                "give each its own address",
+            )
+        seen.setdefault(key, plan.role)
 
 
 def _address_findings(plans: list[InstrumentPlan], source: str) -> Iterator[ConfigurationError]:

@@ -471,7 +471,7 @@ max_speed_mm_s = 20.0
 
 
 def test_a_rehearsal_keeps_the_limits_of_each_of_two_equal_drives() -> None:
-    real = parse_bench(PLATE + stage("z", 9.0) + stage("x", 25.0), "bench.toml")
+    real = parse_bench(PLATE + stage("z", 9.0) + stage("x", 25.0, 503), "bench.toml")
     simulated = PLATE + stage("z", 14.0, 1502) + stage("x", 40.0, 1503)
     plan = rehearsal(real, parse_bench(simulated, "the simulated bench"))
     own = {part.role: part.settings for part in plan.instruments}
@@ -543,3 +543,49 @@ def test_a_link_that_leaves_no_time_for_a_second_request_is_refused(driver: str)
 def test_a_dry_run_says_that_it_reads_no_interlock() -> None:
     real, simulated = parse_bench(GOOD + DOOR, "bench.toml"), parse_bench(GOOD, "simulated")
     assert "interlocks are not read in a dry run: door" in rehearsal(real, simulated).stand_ins
+
+
+STAGES = """
+name = "b"
+[fixture]
+mounted = "plate"
+[stage_z]
+driver = "{driver}"
+axis = "z"
+{z}
+low_limit_mm = 0.0
+high_limit_mm = 20.0
+max_speed_mm_s = 20.0
+torque_limit_percent = 25.0
+[stage_x]
+driver = "{driver}"
+axis = "x"
+{x}
+low_limit_mm = 0.0
+high_limit_mm = 40.0
+max_speed_mm_s = 20.0
+"""
+LINE = 'port = "/dev/ttyUSB1"\nsteps_per_mm = 3000.0\nunit_id = '
+
+
+@pytest.mark.parametrize(
+    ("driver", "z", "x", "same"),
+    [
+        ("festo-cmmt", 'host = "h1"', 'host = "h1"', "host = h1, port = 502, unit_id = 1"),
+        ("oriental-az", f"{LINE}1", f"{LINE}1", "port = /dev/ttyUSB1, unit_id = 1"),
+        ("festo-cmmt", 'host = "h1"', 'host = "h1"\nport = 503', None),
+        ("oriental-az", f"{LINE}1", f"{LINE}2", None),
+    ],
+)
+def test_two_axes_that_name_one_drive_are_refused(
+    driver: str, z: str, x: str, same: str | None
+) -> None:
+    """The motions of x, within its limits, would move z beyond its own, with the skin pressed."""
+    text = STAGES.format(driver=driver, z=z, x=x)
+    if same is None:
+        assert len(parse_bench(text, "bench.toml").instruments) == 2
+        return
+    assert refused(text) == (
+        f"bench.toml: [stage_z] and [stage_x] name the same instrument ({same}): what is meant "
+        "for stage_x would act on stage_z; give each its own address"
+    )
