@@ -175,7 +175,7 @@ def test_a_run_that_makes_no_record_is_refused_in_one_line(
 ) -> None:
     file = sweep_file(rig.folder, **made)
     ended = rig.run("calibrate", "pvdf", file.name, *arguments)
-    assert ended.code == 2, ended.stderr
+    assert ended.code == (1 if "cannot be written" in reported else 2), ended.stderr
     (error,) = ended.errors
     for words in reported:
         assert words in error
