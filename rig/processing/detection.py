@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from rig.core.errors import ConfigurationError, ExitCode, RigError
 from rig.core.text import in_shell
+from rig.detector.blocks import BlockFeed
 from rig.detector.events import EVENT_KINDS, SlipEvent, unjudged_s
 from rig.detector.notices import NOTICE_COLUMNS, notices_in
 from rig.detector.registered import ChosenDetector
@@ -320,17 +321,14 @@ def _stream_of_strips(run: RunFile) -> str:
 def _detect_trial(
     point: str, pieces: list[Waveform], reading: dict[str, Any], chosen: ChosenDetector
 ) -> DetectedTrial:
-    """Return the result for one trial, with what its reading says that the bench
-    knew. Raises ValueError if the
-    detector cannot process it, or if its pieces are of different kinds."""
+    """Return the result for one trial, with what its reading says that the bench knew. Raises
+    ValueError if the detector cannot process it, or if its pieces are of different kinds."""
     import numpy as np
 
     rate_Hz = pieces[0].rate_Hz
     if rate_Hz is None:
         raise ValueError("the file gives no sampling rate of v_1 and v_2")
-    detector = chosen.make(rate_Hz)
-    for one in notices_in(reading):
-        detector.notice(one)
+    detector = BlockFeed(chosen, rate_Hz, notices_in(reading))
     events: list[SlipEvent] = []
     rows, differences, predictive = [], [], []
     for piece, volts in _rows_of(pieces):
@@ -339,7 +337,7 @@ def _detect_trial(
         v_d = volts[:, 0] - volts[:, 1]
         rows.append(np.arange(first, first + len(v_d), dtype=np.int64))
         differences.append(v_d)
-        predictive.append(detector.predictive(v_d))
+        predictive.append(detector.detector.predictive(v_d))
     events += detector.finish()
     return DetectedTrial(
         id=point,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import deque
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -11,9 +10,9 @@ from numpy.typing import NDArray
 
 from rig.core.settings import Settings, fingerprint
 from rig.detector import kernel
-from rig.detector.contract import Detector
-from rig.detector.events import SlipEvent, unjudged_s
-from rig.detector.notices import CutOff, HeldForce, Notice, XMove
+from rig.detector.blocks import BlockFeed
+from rig.detector.events import unjudged_s
+from rig.detector.notices import Notice
 from rig.detector.registered import ChosenDetector
 from rig.evaluation.scoring.baselines import BaselineSettings, baseline_reports
 from rig.evaluation.scoring.outcomes import DetectorReport
@@ -24,8 +23,6 @@ Floats = NDArray[np.float64]
 FACTORS: tuple[float, ...] = tuple(2.0 ** (-half / 2) for half in range(-6, 7))
 """Factors on the threshold, descending: the points of a ROC. For a probability, the odds are
 multiplied by the square of the factor."""
-BLOCK_S = 0.002
-"""Length of the blocks in which a trial hands rows to a detector."""
 
 
 class Named(Protocol):
@@ -97,17 +94,13 @@ class DetectorContender:
             detector = self.detector.at_threshold(factor)
             key = fingerprint(detector.settings)  # a detector without a threshold is run once
             if key not in reports:
-                reports[key] = self._report(volts, detector.make(rate_Hz), rate_Hz, notices)
+                reports[key] = self._report(volts, BlockFeed(detector, rate_Hz, notices), rate_Hz)
             found.append(reports[key])
         return found
 
-    def _report(
-        self, volts: Floats, detector: Detector, rate_Hz: float, notices: tuple[Notice, ...]
-    ) -> DetectorReport:
-        # One of this project gives the same events however the rows are cut. Another package's may
-        # not, and would see what comes after a slip if it had the whole recording.
-        rows = len(volts) if self.detector.is_own else max(1, round(BLOCK_S * rate_Hz))
-        events = _events_of(detector, volts, rows, notices)
+    @staticmethod
+    def _report(volts: Floats, detector: BlockFeed, rate_Hz: float) -> DetectorReport:
+        events = [*detector.add(volts, first_sample=0), *detector.finish()]
         slips = [one.time_s for one in events if one.kind == "incipient slip"]
         armings = [one.time_s for one in events if one.kind == "predictive"]
         rolls = [one.time_s for one in events if one.kind == "roll"]
@@ -118,33 +111,6 @@ class DetectorContender:
             inverted=any(one.reason == kernel.REASONS[kernel.ONE_INVERTED] for one in events),
             unjudged_s=unjudged_s(events, len(volts) / rate_Hz),
         )
-
-
-def _events_of(
-    detector: Detector, volts: Floats, rows: int, notices: tuple[Notice, ...]
-) -> list[SlipEvent]:
-    """Return the events of a recording that is given in blocks of this many rows, each notice
-    before the block in which it takes effect, as in a trial."""
-    waiting = [
-        _due([one for one in notices if isinstance(one, kind)])
-        for kind in (XMove, HeldForce, CutOff)
-    ]
-    events: list[SlipEvent] = []
-    for first in range(0, max(1, len(volts)), max(1, rows)):
-        for queue in waiting:
-            while queue and queue[0][0] < first + rows:
-                detector.notice(queue.popleft()[1])
-        events += detector.add(volts[first : first + rows])
-    return [*events, *detector.finish()]
-
-
-def _due(notices: list[Notice]) -> deque[tuple[int, Notice]]:
-    """Return notices of one kind in their order, each with the row before which it is given: a
-    later one may take the place of one that has not taken effect."""
-    due = deque[tuple[int, Notice]]()
-    for one in reversed(notices):
-        due.appendleft((min(one.sample, due[0][0]) if due else one.sample, one))
-    return due
 
 
 @dataclass(frozen=True)
