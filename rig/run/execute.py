@@ -172,7 +172,10 @@ class _Execution:
             self.readings,
             InterlockStore(bench.plan, lasting=job.lock is not None),
         )
-        self.run.references = PressReferences(job.results, bench.plan, job.sample, job.accept)
+        begun = None if job.resume is None else job.resume.header.start_time
+        self.run.references = PressReferences(
+            job.results, bench.plan, job.sample, job.accept, begun
+        )
         self.run.inform = lambda message: self.observers.event("info", message)
         self.run.ending.warn_at_once = self.observers.warn_at_once
         self.phases = Phases()

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-import time
+from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -33,6 +33,7 @@ FILE = "press-references.json"
 """Name of the file in a folder of results; in the shared folder it begins with the bench's."""
 PRESSING = ("stage_z", "force_sensor")
 """Roles whose addresses name a bench."""
+TIME_FORMAT = "%Y-%m-%d %H:%M:%S"
 MOST_BYTES = 1 << 22
 """Largest size of the file: some ten thousand kinds of press."""
 
@@ -117,13 +118,22 @@ class _InSharedFolder:
 class PressReferences:
     """The references of one bench with what is mounted on it."""
 
-    def __init__(self, results: Path | None, plan: BenchPlan, sample: str, accept: str = ""):
+    def __init__(
+        self,
+        results: Path | None,
+        plan: BenchPlan,
+        sample: str,
+        accept: str = "",
+        begun: str | None = None,
+    ):
         """`results` is the folder of results, None where nothing is to be compared. `accept` is the
-        reason for which this run's presses become the references, if any."""
+        reason for which this run's presses become the references, if any. `begun`, in ISO 8601
+        with its zone, is when the run began that is resumed; None for a new one."""
         self._file = None if results is None else _file_of(plan, results)
         self._bench = _bench_key(plan, sample)
         self._bench_name = plan.settings.name
         self.accept = accept
+        self._begun = datetime.now() if begun is None else _local(begun)
         self._own: dict[str, PressReference] = {}
         """References that this run has set, by their keys; not written yet."""
 
@@ -138,7 +148,11 @@ class PressReferences:
         key = self._key(kind)
         if (own := self._own.get(key)) is not None:
             return own
-        return None if self.accept else self._read().references.get(key)
+        found = self._read().references.get(key)
+        if found is None or not self.accept:
+            return found
+        # One that is newer than the run has been set by the run itself, before it was interrupted.
+        return None if datetime.strptime(found.time, TIME_FORMAT) < self._begun else found
 
     def remember(
         self, kind: str, way_mm: float, stiffness_N_mm: float, zero_N: tuple[float, float, float]
@@ -146,7 +160,7 @@ class PressReferences:
         """Compare the further presses of this kind with this one; `keep` makes it the reference of
         later runs."""
         self._own[self._key(kind)] = PressReference(
-            time=time.strftime("%Y-%m-%d %H:%M:%S"),
+            time=datetime.now().strftime(TIME_FORMAT),
             way_mm=way_mm,
             stiffness_N_mm=stiffness_N_mm,
             zero_N=zero_N,
@@ -190,6 +204,11 @@ class PressReferences:
 
     def _key(self, kind: str) -> str:
         return hashlib.sha256(f"{self._bench}\n{kind}".encode()).hexdigest()[:16]
+
+
+def _local(time: str) -> datetime:
+    """Return a time in ISO 8601 with its zone as local time without one."""
+    return datetime.fromisoformat(time).astimezone().replace(tzinfo=None)
 
 
 def _file_of(plan: BenchPlan, results: Path) -> _InResults | _InSharedFolder:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import signal
 
 import h5py
 import pytest
@@ -285,3 +286,20 @@ def test_a_run_that_does_not_fit_is_accepted_with_a_reason_that_the_file_keeps(r
     assert "accepted: a stiffer clamp" in rig.run("show", str(file), "--no-figures").stdout
     again = run(rig, "sweep", reads_more)
     assert again.code == 0, again.stderr
+
+
+@pytest.mark.usefixtures("quick_ways")
+@pytest.mark.thorough
+def test_a_resumed_run_is_compared_with_the_presses_of_its_own_sample(rig):
+    world, options, _, _ = PROCEDURES["slip-trial"]
+    own = ("--sample", "A", "--world", rig.world(world), "--no-figures", "--json")
+    running = rig.start("slip-trial", *own, *options, "-n", "2")
+    running.wait_for(r"^1/2 trial-001")
+    running.send(signal.SIGINT)
+    stopped = running.finish()
+    assert stopped.object["points_done"] >= 1, stopped.stderr
+    resumed = rig.run("resume", stopped.object["journal"], "--no-figures")
+    assert resumed.code == 0, resumed.stderr
+    assert "nothing to compare it with" not in resumed.stderr
+    known = json.loads(rig.only("press-references.json").read_text())
+    assert len(known["references"]) == 1

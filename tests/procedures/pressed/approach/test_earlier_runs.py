@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+from datetime import datetime, timedelta
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -60,9 +62,10 @@ class Run:
         accept: str = "",
         port: str = "/dev/ttyUSB0",
         more: str = "",
+        begun: str | None = None,
     ):
         plan = parse_bench(BENCH.format(skin=skin, port=port) + more, "bench.toml")
-        self.references = PressReferences(folder, plan, "", accept)
+        self.references = PressReferences(folder, plan, "", accept, begun)
         self.bench = SimpleNamespace(stage_z=SimpleNamespace(stop=lambda: None))
         self.said: list[tuple[str, str]] = []
 
@@ -258,3 +261,19 @@ def test_a_file_that_cannot_be_read_is_reported_with_the_way_out(
     with pytest.raises(ConfigurationError, match="cannot be read") as caught:
         Run(tmp_path).press()
     assert "remove it" in str(caught.value.hint)
+
+
+def test_a_resumed_run_with_a_reason_is_compared_with_its_own_presses_only(tmp_path: Path) -> None:
+    Run(tmp_path).press()
+    begun = datetime.now().astimezone() + timedelta(seconds=10)
+    before = Run(tmp_path, accept="a stiffer clamp", begun=begun.isoformat())
+    before.press(stiffness_N_mm=4 * STIFFNESS_N_mm)
+    (file,) = (tmp_path / "shared").glob(f"*{FILE}")
+    known = json.loads(file.read_text())
+    (own,) = known["references"].values()
+    own["time"] = (begun + timedelta(seconds=20)).strftime("%Y-%m-%d %H:%M:%S")
+    file.write_text(json.dumps(known))
+    resumed = Run(tmp_path, accept="a stiffer clamp", begun=begun.isoformat())
+    resumed.press(stiffness_N_mm=4 * STIFFNESS_N_mm)
+    with pytest.raises(InstrumentError, match="had 568 N/mm"):
+        Run(tmp_path, accept="a stiffer clamp", begun=begun.isoformat()).press()
