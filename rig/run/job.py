@@ -21,6 +21,7 @@ from rig.core.settings import Settings, fingerprint, leaves, name_without_unit, 
 from rig.core.text import listed
 from rig.files.journal.reader import JournalContents
 from rig.files.journal.writer import JournalWriter, begin_journal, begin_journal_at
+from rig.run.changed_since import changes
 from rig.run.locks.lock import BenchLock
 from rig.run.making_safe.guard_report import GUARD_SUFFIX, report_path
 from rig.run.outcome import RunOutcome
@@ -146,21 +147,22 @@ class RunJob:
         header, begun = self._header(bench, points, time_of_day), self.resume.header
         had = [column.key for column in begun.layout.columns]
         has = [column.key for column in self.procedure.layout.columns]
-        for what, was, now in (
-            (
-                "columns",
-                ", ".join(key for key in had if key not in has) or "none",
-                ", ".join(key for key in has if key not in had) or "none",
-            ),
-            ("settings or bench", begun.fingerprint, header["fingerprint"]),
-            ("program version", begun.program.version, header["program"]["version"]),
-        ):
-            if was != now:
-                raise ConfigurationError(
-                    f"{self.resume.path}: {what} changed since the run began ({was} then, {now} "
-                    "now); its points would not belong together",
-                    "restore them, or start a new run",
-                )
+        changed = []
+        if had != has:
+            lost, new = ([key for key in a if key not in b] for a, b in ((had, has), (has, had)))
+            changed.append(f"columns ({_or_none(lost)} then, {_or_none(new)} now)")
+        if begun.fingerprint != header["fingerprint"]:
+            settings, toml = header["settings"], header["bench_toml"]
+            changed.append(changes(begun.settings, settings, begun.bench_toml, toml))
+        if begun.program.version != header["program"]["version"]:
+            version = header["program"]["version"]
+            changed.append(f"program version ({begun.program.version} then, {version} now)")
+        if changed:
+            raise ConfigurationError(
+                f"{self.resume.path}: changed since the run began: {'; '.join(changed)}: its "
+                "points would not belong together",
+                "restore what has changed, or start a new run",
+            )
         return Journal(
             JournalWriter.reopen(self.resume.path),
             len(self.resume.ends) + 1,
@@ -279,3 +281,7 @@ def _latest(interrupted: JournalContents) -> datetime | None:
     if start is None:
         return None
     return datetime.fromisoformat(start) + timedelta(seconds=interrupted.last_time)
+
+
+def _or_none(names: Sequence[str]) -> str:
+    return ", ".join(names) or "none"

@@ -311,7 +311,7 @@ def test_a_run_whose_procedure_has_changed_or_is_gone_is_not_resumed(relaxation:
     )
     changed = relaxation.run("resume", str(journal))
     assert changed.code == 2
-    assert "columns changed since the run began (moved_um then, travel_um now)" in changed.stderr
+    assert "changed since the run began: columns (moved_um then, travel_um now)" in changed.stderr
 
     module.write_text(MODULE.replace("hold_s", "stay_s"))
     changed = relaxation.run("resume", str(journal))
