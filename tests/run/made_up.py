@@ -100,6 +100,9 @@ class Guard:
     def trouble(self) -> None:
         pass
 
+    def hangs(self, what: str) -> None:
+        pass
+
     def safe(self) -> None:
         self._log.append("guard: safe")
 
