@@ -589,3 +589,4 @@ def test_two_axes_that_name_one_drive_are_refused(
         f"bench.toml: [stage_z] and [stage_x] name the same instrument ({same}): what is meant "
         "for stage_x would act on stage_z; give each its own address"
     )
+    assert len(parse_bench(f"{text}\n[simulation]\nseed = 1\n", "a record").instruments) == 2
