@@ -56,7 +56,7 @@ def number_in(text: str, unit: str, option: str, *, above: float = -math.inf) ->
     except ValueError as error:
         raise ConfigurationError(f"{option} {text}: {error}", f"write it in {unit}") from error
     if not math.isfinite(number):
-        raise ConfigurationError(f"{option} {text}: has to be a finite number", f"of {unit}")
+        raise ConfigurationError(f"{option} {text}: has to be a finite number of {unit}")
     if not number > above:
         raise ConfigurationError(f"{option} {text}: has to be above {above:g} {unit}")
     return number
