@@ -172,7 +172,7 @@ class SlipTrialRun(PressedTrial):
                 x.start_move(to_mm, speeds.nearest(max(abs(speed_mm_s), SLOWEST_mm_s)))
             # The weight's way begins where the force last followed the ramp, whether or not there
             # was an alarm: a late alarm must not excuse what has slid before it, and the shear of
-            # a contact that still sticks after an early one is no part of the way. A fast ramp
+            # a contact that still sticks after an early one does not belong to the way. A fast ramp
             # passes as followed although much of the weight is missing: all travel from its end on
             # is part of it.
             if ramp.follows and ramp.wanted_N(since_s) < load_N:
