@@ -47,6 +47,7 @@ from rig.run.locks.bench_mark import BenchMarks
 from rig.run.making_safe.guard_link import GuardLink
 from rig.run.observers import Observers, RunObserver
 from rig.run.outcome import RunOutcome
+from rig.run.parts import RunParts
 from rig.run.passing import KeptBackError
 from rig.run.phases import Phases, RunPhase
 from rig.run.point_loop import PointLoop
@@ -179,42 +180,24 @@ class _Execution:
         self.run.inform = lambda message: self.observers.event("info", message)
         self.run.ending.warn_at_once = self.observers.warn_at_once
         self.phases = Phases()
-        self.loop = PointLoop(
+        parts = RunParts(
             job,
             procedure,
             self.run,
+            journal,
             self.recorder,
             self.readings,
             self.phases,
-            self._switch_off,
             stop,
             self.observers,
             outcome,
         )
+        self.loop = PointLoop(parts, self._switch_off)
+        self.checks = WaitChecks(parts, self.guard, self._leave_to_guard)
+        self.saving = RunSaving(parts, self.loop.readings)
         self._on_one_link = [
             {part.role for part in parts} for parts in by_link(bench.plan.instruments)
         ]
-        self.checks = WaitChecks(
-            self.run,
-            self.phases,
-            self.guard,
-            self.recorder,
-            journal,
-            stop,
-            self.observers,
-            self._leave_to_guard,
-        )
-        self.saving = RunSaving(
-            job,
-            procedure,
-            self.run,
-            self.recorder,
-            journal,
-            self.loop,
-            self.readings,
-            self.observers,
-            outcome,
-        )
         self._leaving = False
         """True once the bench is left to the guard: the procedure cannot be ended."""
         self._begun_s = bench.clock.now()

@@ -21,20 +21,15 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import TYPE_CHECKING
 
 from rig.core.errors import ExitCode, LimitError, RigError, UnsafeError
-from rig.files.journal.recorder import Recorder
 from rig.run.arming import ShutdownFailure
-from rig.run.checked_procedure import CheckedProcedure
-from rig.run.context import Run
 from rig.run.holds import PAUSE, HoldError
-from rig.run.observers import HOLD, PAUSED, RUNNING, Observers
-from rig.run.outcome import RunOutcome
-from rig.run.phases import Phases, RunPhase
+from rig.run.observers import HOLD, PAUSED, RUNNING
+from rig.run.phases import RunPhase
 from rig.run.points import Point, Reading, RetakeError, check_points, remedy
 from rig.run.trip import TripError
 
 if TYPE_CHECKING:
-    from rig.run.job import RunJob
-    from rig.run.stopping import StopFlag
+    from rig.run.parts import RunParts
 
 HOLD_POLL_S = 0.1
 """Interval in s at which a run on hold checks whether it may continue."""
@@ -54,24 +49,13 @@ class PointLoop:
     """Measures the points of a run, one after the other, including those that the procedure
     adds."""
 
-    def __init__(
-        self,
-        job: RunJob,
-        procedure: CheckedProcedure,
-        run: Run,
-        recorder: Recorder,
-        readings: dict[str, Reading],
-        phases: Phases,
-        switch_off: SwitchOff,
-        stop: StopFlag,
-        observers: Observers,
-        outcome: RunOutcome,
-    ):
-        self._job, self._procedure, self._run, self._recorder = job, procedure, run, recorder
-        self._readings = readings
-        """Readings of the points in the journal, by id; recorded points are added."""
-        self._phases, self._switch_off, self._stop = phases, switch_off, stop
-        self._observers, self._outcome = observers, outcome
+    def __init__(self, parts: RunParts, switch_off: SwitchOff):
+        """Add recorded points to the run's readings; `switch_off` makes the bench safe."""
+        self._settings, self._run_number = parts.job.settings, parts.job.run_number
+        self._procedure, self._run, self._recorder = parts.procedure, parts.run, parts.recorder
+        self._readings, self._outcome = parts.readings, parts.outcome
+        self._phases, self._stop, self._observers = parts.phases, parts.stop, parts.observers
+        self._switch_off = switch_off
         self._points: tuple[Point, ...] = ()
         self._ahead: dict[str, float] = {}
         """Expected time of the point under way and of those behind it, for who follows the run."""
@@ -91,7 +75,7 @@ class PointLoop:
         self._record_plan()
         further = self._procedure.refine(self.readings())
         if further:
-            check_points(further, self._run.bench, [p.id for p in self._points], self._job.settings)
+            check_points(further, self._run.bench, [p.id for p in self._points], self._settings)
             self._points += further
             self._outcome.points_planned = len(self._points)
             self._run.event("info", "refined", f"{len(further)} further points where it matters")
@@ -198,7 +182,7 @@ class PointLoop:
 
     def _take(self, point: Point, discard_invalid: bool) -> Reading:
         """Make one attempt at a point, from its first record in the journal to its last."""
-        self._run.clock.announce(self._job.run_number, zlib.crc32(point.id.encode()))
+        self._run.clock.announce(self._run_number, zlib.crc32(point.id.encode()))
         self._recorder.put_point_begin(point.id, {"time": self._run.elapsed_s(), **self._ahead})
         try:
             with self._run.first_cause(), self._naming(point):

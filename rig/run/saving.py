@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import logging
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING
 
 from rig.core.errors import RigError
@@ -15,17 +15,12 @@ from rig.core.text import in_shell
 from rig.files.errors import DiskLateError, RecordingError
 from rig.files.journal.reader import read_journal
 from rig.files.runfile.compile import compile_run
-from rig.run.checked_procedure import CheckedProcedure, internal
+from rig.run.checked_procedure import internal
 from rig.run.in_brief import single_values
 from rig.run.results import results_of
 
 if TYPE_CHECKING:
-    from rig.files.journal.recorder import Recorder
-    from rig.run.context import Run
-    from rig.run.job import Journal, RunJob
-    from rig.run.observers import Observers
-    from rig.run.outcome import RunOutcome
-    from rig.run.point_loop import PointLoop
+    from rig.run.parts import RunParts
     from rig.run.points import Reading
 
 log = logging.getLogger("rig")
@@ -34,23 +29,13 @@ log = logging.getLogger("rig")
 class RunSaving:
     """Saves the data of one run."""
 
-    def __init__(
-        self,
-        job: RunJob,
-        procedure: CheckedProcedure,
-        run: Run,
-        recorder: Recorder,
-        journal: Journal,
-        loop: PointLoop,
-        readings: dict[str, Reading],
-        observers: Observers,
-        outcome: RunOutcome,
-    ):
-        """Save what `readings` has, by id of the point. Readings that the disk did not take are
-        removed from it."""
-        self._job, self._procedure, self._run = job, procedure, run
-        self._recorder, self._journal, self._loop = recorder, journal, loop
-        self._readings, self._observers, self._outcome = readings, observers, outcome
+    def __init__(self, parts: RunParts, planned_readings: Callable[[], list[Reading]]):
+        """Save the run's readings, and remove those from it that the disk did not take.
+        `planned_readings` returns those of planned points, in the order of the plan."""
+        self._job, self._procedure, self._run = parts.job, parts.procedure, parts.run
+        self._recorder, self._journal = parts.recorder, parts.journal
+        self._readings, self._observers = parts.readings, parts.observers
+        self._outcome, self._planned_readings = parts.outcome, planned_readings
 
     def save(self) -> None:
         """Put the end on the disk, add the results, close the journal and compile it; every step is
@@ -111,7 +96,7 @@ class RunSaving:
             return
         try:
             # A run that was resumed and ended before its plan has those recorded earlier.
-            readings = self._loop.readings() or list(self._readings.values())
+            readings = self._planned_readings() or list(self._readings.values())
             found = results_of(self._job.procedure, readings, self._run.bench.simulated)
             self._outcome.summary = found.values
             self._recorder.put_results(found)

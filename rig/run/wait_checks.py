@@ -9,16 +9,12 @@ from typing import TYPE_CHECKING
 
 from rig.core.errors import RigError
 from rig.run.arming import BEAT_EVERY_S
-from rig.run.phases import Phases, RunPhase
+from rig.run.phases import RunPhase
 from rig.run.time_of_day import jump_in_words, sleep_in_words
 
 if TYPE_CHECKING:
-    from rig.files.journal.recorder import Recorder
-    from rig.run.context import Run
-    from rig.run.job import Journal
     from rig.run.making_safe.guard_link import GuardLink
-    from rig.run.observers import Observers
-    from rig.run.stopping import StopFlag
+    from rig.run.parts import RunParts
 
 SLOW_DISK_S = 10.0
 """Time in s without an acknowledgement by the disk after which that is reported."""
@@ -27,22 +23,12 @@ SLOW_DISK_S = 10.0
 class WaitChecks:
     """The checks of one run; each call of `each_slice` is a sign of life for the guard."""
 
-    def __init__(
-        self,
-        run: Run,
-        phases: Phases,
-        guard: GuardLink,
-        recorder: Recorder,
-        journal: Journal,
-        stop: StopFlag,
-        observers: Observers,
-        given_up: Callable[[RigError], None],
-    ):
+    def __init__(self, parts: RunParts, guard: GuardLink, given_up: Callable[[RigError], None]):
         """`given_up` is called where the procedure has kept back whatever was to end the run, with
         the first of it."""
-        self._run, self._phases, self._guard = run, phases, guard
-        self._recorder, self._journal = recorder, journal
-        self._stop, self._observers, self._given_up = stop, observers, given_up
+        self._run, self._phases, self._stop = parts.run, parts.phases, parts.stop
+        self._recorder, self._journal = parts.recorder, parts.journal
+        self._observers, self._guard, self._given_up = parts.observers, guard, given_up
         self._last_beat = 0.0
         self._guard_missed = False
         """True if it has been reported that the guard has died or does not react."""
