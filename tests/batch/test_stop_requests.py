@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import json
 import os
 import signal
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -18,11 +19,16 @@ from tiers import mostly_thorough
 
 from rig.batch import running
 from rig.batch.execute import worker_link
-from rig.batch.execute.supervisor import Supervisor
+from rig.batch.execute.supervisor import (
+    Supervisor,
+    TerminalStop,
+    _Supervision,
+    requests_in,
+)
 from rig.batch.execute.worker import Worker
-from rig.batch.execute.worker_reports import WorkerReports
 from rig.batch.folder import BatchFolder
 from rig.batch.plan.conditions import BatchPlan
+from rig.batch.plan.settings import BatchFile
 from rig.batch.queue import Queue
 from rig.batch.queue_file import QueueWriteError
 from rig.batch.queue_records import WAITS_FOR_A_PERSON
@@ -35,24 +41,33 @@ from rig.run.stopping import StopFlag
 def batch_in(path: Path) -> BatchFolder:
     """The folder of a batch without runs."""
     folder = BatchFolder(path)
-    Queue.create(folder.queue, BatchPlan({}, ()), {}, {"name": "night"}).close()
+    experiment = {"procedure": "sweep"}
+    file = BatchFile.model_validate({"batch": {"name": "night"}, "experiment": [experiment]})
+    terms = {"name": "night", "file": file.model_dump_json(), "simulated": "yes"}
+    Queue.create(folder.queue, BatchPlan({}, ()), {}, terms).close()
     return folder
 
 
 def supervisor(tmp_path: Path, request: str) -> Supervisor:
     """A supervisor of a batch for which a terminal has left this request."""
-    folder = BatchFolder(tmp_path)
-    with Queue.create(folder.queue, BatchPlan({}, ()), {}, {"name": "night"}) as queue:
+    folder = batch_in(tmp_path)
+    with Queue.open(folder.queue) as queue:
         queue.add_request(request)
     return Supervisor(folder, StopFlag(), lambda _: None)
 
 
-def reports(tmp_path: Path, queue: Queue) -> WorkerReports:
-    """What workers report to that supervisor, for people who see none of it."""
-    people: Any = SimpleNamespace(say=lambda _: None, notify=lambda *_: None)
-    return WorkerReports(
-        BatchFolder(tmp_path), queue, lambda write, *values: write(*values), people, people
-    )
+@contextlib.contextmanager
+def supervision(
+    tmp_path: Path, request: str = "", stop: StopFlag | None = None
+) -> Iterator[_Supervision]:
+    """What the supervisor's thread has open, for a batch with this request of a terminal."""
+    folder = batch_in(tmp_path)
+    terminal = TerminalStop(stop or StopFlag())
+    with Queue.open(folder.queue) as queue, folder.log.open("ab", buffering=0) as log:
+        if request:
+            queue.add_request(request)
+        with folder.held_by("postprocess", 0.0) as lock:
+            yield _Supervision(folder, queue, log, lock, terminal, lambda _: None)
 
 
 def test_a_request_that_an_earlier_supervisor_has_not_seen_is_not_meant_for_the_next(
@@ -61,11 +76,11 @@ def test_a_request_that_an_earlier_supervisor_has_not_seen_is_not_meant_for_the_
     resumed = supervisor(tmp_path, "stop-now")
     seen: list[Any] = []
 
-    def supervise(self: Supervisor) -> ExitCode:
-        seen.extend(self._requests())
+    def to_the_end(self: _Supervision) -> ExitCode:
+        seen.extend(requests_in(self._queue))
         return ExitCode.DONE
 
-    monkeypatch.setattr(Supervisor, "_supervise", supervise)
+    monkeypatch.setattr(_Supervision, "to_the_end", to_the_end)
     assert (resumed.run(), seen) == (ExitCode.DONE, [])
 
 
@@ -335,7 +350,6 @@ def test_a_resume_of_a_batch_that_runs_says_what_it_has_changed(
 def test_a_stop_is_heard_while_the_last_files_are_made(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    finishing = supervisor(tmp_path, "stop-after-point")
     given_up: list[float] = []
 
     class NeverReady:
@@ -348,12 +362,9 @@ def test_a_stop_is_heard_while_the_last_files_are_made(
     def one_more_round(**_: object) -> None:
         raise AssertionError("the request was not heard")
 
-    monkeypatch.setattr(finishing, "_make_files", one_more_round)
-    finishing._files = NeverReady()  # type: ignore[assignment]
-    finishing._heartbeat = SimpleNamespace(write=lambda _: None)  # type: ignore[assignment]
-    finishing._simulated = True
-    with Queue.open(BatchFolder(tmp_path).queue) as finishing._queue:
-        finishing._reports = reports(tmp_path, finishing._queue)
+    with supervision(tmp_path, "stop-after-point") as finishing:
+        monkeypatch.setattr(finishing, "_make_files", one_more_round)
+        finishing._files = NeverReady()  # type: ignore[assignment]
         finishing._finish_files()
     assert len(given_up) == 1
 
@@ -361,8 +372,6 @@ def test_a_stop_is_heard_while_the_last_files_are_made(
 def test_a_worker_that_dies_after_a_request_to_stop_gets_no_successor(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    stopping = supervisor(tmp_path, "stop-now")
-    monkeypatch.setattr(stopping, "_record", lambda *_: None)
     workers: list[int] = []
 
     def one_worker() -> int:
@@ -370,9 +379,8 @@ def test_a_worker_that_dies_after_a_request_to_stop_gets_no_successor(
         stopping._asked_to_end |= len(workers) == 1
         return -signal.SIGKILL
 
-    monkeypatch.setattr(stopping, "_one_worker", one_worker)
-    with Queue.open(BatchFolder(tmp_path).queue) as stopping._queue:
-        stopping._reports = reports(tmp_path, stopping._queue)
+    with supervision(tmp_path) as stopping:
+        monkeypatch.setattr(stopping, "_one_worker", one_worker)
         assert stopping._workers() == ExitCode.INTERNAL
     assert len(workers) == 1
 
@@ -399,9 +407,8 @@ def test_a_batch_that_waits_for_a_person_waits_also_when_its_worker_has_died(
     holds: list[dict[str, str]],
     paused: str,
 ) -> None:
-    waiting = supervisor(tmp_path, "go")
     requested = iter([requests, []])
-    monkeypatch.setattr(waiting, "_requests", lambda: next(requested, []))
+    monkeypatch.setattr(Queue, "take_requests", lambda _: next(requested, []))
     begun: list[str] = []
     lines = [json.dumps({"event": "hold", "bench": "", **hold}).encode() for hold in holds]
 
@@ -424,11 +431,8 @@ def test_a_batch_that_waits_for_a_person_waits_also_when_its_worker_has_died(
 
         def send(self, command: str) -> None: ...
 
-    waiting._log = None  # type: ignore[assignment]
     monkeypatch.setattr("rig.batch.execute.supervisor.WorkerProcess", Worker)
-    monkeypatch.setattr(waiting, "_poll", lambda: None)
-    with Queue.open(BatchFolder(tmp_path).queue) as waiting._queue:
-        waiting._reports = reports(tmp_path, waiting._queue)
+    with supervision(tmp_path) as waiting:
         assert waiting._workers() == ExitCode.INTERNAL, "none of these workers has begun a run"
         assert waiting._queue.meta(WAITS_FOR_A_PERSON) == paused, "for the next supervisor"
     assert begun[0] == ""
@@ -444,11 +448,11 @@ def test_a_batch_that_waits_for_a_person_waits_also_when_a_service_restarts_it(
         queue.set_meta(WAITS_FOR_A_PERSON, "a person has paused it")
     begun: list[str] = []
 
-    def supervise(self: Supervisor) -> ExitCode:
-        begun.append(reports(tmp_path, self._queue).waits_because)
+    def to_the_end(self: _Supervision) -> ExitCode:
+        begun.append(self._reports.waits_because)
         return ExitCode.DONE
 
-    monkeypatch.setattr(Supervisor, "_supervise", supervise)
+    monkeypatch.setattr(_Supervision, "to_the_end", to_the_end)
     monkeypatch.setattr(batch, "start_log", lambda _: None)
     monkeypatch.setattr("rig.batch.execute.batch_clock.renew_window", lambda _: None)
     with pytest.raises(typer.Exit):
@@ -472,8 +476,6 @@ def test_a_service_does_not_resume_a_batch_that_a_person_has_paused_in_a_termina
 def test_a_stop_by_a_key_is_recorded_under_the_name_of_the_key(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    stopping = supervisor(tmp_path, "go")
-    monkeypatch.setattr(stopping, "_requests", list)
     requested: list[str] = []
     sent: list[str] = []
 
@@ -496,14 +498,11 @@ def test_a_stop_by_a_key_is_recorded_under_the_name_of_the_key(
 
         pid, beat = 0, staticmethod(lambda: None)
 
-    stopping._stop.requested = signal.SIGINT
-    stopping._log = None  # type: ignore[assignment]
+    stop = StopFlag()
+    stop.requested = signal.SIGINT
     monkeypatch.setattr("rig.batch.execute.supervisor.WorkerProcess", Worker)
-    monkeypatch.setattr(stopping, "_record", lambda *_: None)
-    monkeypatch.setattr(stopping, "_poll", lambda: None)
-    monkeypatch.setattr(stopping, "_record_request", requested.append)
-    with Queue.open(BatchFolder(tmp_path).queue) as stopping._queue:
-        stopping._reports = reports(tmp_path, stopping._queue)
+    with supervision(tmp_path, stop=stop) as stopping:
+        monkeypatch.setattr(stopping, "_record_request", requested.append)
         stopping._one_worker()
     assert requested == ["stop by Ctrl-C"]
     assert sent == ["signal 2"]
@@ -541,14 +540,12 @@ def test_a_stop_reaches_the_worker_while_the_disk_keeps_the_supervisor_waiting(
             os.kill(os.getpid(), signal.SIGINT)
             assert passed_on.wait(30), "the worker was not asked to stop"
 
-    def supervise(self: Supervisor) -> ExitCode:
-        self._log = None  # type: ignore[assignment]
-        self._reports = reports(tmp_path, self._queue)
+    def to_the_end(self: _Supervision) -> ExitCode:
         return ExitCode(self._one_worker())
 
     monkeypatch.setattr("rig.batch.execute.supervisor.WorkerProcess", Worker)
-    monkeypatch.setattr(Supervisor, "_supervise", supervise)
-    monkeypatch.setattr(stopping, "_poll", write_to_a_stalled_disk)
+    monkeypatch.setattr(_Supervision, "to_the_end", to_the_end)
+    monkeypatch.setattr(_Supervision, "_poll", lambda _: write_to_a_stalled_disk())
     with stopping._stop:
         assert stopping.run() == ExitCode.SIGINT
     assert sent == ["signal 2"]

@@ -17,11 +17,12 @@ from __future__ import annotations
 
 import contextlib
 import os
+import signal
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future
-from typing import Any
+from typing import IO, Any
 
 from rig.batch.execute.disk_room import DeferredWrites
 from rig.batch.execute.run_files import RunFiles
@@ -72,14 +73,7 @@ class Supervisor:
 
     def __init__(self, folder: BatchFolder, stop: StopFlag, say: Callable[[str], None]):
         self._folder, self._stop, self._say = folder, stop, say
-        self._writes = DeferredWrites()
-        self._passing_on = threading.Lock()
-        self._worker: WorkerProcess | None = None
-        """The worker that runs, if there is one."""
-        self._stopping: WorkerProcess | None = None
-        """The worker to which a stop request of the terminal was passed on."""
-        self._asked_to_end = False
-        """True if another terminal has asked for the end of the batch."""
+        self._terminal = TerminalStop(stop)
         self.bench = ""
         """How the latest run left its bench, as a sentence, once `run` has returned; empty where
         that is not known."""
@@ -92,7 +86,7 @@ class Supervisor:
 
         def run() -> None:
             try:
-                ended.set_result(self._run())
+                ended.set_result(self._supervise())
             except BaseException as error:  # noqa: BLE001 - it is raised in the main thread
                 ended.set_exception(error)
 
@@ -100,49 +94,112 @@ class Supervisor:
         start_thread(thread)
         while thread.is_alive():
             thread.join(POLL_EVERY_S)
-            self._pass_stop_on()
+            self._terminal.pass_on()
         return ended.result()
 
-    def _run(self) -> ExitCode:
-        with (
-            self._folder.held_by("supervisor", 0.0),
-            Queue.open(self._folder.queue) as self._queue,
-        ):
-            self._requests()  # left by an earlier supervisor: they were not meant for this one
-            return self._supervise()
-
     def _supervise(self) -> ExitCode:
-        with (
-            self._folder.held_by("postprocess", FILE_PATIENCE_S) as lock,
-            self._folder.log.open("ab", buffering=0) as self._log,
-        ):
-            batch = BatchFile.model_validate_json(self._queue.meta("file")).batch
-            self._simulated = self._queue.meta("simulated") == "yes"
-            self._heartbeat = Heartbeat(self._folder.heartbeat)
-            self._people = People(self._folder, batch, self._queue, self._say, self._simulated)
-            self._files = RunFiles(
-                self._folder, batch, self._queue, self._record, self._say, self._log, lock
-            )
-            self._reports = WorkerReports(
-                self._folder, self._queue, self._record, self._people, self._files
-            )
-            self._files.add_all(self._queue.unprocessed())
-            self._record(self._queue.set_meta, "state", "running")
-            self._record(self._queue.add_event, "info", f"started (process {os.getpid()})")
-            self._people.notify("start", f"{counted(self._queue.remaining().runs, 'run')} to do")
-            self._reports.say_that_it_waits()
-            code = self._workers()
-            self.bench = self._reports.bench
-            with contextlib.suppress(QueueDamagedError):
-                self._finish_files()
-            self._write_heartbeat("ended")
-            self._people.notify("end", self._reports.progress.text)
-            self._people.close()
-            self._writes.flush()
-            if self._writes.why:
-                self._say(f"warning: {self._writes.why}; how the batch ended is not in it")
-            self._queue.close_log()
-            return code
+        folder = self._folder
+        with folder.held_by("supervisor", 0.0), Queue.open(folder.queue) as queue:
+            # Left by an earlier supervisor, for whom they were meant.
+            requests_in(queue)
+            with (
+                folder.held_by("postprocess", FILE_PATIENCE_S) as lock,
+                folder.log.open("ab", buffering=0) as log,
+            ):
+                work = _Supervision(folder, queue, log, lock, self._terminal, self._say)
+                try:
+                    return work.to_the_end()
+                finally:
+                    self.bench = work.bench
+
+
+class TerminalStop:
+    """Passes a stop request of the supervisor's own terminal on to the worker that runs, once. From
+    any thread."""
+
+    def __init__(self, stop: StopFlag):
+        self._stop = stop
+        self._passing_on = threading.Lock()
+        self._worker: WorkerProcess | None = None
+        """The worker that runs, if there is one."""
+        self._stopping: WorkerProcess | None = None
+        """The worker to which the request was passed on."""
+
+    @property
+    def requested(self) -> signal.Signals | None:
+        """Signal by which a person has asked for the end of the batch, if one has."""
+        return self._stop.requested
+
+    def passed_on_to(self, worker: WorkerProcess) -> signal.Signals | None:
+        """Return the signal that was passed on to this worker, or None."""
+        return self._stop.requested if self._stopping is worker else None
+
+    @contextlib.contextmanager
+    def passed_to(self, worker: WorkerProcess) -> Iterator[None]:
+        """Have the request passed on to this worker during the block."""
+        self._worker = worker
+        try:
+            yield
+        finally:
+            with self._passing_on:  # its pipe is closed next
+                self._worker = None
+
+    def pass_on(self) -> None:
+        """Pass a request on, if there is one that the worker did not get."""
+        with self._passing_on:
+            worker, number = self._worker, self._stop.requested
+            if worker is not None and number is not None and worker is not self._stopping:
+                self._stopping = worker
+                worker.send(f"signal {number.value}")
+
+
+class _Supervision:
+    """What the supervisor's thread does, with the queue and the log of the batch open."""
+
+    def __init__(
+        self,
+        folder: BatchFolder,
+        queue: Queue,
+        log: IO[bytes],
+        lock: int,
+        terminal: TerminalStop,
+        say: Callable[[str], None],
+    ):
+        self._folder, self._queue, self._log = folder, queue, log
+        self._terminal, self._say = terminal, say
+        batch = BatchFile.model_validate_json(queue.meta("file")).batch
+        self._simulated = queue.meta("simulated") == "yes"
+        self._writes = DeferredWrites()
+        self._heartbeat = Heartbeat(folder.heartbeat)
+        self._people = People(folder, batch, queue, say, self._simulated)
+        self._files = RunFiles(folder, batch, queue, self._record, say, log, lock)
+        self._reports = WorkerReports(folder, queue, self._record, self._people, self._files)
+        self._asked_to_end = False
+        """True if another terminal has asked for the end of the batch."""
+
+    @property
+    def bench(self) -> str:
+        """How the latest run left its bench, as a sentence."""
+        return self._reports.bench
+
+    def to_the_end(self) -> ExitCode:
+        """Take all runs, make their files, and return the exit code of the batch."""
+        self._files.add_all(self._queue.unprocessed())
+        self._record(self._queue.set_meta, "state", "running")
+        self._record(self._queue.add_event, "info", f"started (process {os.getpid()})")
+        self._people.notify("start", f"{counted(self._queue.remaining().runs, 'run')} to do")
+        self._reports.say_that_it_waits()
+        code = self._workers()
+        with contextlib.suppress(QueueDamagedError):
+            self._finish_files()
+        self._write_heartbeat("ended")
+        self._people.notify("end", self._reports.progress.text)
+        self._people.close()
+        self._writes.flush()
+        if self._writes.why:
+            self._say(f"warning: {self._writes.why}; how the batch ended is not in it")
+        self._queue.close_log()
+        return code
 
     def _record(self, write: Callable[..., object], *values: object) -> None:
         """Write to the queue, later where the disk is full."""
@@ -167,7 +224,7 @@ class Supervisor:
             text = f"the worker died ({how}); see {self._folder.log}"
             self._record(self._queue.add_event, "error", text)
             self._say(f"warning: {text}")
-            if self._stop.requested is not None or self._asked_to_end:
+            if self._terminal.requested is not None or self._asked_to_end:
                 self._set_end("stopped: the worker died while it was stopping")
                 return ExitCode.INTERNAL
             if crashes >= CRASHES:
@@ -190,31 +247,25 @@ class Supervisor:
         stop_recorded = False
         with (
             WorkerProcess(self._folder.path, self._log, self._reports.waits_because) as worker,
-            self._stopped_with_the_batch(worker),
+            self._terminal.passed_to(worker),
         ):
             self._record(self._queue.set_meta, "worker", str(worker.pid))
             while (lines := worker.lines(POLL_EVERY_S)) is not None:
                 for line in lines:
                     self._handle(line)
-                if self._stop.requested is not None and not stop_recorded:
+                if (number := self._terminal.requested) is not None and not stop_recorded:
                     stop_recorded = True
-                    self._pass_stop_on()
-                    self._record_request(f"stop by {WORDS[self._stop.requested]}")
-                for command in self._requests():
+                    self._terminal.pass_on()
+                    self._record_request(f"stop by {WORDS[number]}")
+                for command in requests_in(self._queue):
                     self._pass_request_on(worker, command)
                 self._poll()
                 worker.beat()
                 self._kill_if_silent(worker)
             # The worker may have ended by it while the disk kept this thread waiting.
-            if self._stopping is worker and not stop_recorded and self._stop.requested is not None:
-                self._record_request(f"stop by {WORDS[self._stop.requested]}")
+            if not stop_recorded and (number := self._terminal.passed_on_to(worker)) is not None:
+                self._record_request(f"stop by {WORDS[number]}")
         return worker.exit_code
-
-    def _requests(self) -> list[str]:
-        try:
-            return self._queue.take_requests()
-        except (QueueWriteError, QueueDamagedError):  # on a full disk they stay
-            return []
 
     def _pass_request_on(self, worker: WorkerProcess, command: str) -> None:
         """Pass a request of another terminal on to the worker, and record it."""
@@ -237,24 +288,6 @@ class Supervisor:
 
     def _record_request(self, request: str) -> None:
         self._record(self._queue.add_event, "info", f"{request} requested")
-
-    @contextlib.contextmanager
-    def _stopped_with_the_batch(self, worker: WorkerProcess) -> Iterator[None]:
-        """Have stop requests of the terminal passed on to this worker during the block."""
-        self._worker = worker
-        try:
-            yield
-        finally:
-            with self._passing_on:  # its pipe is closed next
-                self._worker = None
-
-    def _pass_stop_on(self) -> None:
-        """Pass a stop request of the terminal on to the worker, once. From any thread."""
-        with self._passing_on:
-            worker, number = self._worker, self._stop.requested
-            if worker is not None and number is not None and worker is not self._stopping:
-                self._stopping = worker
-                worker.send(f"signal {number.value}")
 
     def _handle(self, line: bytes) -> None:
         """Take over one line from the worker; one that is not a report goes to the log."""
@@ -290,7 +323,7 @@ class Supervisor:
     # --- files of finished runs -------------------------------------------------------------------
 
     def _make_files(self, *, start: bool) -> None:
-        wanted = start and self._stop.requested is None and not self._writes.why
+        wanted = start and self._terminal.requested is None and not self._writes.why
         self._files.poll(start=wanted)
 
     def _finish_files(self) -> None:
@@ -298,10 +331,10 @@ class Supervisor:
         way; `rig batch resume` makes them."""
         if self._reports.files_were_left:
             self._files.add_all(self._queue.unprocessed())
-        if self._stop.requested is None and len(self._files):
+        if self._terminal.requested is None and len(self._files):
             self._say(f"finishing: making the files of {counted(len(self._files), 'run')} ...")
-        while len(self._files) and self._stop.requested is None:
-            if any(_ends_the_batch(command) for command in self._requests()):
+        while len(self._files) and self._terminal.requested is None:
+            if any(_ends_the_batch(command) for command in requests_in(self._queue)):
                 break
             self._write_heartbeat("finishing")
             self._make_files(start=True)
@@ -315,6 +348,14 @@ class Supervisor:
         if compiled := len(unprocessed) - missing:
             runs = counted(compiled, "run")
             self._say(f"figures and results still to be made: {runs}; make them with: {again}")
+
+
+def requests_in(queue: Queue) -> list[str]:
+    """Take the requests of other terminals from the queue; on a full disk they stay there."""
+    try:
+        return queue.take_requests()
+    except (QueueWriteError, QueueDamagedError):
+        return []
 
 
 def _ends_the_batch(command: str) -> bool:
