@@ -13,7 +13,8 @@ import pytest
 from packages import install, on_path
 
 from procedures.pressed import PressedProcedure, PressedSettings
-from procedures.pressed.hold import LOST_STEPS, ForceHold
+from procedures.pressed.hold import ForceHold
+from procedures.pressed.hold_watch import LOST_STEPS
 from procedures.pressed.record.motion import plain
 from procedures.pressed.record.trial_record import TrialRecord
 from procedures.pressed.summary import summary_of
