@@ -142,7 +142,7 @@ class ForceAmplifier(ForceStream):
         self._link.discard()
         self._link.expect(self._layout)
         self._broken = None
-        self._next = 0
+        self._begins()
         self._link.request(START_TRANSMISSION)
         self._begun(nearest_S_s)
         return nearest_S_s

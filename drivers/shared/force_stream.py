@@ -1,7 +1,7 @@
 """What every driver of a force sensor keeps of its stream: frames counted from 0, matrix and zero.
 
-No I/O and no protocol. A driver derives its instrument from `ForceStream` and calls its three
-methods that begin with an underscore where its stream begins, ends and yields readings.
+No I/O and no protocol. A driver derives its instrument from `ForceStream` and calls its four
+methods that begin with an underscore where its stream begins, runs, ends and yields readings.
 """
 
 from __future__ import annotations
@@ -53,8 +53,13 @@ class ForceStream:
         x, y, z = (float(force) for force in self._matrix @ self._zero)
         return x, y, z
 
+    def _begins(self) -> None:
+        """Count frames from 0. Call it before the sensor is asked to stream: a frame may come
+        before the answer."""
+        self._next = 0
+
     def _begun(self, rate_S_s: float) -> None:
-        """Note that the sensor streams from now on; `_next` was set to 0 before it could."""
+        """Note that the sensor streams from now on."""
         self._rate = rate_S_s
         self._started_s = self._clock.now()
 

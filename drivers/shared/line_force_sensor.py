@@ -219,7 +219,8 @@ class LineForceSensor(ForceStream, ABC):
         self.stop()
         if self.rate_command:
             self.command(self.rate_command.format(rate=rate))
-        self._next, self._broken, self._streaming = 0, None, True
+        self._broken, self._streaming = None, True
+        self._begins()
         self.command(self.start_command)
         self._begun(rate)
         return rate

@@ -12,6 +12,7 @@ from procedures.pressed.record import reading as pressed_reading
 from procedures.pressed.record.trial_record import TrialRecord
 from rig.analysis.response.spectrum import rms_above
 from rig.analysis.trial.decimation import DECIMATED_Hz
+from rig.files.journal.layout import TRUTH
 
 if TYPE_CHECKING:
     from procedures.roll_trial.settings import RollTrialSettings
@@ -110,7 +111,7 @@ def _zero_from_s(record: RollTrialRecord) -> float:
 
 def _lifted(record: RollTrialRecord, reading: Reading) -> Reading:
     """Return, on a simulated bench, whether the ridge with the strips left the head in the roll."""
-    truth = reading.get("simulated_truth")
+    truth = reading.get(TRUTH)
     if not truth:
         return {"ridge_lifted": None}
     lifts_us = json.loads(str(truth))["ridge_lift_off_us"]

@@ -106,10 +106,10 @@ class Preload:
     """Time from contact until the force was held."""
     position_mm: float
     """Commanded position of the stage."""
+    torque: TorqueWatch
+    """Torque of the stage, compared with the force before each move."""
     zero: ForceZero = field(default_factory=ForceZero)
     """Zero of the force sensor, from before the contact."""
-    torque: TorqueWatch | None = None
-    """Torque of the stage, compared with the force before each move."""
     _moved: tuple[float, float] | None = None
     """Length of the latest move in mm, and the force before it."""
 
@@ -147,9 +147,8 @@ class Preload:
                 f"had pressed with {self.target_N:g} N",
                 "check the film and its clamp: something has given way",
             )
-        if self.torque is not None:
-            self.torque.read()
-            self.torque.refuse_rise_in_hold(felt_N(run, stretch_s), CHANGED * self.target_N)
+        self.torque.read()
+        self.torque.refuse_rise_in_hold(felt_N(run, stretch_s), CHANGED * self.target_N)
         # Aims beyond the target, because the film continues to creep.
         creep_N = CLOSE * self.target_N if missing_N > 0 else 0.0
         step_mm = (missing_N + creep_N) / self.stiffness_N_mm
@@ -208,7 +207,6 @@ def press(run: Run, target_N: float) -> Preload:
     pressed.zero = zero
     torque.hold_begins(pressed.reached_N)
     torque.settle_in_hold()
-    pressed.torque = torque
     return pressed
 
 
@@ -256,7 +254,7 @@ def duration_s(fixture: FixtureSettings, target_N: float, homed: bool) -> float:
 
 
 def _approach(
-    run: Run, first_mm: float, last_mm: float, target_N: float, torque: TorqueWatch | None = None
+    run: Run, first_mm: float, last_mm: float, target_N: float, torque: TorqueWatch
 ) -> float:
     """Move slowly until contact is felt, with small targets ahead of the stage; return its
     position."""
@@ -273,7 +271,7 @@ def _approach(
         watch.commanded(target_mm - here_mm, speed_mm_s)
         stage.start_move(target_mm, speed_mm_s)
         clock.sleep(CHECKED_EVERY_S)
-        if torque is not None and torque.is_due():
+        if torque.is_due():
             torque.read()
         force_N = felt_N(run, FORCE_WINDOW_S)
         watch.step(here_mm, force_N, touched=False)
@@ -291,11 +289,12 @@ def _press_from(
     run: Run,
     contact_mm: float,
     target_N: float,
-    refuse_way: Callable[[float, float], None] = lambda way_mm, force_N: None,
-    torque: TorqueWatch | None = None,
+    refuse_way: Callable[[float, float], None],
+    torque: TorqueWatch,
 ) -> Preload | None:
     """Go from contact to the held preload in small targets ahead of the stage that depend on the
-    measured stiffness; None if the contact was not confirmed."""
+    measured stiffness; None if the contact was not confirmed. `refuse_way` raises for a way beyond
+    contact, in mm, that is too long for the force in N there."""
     stage, clock = run.bench.stage_z, run.clock
     start_s = clock.now()
     felt, held = _FeltContact(start_s), _HoldTimer(target_N)
@@ -303,7 +302,7 @@ def _press_from(
     target_mm = contact_mm
     watch = ApproachWatch(run, CONTACT_N, target_N, torque)
     while clock.now() - start_s < PATIENCE_S:
-        if torque is not None and torque.is_due():
+        if torque.is_due():
             torque.read()
         force_N = felt_N(run, FORCE_WINDOW_S)
         largest_N = max(largest_N, force_N)
@@ -325,6 +324,7 @@ def _press_from(
                 max(0.0, largest_N / target_N - 1),
                 held_since_s - start_s,
                 target_mm,
+                torque,
             )
         missing_N = target_N - force_N
         if abs(missing_N) > CLOSE * target_N:

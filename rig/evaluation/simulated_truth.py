@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from rig.evaluation.scoring.outcomes import FOUND_WITHIN_S
+from rig.files.journal.layout import TRUTH
 
 if TYPE_CHECKING:
     from rig.files.runfile.reader import RunFile
@@ -34,7 +35,7 @@ def times_of(reading: dict[str, Any], record_s: float) -> dict[str, float | None
     """Return what the World says of a trial, in s from the start of its record; None for never, and
     for what happened after the record, which is `record_s` long. The dict is empty where the World
     says nothing."""
-    account = reading.get("simulated_truth")
+    account = reading.get(TRUTH)
     if not account:
         return {}
     known = json.loads(account)
@@ -62,7 +63,7 @@ def slips_of(reading: dict[str, Any], record_s: float) -> tuple[tuple[float, flo
     """Return begin and end of every slip of the ridge that is read as a whole, in s from the start
     of its record, which is `record_s` long; one that lasts beyond it ends with it. The tuple is
     empty where the World says nothing of them."""
-    known = json.loads(reading.get("simulated_truth") or "{}")
+    known = json.loads(reading.get(TRUTH) or "{}")
     begun_us = known.get("record_begun_us", 0)
     begins_us, ends_us = known.get("ridge_slip_begins_us", []), known.get("ridge_slip_ends_us", [])
     slips = []

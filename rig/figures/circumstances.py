@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from rig.core.text import to_the_minute
 from rig.figures.style import NO_BREAK
 from rig.files.describe import bench_name, mounted_on
+from rig.files.journal.layout import TRUTH
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -107,7 +108,7 @@ def loads_of(run: RunFile) -> list[float]:
 
 def _object_of(run: RunFile) -> str:
     name = str(run.settings.get("object") or mounted_on(run.header) or "not stated")
-    account = next((text for one in run.readings() if (text := one.get("simulated_truth"))), "{}")
+    account = next((text for one in run.readings() if (text := one.get(TRUTH))), "{}")
     body = json.loads(str(account)).get("object", {})
     if body.get("shape") not in ("cylinder", "sphere"):
         return name

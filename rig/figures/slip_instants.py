@@ -24,6 +24,7 @@ from rig.detector import DEFAULT_DETECTOR
 from rig.detector.events import SlipEvent, unjudged_s
 from rig.figures.style import BLACK, GREEN, GREY, SMALLEST_PT, VERMILLION, literal
 from rig.files.journal.detections import NO_DETECTOR, from_text
+from rig.files.journal.layout import TRUTH
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -140,7 +141,7 @@ class SlipInstants:
 def true_slips(reading: Mapping[str, Any], record_s: float) -> TrueSlips | None:
     """Return the World's account in a trial's reading, without what happened outside of its record,
     which is `record_s` long; None on a real bench."""
-    account = reading.get("simulated_truth")
+    account = reading.get(TRUTH)
     if not account:
         return None
     known = json.loads(account)

@@ -60,9 +60,7 @@ class NotObeyedError(InstrumentError):
 class ApproachWatch:
     """Watches one approach, tick by tick."""
 
-    def __init__(
-        self, run: Run, contact_N: float, target_N: float, torque: TorqueWatch | None = None
-    ):
+    def __init__(self, run: Run, contact_N: float, target_N: float, torque: TorqueWatch):
         """`contact_N` is the force that means contact, and `target_N` the one that is wanted.
         `torque` is that of z, at rest in free air before."""
         self._run, self._contact_N, self._target_N = run, contact_N, target_N
@@ -96,8 +94,7 @@ class ApproachWatch:
         self._refuse_held(position_mm, force_N)
         if touched and not self._confirmed:
             self._confirm(position_mm)
-        if self._torque is not None:
-            self._compare_torque(self._torque, position_mm)
+        self._compare_torque(position_mm)
 
     def _refuse_pull(self, position_mm: float, force_N: float) -> None:
         """Refuse a pull that lasts for half of `CONFIRMED_S`: before contact nothing pulls so."""
@@ -131,7 +128,7 @@ class ApproachWatch:
             f"at {position_mm:.3f} mm, although it was commanded to move a further "
             f"{commanded_mm:.2f} mm within {HELD_S:g} s"
         )
-        idle_percent = None if self._torque is None else self._torque.idle_percent(HELD_S)
+        idle_percent = self._torque.idle_percent(HELD_S)
         if idle_percent is not None:
             raise NotObeyedError(
                 "stage_z",
@@ -158,9 +155,10 @@ class ApproachWatch:
             SUSPECT,
         )
 
-    def _compare_torque(self, torque: TorqueWatch, position_mm: float) -> None:
+    def _compare_torque(self, position_mm: float) -> None:
         """Refuse a torque that has risen by its margin, once or once more, without a change of
         force; learn it, with its friction, as long as z is above any contact."""
+        torque = self._torque
         if position_mm < self._first_mm:
             if self._way_mm > LEAST_WAY_mm:
                 torque.learn()

@@ -9,6 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from procedures.pressed.approach.torque_watch import TorqueWatch
 from procedures.sweep import preload
 from rig.core.errors import InstrumentError
 from rig.instruments.roles import Limits
@@ -74,6 +75,21 @@ def run_on(bench: Bench, clock: object = None, contact_to_mm: float = 14.0) -> S
     return SimpleNamespace(bench=described, clock=clock or bench, force=bench)
 
 
+def approach(run: SimpleNamespace, first_mm: float) -> float:
+    """Search for contact from here, with a stage that reports no torque."""
+    torque = TorqueWatch(run)  # type: ignore[arg-type]
+    return preload._approach(run, first_mm, 13.0, TARGET_N, torque)  # type: ignore[arg-type]
+
+
+def press_from(run: SimpleNamespace, contact_mm: float) -> preload.Preload | None:
+    """Press from contact; no run before this one bounds the way."""
+
+    def refuse_way(way_mm: float, force_N: float) -> None: ...
+
+    torque = TorqueWatch(run)  # type: ignore[arg-type]
+    return preload._press_from(run, contact_mm, TARGET_N, refuse_way, torque)  # type: ignore[arg-type]
+
+
 @pytest.mark.parametrize("late_ms", [5, 60])
 @pytest.mark.parametrize("stiffness_N_mm", [30.0, 250.0])
 def test_a_late_force_neither_ends_the_way_to_the_preload_nor_sends_the_stage_far_ahead(
@@ -81,7 +97,7 @@ def test_a_late_force_neither_ends_the_way_to_the_preload_nor_sends_the_stage_fa
 ) -> None:
     bench = Bench(stiffness_N_mm, late_ms)
     run = run_on(bench)
-    pressed = preload._press_from(run, CONTACT_mm, TARGET_N)  # type: ignore[arg-type]
+    pressed = press_from(run, CONTACT_mm)
     assert pressed is not None
     assert pressed.reached_N == pytest.approx(TARGET_N, rel=0.02)
     assert bench.farthest_ahead_mm <= 0.051
@@ -94,7 +110,7 @@ def test_a_program_that_stands_still_on_the_way_to_contact_does_not_press_on() -
     bench.known = deque([0.0] * 6, maxlen=6)
     in_free_air = SimpleNamespace(now=bench.now, sleep=_standing_still(bench, CONTACT_mm))
     run = run_on(bench, in_free_air)
-    felt_mm = preload._approach(run, CONTACT_mm - 0.2, 13.0, TARGET_N)  # type: ignore[arg-type]
+    felt_mm = approach(run, CONTACT_mm - 0.2)
     assert bench.now() > 3.0
     assert CONTACT_mm < felt_mm < CONTACT_mm + 0.051
     assert max(bench.known) < 90.0 * 0.051
@@ -106,8 +122,8 @@ def test_a_stage_that_may_only_go_slowly_is_pressed_and_followed_at_its_own_spee
     bench.position = bench.target = CONTACT_mm - 0.1
     bench.known = deque([0.0] * 6, maxlen=6)
     run = run_on(bench)
-    felt_mm = preload._approach(run, CONTACT_mm - 0.2, 13.0, TARGET_N)  # type: ignore[arg-type]
-    pressed = preload._press_from(run, felt_mm, TARGET_N)  # type: ignore[arg-type]
+    felt_mm = approach(run, CONTACT_mm - 0.2)
+    pressed = press_from(run, felt_mm)
     assert pressed is not None
     bench.position -= 0.01  # the film has crept
     bench.sleep(0.1)
@@ -122,7 +138,7 @@ def test_a_stage_that_stands_in_free_air_is_reported_in_time() -> None:
     run = run_on(bench, contact_to_mm=13.0)
     reported = r"stage_z is held at 12\.400 mm.*; force_sensor reads 0 N of 25 N"
     with pytest.raises(InstrumentError, match=reported):
-        preload._approach(run, 12.0, 13.0, TARGET_N)  # type: ignore[arg-type]
+        approach(run, 12.0)
     assert bench.now() < 0.5
 
 
@@ -152,7 +168,7 @@ def test_what_was_felt_and_is_gone_is_no_contact() -> None:
     run = run_on(bench)
     bench.position = CONTACT_mm - 0.4  # the sensor was shaken: nothing is touched yet
     bench.known = deque([0.0] * 6, maxlen=6)
-    assert preload._press_from(run, bench.position, TARGET_N) is None  # type: ignore[arg-type]
+    assert press_from(run, bench.position) is None
     assert bench.position < CONTACT_mm
 
 
@@ -165,7 +181,14 @@ def held(
     bench.sleep(0.01)
     run = run_on(bench)
     pressed = preload.Preload(
-        TARGET_N, CONTACT_mm, taken_for_N_mm, TARGET_N, 0.0, 0.0, bench.position
+        TARGET_N,
+        CONTACT_mm,
+        taken_for_N_mm,
+        TARGET_N,
+        0.0,
+        0.0,
+        bench.position,
+        TorqueWatch(run),  # type: ignore[arg-type]
     )
     return bench, pressed, run
 
@@ -207,5 +230,5 @@ def test_a_preload_that_the_steps_of_the_stage_cannot_hold_is_reported_with_that
     )
     run = run_on(bench)
     with pytest.raises(InstrumentError) as caught:
-        preload._press_from(run, CONTACT_mm, TARGET_N)  # type: ignore[arg-type]
+        press_from(run, CONTACT_mm)
     assert "steps of the stage may be too coarse to hold it within 1 %" in caught.value.one_line()

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from procedures.pressed.approach.approach_watch import ApproachWatch, naming_the_sensor
+from procedures.pressed.approach.torque_watch import TorqueWatch
 from rig.core.errors import InstrumentError, InstrumentTimeoutError
 
 CONTACT_N, TARGET_N = 0.1, 4.0
@@ -52,7 +53,8 @@ class Bench:
 
 
 def watch_of(bench: Bench) -> ApproachWatch:
-    return ApproachWatch(bench.run, CONTACT_N, TARGET_N)  # type: ignore[arg-type]
+    torque = TorqueWatch(bench.run)  # type: ignore[arg-type]
+    return ApproachWatch(bench.run, CONTACT_N, TARGET_N, torque)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("noise_N", [0.002, 0.3])
