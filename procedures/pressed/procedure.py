@@ -250,11 +250,12 @@ class PressedProcedure(TrialProcedure):
         trial = PressedTrial(run, series, record)
         trial.make_ready(self._start_mm(run.bench.settings.fixture) + offset_mm)
         trial.start_recording()
-        trial.press()
-        trial.begin_motion()
-        self._under_force(trial)
-        trial.complete_motion(LEAST_MOTION_S)
-        trial.stop_recording()
+        with trial.longer_blocks_if_too_slow():
+            trial.press()
+            trial.begin_motion()
+            self._under_force(trial)
+            trial.complete_motion(LEAST_MOTION_S)
+            trial.stop_recording()
         trial.lift()
         reading = reading_of(run, record) | trial.record_load_rates()
         reading |= {"motion_from_s": record.motion_from_s, "motion_to_s": record.motion_to_s}

@@ -17,8 +17,9 @@ of their own.
 
 from __future__ import annotations
 
+import contextlib
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING
 
 from procedures.pressed.approach.contact import come_close
@@ -45,6 +46,7 @@ from rig.control.force_servo import ForceServo, settings_from
 from rig.core.errors import InstrumentError, RigError
 from rig.detector.notices import HeldForce
 from rig.run.points import RetakeError
+from rig.run.streams.sample_stream import SlowStreamError
 
 if TYPE_CHECKING:
     from procedures.pressed.record.trial_record import TrialRecord
@@ -248,6 +250,17 @@ class PressedTrial:
         """Lift the skin and raise RetakeError: the strips' samples come too late for the grip."""
         self.abandon()
         raise RetakeError(late)
+
+    @contextlib.contextmanager
+    def longer_blocks_if_too_slow(self) -> Iterator[None]:
+        """Where the DAQ's stream ends within the block because its link is too slow for short
+        blocks, and longer ones are possible, lift the skin and raise RetakeError."""
+        try:
+            yield
+        except SlowStreamError:
+            if (late := self._late_samples.lengthen_blocks(FAR_BEHIND_S)) is None:
+                raise
+            self._give_up(late)
 
     def abandon(self) -> None:
         """Stop x, end the record, of which nothing will be made, and lift the skin."""

@@ -110,9 +110,10 @@ class SlipTrial(TrialProcedure):
             trial = SlipTrialRun(run, int(point.condition), series)
         trial.make_ready(self.settings.start_mm)
         trial.start_recording()
-        trial.press()
-        trial.slide()
-        trial.stop_recording()
+        with trial.longer_blocks_if_too_slow():
+            trial.press()
+            trial.slide()
+            trial.stop_recording()
         trial.lift()
         return trial.reading()
 

@@ -21,6 +21,10 @@ LONGEST_READ_S = 0.5
 """Largest contribution of one read to that excess: one stall of the computer is not a slow link."""
 
 
+class SlowStreamError(InstrumentError):
+    """Raised when the blocks of an acquisition take longer to be read than to be sampled."""
+
+
 class SampleStream:
     """Reads a DAQ block by block and checks that blocks come in time."""
 
@@ -41,7 +45,8 @@ class SampleStream:
 
     def read(self) -> Record | None:
         """Return the next block, or None if none is complete yet. Raises InstrumentError if one has
-        been due for longer than `SILENT_S`, or if reading blocks takes longer than sampling them.
+        been due for longer than `SILENT_S`, and SlowStreamError if reading blocks takes longer than
+        sampling them.
         """
         asked_s = self._clock.now()
         record = self._daq.read()
@@ -62,7 +67,7 @@ class SampleStream:
         lost_s = min(took_s, LONGEST_READ_S) - self._block_s
         self._behind_s = max(0.0, self._behind_s + lost_s)
         if self._behind_s > BEHIND_S:
-            raise InstrumentError(
+            raise SlowStreamError(
                 "daq",
                 "stream",
                 f"its blocks of {self._block_s:.2g} s take longer than that to be read, the latest "

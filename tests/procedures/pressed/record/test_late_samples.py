@@ -18,10 +18,13 @@ from procedures.pressed.record.block_length import longer_block_s
 from procedures.pressed.record.strips import StripRecorder
 from procedures.pressed.record.trial_record import TrialRecord
 from procedures.pressed.settings import PressedSettings
+from procedures.pressed.trial import PressedTrial
 from procedures.slip_trial.settings import SlipTrialSettings
 from rig.files.journal.detections import SLIP, Detection
 from rig.files.runfile.reader import RunFile
 from rig.instruments.roles import Acquisition, Record, Scaling
+from rig.run.points import RetakeError
+from rig.run.streams.sample_stream import SlowStreamError
 
 ALARM = Detection(SLIP, 1500, 1.5, 1.502, 0.9)
 GRIP = SlipTrialSettings(regrip=True)
@@ -163,6 +166,43 @@ def test_a_daq_too_slow_for_short_blocks_is_read_in_longer_ones_before_the_motio
     if ended.code == 3 and "blocks of 0.02 s take longer than that" in ended.stderr:
         return  # a busy computer reads the longest blocks too late as well
     assert ended.code in (0, 5), ended.stderr  # 5: it makes a trial invalid
+    with RunFile.open(rig.only("*.h5")) as run:
+        (reading,) = run.readings()
+        assert reading["samples"] > 0
+
+
+@pytest.mark.parametrize(("longer", "raised"), [("", SlowStreamError), ("5 ms", RetakeError)])
+def test_a_stream_that_ends_because_it_is_slow_has_the_trial_retaken_if_blocks_can_be_longer(
+    monkeypatch: pytest.MonkeyPatch, longer: str, raised: type[Exception]
+) -> None:
+    """It is lifted first; where the blocks are the longest already, or fixed, the run ends."""
+    lifted: list[bool] = []
+    monkeypatch.setattr(PressedTrial, "__init__", lambda trial: None)
+    monkeypatch.setattr(PressedTrial, "abandon", lambda trial: lifted.append(True))
+    trial: Any = PressedTrial()  # type: ignore[call-arg]
+    trial._late_samples = SimpleNamespace(lengthen_blocks=lambda beyond_s: longer or None)
+    with pytest.raises(raised), trial.longer_blocks_if_too_slow():
+        raise SlowStreamError("daq", "stream", "its blocks of 0.002 s take longer than that")
+    assert lifted == [True] * bool(longer)
+
+
+@pytest.mark.thorough
+@pytest.mark.stages("festo", because="what is slow here is the DAQ")
+def test_a_daq_that_becomes_too_slow_in_the_motion_is_read_in_longer_blocks(rig) -> None:
+    """From the motion on every block takes 8 ms longer: no longer blocks were needed before it, and
+    the DAQ's stream ends within the hold."""
+    plan = rig.fault(
+        '[[fault]]\ndevice = "daq"\nkind = "late"\ncommand = "WAV:DATA"\nby_s = 0.008\ncount = 0\n'
+        'move = 2\nof = "stage_x"\nafter_s = 0.2\n'
+    )
+    hold = ("--hold-for", "8s", "--hold-at", "1N")
+    with rig.served("--fixture", "plate", "--fault", plan, ways="as usual"):
+        ended = rig.run("slip-trial", "--bench", "bench.toml", *WEIGHT, *hold)
+    assert "blocks of 0.002 s take longer than that" not in ended.stderr
+    if ended.code == 3:
+        pytest.skip("the computer is too busy for a simulated bench in real time")
+    assert ended.code in (0, 5), ended.stderr  # 5: it makes a trial invalid
+    assert re.search(r"blocks of (10|20) ms from here on; retaking it", ended.stderr)
     with RunFile.open(rig.only("*.h5")) as run:
         (reading,) = run.readings()
         assert reading["samples"] > 0
