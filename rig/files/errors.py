@@ -49,10 +49,15 @@ class JournalError(RigError):
     code = ExitCode.USAGE
 
     def __init__(
-        self, path: Path | str, offset: int | None, reason: str, hint: str | None = None
+        self,
+        path: Path | str,
+        offset: int | None,
+        reason: str,
+        hint: str | None = None,
+        code: ExitCode | None = None,
     ) -> None:
         place = f"{path}" if offset is None else f"{path}: byte {offset}"
-        super().__init__(f"{place}: {reason}", hint)
+        super().__init__(f"{place}: {reason}", hint, code)
         self.path = Path(path)
         self.offset = offset
         self.reason = reason

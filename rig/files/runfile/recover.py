@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from rig.core.errors import ExitCode
 from rig.files.errors import JournalError, RunFileError
-from rig.files.file_kind import described, kind_of
+from rig.files.file_kind import MISTYPED, described, kind_of
 from rig.files.journal.reader import JournalContents, read_journal
 from rig.files.naming import RUN_SUFFIX, journal_path
 from rig.files.runfile.compile import compile_run
@@ -41,7 +42,7 @@ def interrupted(file: Path | str) -> JournalContents:
 
 def _journal_of(file: Path, purpose: str) -> Path:
     """Return the path of the journal: this file, or the one beside it. Raises JournalError, which
-    says what the file is instead."""
+    says what the file is instead; its exit code is that of other commands for such a file."""
     kind = kind_of(file)
     if kind == "journal":
         return file
@@ -53,20 +54,23 @@ def _journal_of(file: Path, purpose: str) -> Path:
     if kind == "missing" and kind_of(run_file) == "hdf5":
         file, kind = run_file, "hdf5"
     if kind == "hdf5":
-        raise JournalError(file, None, _why_not(file, purpose))
-    raise JournalError(file, None, *described(file, kind))
+        raise _why_not(file, purpose)
+    code = None if kind in MISTYPED else ExitCode.FOUND_WRONG
+    raise JournalError(file, None, *described(file, kind), code)
 
 
-def _why_not(file: Path, purpose: str) -> str:
-    """Return the reason why an HDF5 file without a journal cannot be recovered or resumed."""
+def _why_not(file: Path, purpose: str) -> JournalError:
+    """Return why an HDF5 file without a journal cannot be recovered or resumed."""
     try:
         with RunFile.open(file) as run:
             outcome = run.outcome
     except RunFileError as error:
-        return error.reason
+        return JournalError(file, None, error.reason, error.hint, error.code)
     if outcome.status == "complete":
-        return f"nothing to {purpose}: the run is {outcome.extent()}"
-    return (
+        return JournalError(file, None, f"nothing to {purpose}: the run is {outcome.extent()}")
+    return JournalError(
+        file,
+        None,
         f"cannot {purpose} it: its journal {journal_path(file).name} is not beside it; the run "
-        f"file itself is there ({outcome.extent()})"
+        f"file itself is there ({outcome.extent()})",
     )
