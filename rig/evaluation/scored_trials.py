@@ -11,6 +11,7 @@ import math
 import signal
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from multiprocessing import get_context
 from typing import Any, Generic, TypeVar
@@ -19,13 +20,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.core.cache import Cache
+from rig.detector.checking import DetectorError
 from rig.detector.notices import Notice
 from rig.evaluation.front_ends import through_front_end
 from rig.evaluation.labelled_trials import Kind, LabelledTrial, labelled_trial
 from rig.evaluation.scoring.baselines import BaselineSettings, baseline_score
 from rig.evaluation.scoring.contenders import FACTORS, Contender
 from rig.evaluation.scoring.ideal import ideal_report
-from rig.evaluation.scoring.outcomes import FOUND_WITHIN_S, Truth, judge
+from rig.evaluation.scoring.outcomes import FOUND_WITHIN_S, DetectorReport, Truth, judge
 from rig.evaluation.scoring.patterns import roll_pattern
 from rig.evaluation.scoring.results import ScoredTrial
 from rig.evaluation.scoring.roc import tune
@@ -87,8 +89,10 @@ def judge_trials(
         )  # fmt: skip
 
     for one in contenders:
-        # Compiles the detector here, so that the forked workers do not each do it.
-        one.reports(np.zeros((1000, 2)), 1000.0, (1.0,))
+        # Compiles the detector here, so that the forked workers do not each do it. One that fails
+        # already is named with the first trial.
+        with suppress(DetectorError):
+            one.reports(np.zeros((1000, 2)), 1000.0, (1.0,))
     return list(each_trial(population, work, jobs, done))
 
 
@@ -104,12 +108,16 @@ def judge_one(
     notices: tuple[Notice, ...] = (),
 ) -> ScoredTrial:
     """Score one recording with these commands. Raises ValueError if a detector cannot process
-    it."""
+    it; one of another package that fails is named in the result, with an outcome of no alarms."""
     factors = (1.0, *FACTORS) if sweep else (1.0,)
-    judged = [
-        [judge(truth, report, traits) for report in one.reports(volts, rate_Hz, factors, notices)]
-        for one in contenders
-    ]
+    judged, failed = [], {}
+    for one in contenders:
+        try:
+            reports = one.reports(volts, rate_Hz, factors, notices)
+        except DetectorError as error:
+            failed[one.name] = error
+            reports = [DetectorReport()] * len(factors)
+        judged.append([judge(truth, report, traits) for report in reports])
     swept = [outcomes[1:] for outcomes in judged]
     return ScoredTrial(
         name=name,
@@ -118,6 +126,7 @@ def judge_one(
         found=np.array([[one.found for one in each] for each in swept], bool),
         alarmed=np.array([[one.alarmed for one in each] for each in swept], bool),
         possible=ideal_report(volts, rate_Hz, truth),
+        failed=failed,
     )
 
 

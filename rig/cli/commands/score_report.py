@@ -8,7 +8,7 @@ from __future__ import annotations
 import csv
 import json
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from rig.cli.commands.score_tables import score_tables
-from rig.cli.outcome import print_json
-from rig.core.errors import OutputError
+from rig.cli.outcome import print_json, say
+from rig.core.errors import ExitCode, OutputError, RigError, SeveralFailuresError
 
 if TYPE_CHECKING:
     from rig.evaluation.scoring.contenders import Contender, Named
@@ -35,12 +35,17 @@ def report(
 ) -> None:
     """Write tables and figures to `out` and print the tables.
 
-    Trivial answers are scored beside the detectors. `said` goes into the JSON file.
+    Trivial answers are scored beside the detectors. `said` goes into the JSON file. A detector of
+    another package that failed is named and left out, and the exit code is then that of a command
+    that finished with failures. Where no other is left, that failure is raised.
     """
     from rig.core.settings import fingerprint
-    from rig.evaluation.scoring.results import ROW, results, rows
+    from rig.evaluation.scoring.results import ROW, results, rows, without_failed
     from rig.evaluation.scoring.trivial import with_trivial_answers
 
+    contenders, judged, failures = without_failed(contenders, judged)
+    if failures and not contenders:
+        raise SeveralFailuresError([error for _, error in failures.values()])
     trivial, judged = with_trivial_answers(judged)
     named: list[Named] = [*contenders, *trivial]
     scored = results(named, judged)
@@ -58,6 +63,9 @@ def report(
             }
             for one in contenders
         ],
+        "failed_detectors": {
+            name: f"{trial}: {error.one_line()}" for name, (trial, error) in failures.items()
+        },
         "trivial_answers": [
             {"name": one.name, **one.settings.model_dump(mode="json")} for one in trivial
         ],
@@ -72,6 +80,7 @@ def report(
     if as_json:
         files = [out / name for name in ("score.json", "score.csv", "trials.csv")]
         print_json({**document, "files": [str(file) for file in [*files, *drawn]]})
+        _end(failures)
         return
     heading = f"{'simulated trials, ' if simulated else ''}{use}, {len(judged)} trials"
     for line in score_tables(scored, heading):
@@ -80,6 +89,16 @@ def report(
     typer.echo(
         f"saved in {out}: score.json, score.csv, trials.csv, {figures} figures (PNG and SVG)"
     )
+    _end(failures)
+
+
+def _end(failures: Mapping[str, tuple[str, RigError]]) -> None:
+    """Name the detectors that are not in the tables because they failed, and end the command with
+    the exit code for it."""
+    for name, (trial, error) in failures.items():
+        say(f"error: {name} is not in the tables: at {trial}, {error.one_line()}")
+    if failures:
+        raise typer.Exit(int(ExitCode.FINISHED_WITH_FAILURES))
 
 
 _TRIAL = (

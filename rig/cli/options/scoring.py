@@ -205,12 +205,16 @@ def detectors_named(names: Sequence[str], overrides: Path | None) -> list[Conten
     """Return the detectors of these names, each once. A TOML file may override parameters of the
     only one. Raises ConfigurationError for an unknown name, and for overrides of several."""
     from rig.cli.options.detector import detector_with_settings
+    from rig.detector.registered import ChosenDetector
     from rig.evaluation.scoring.contenders import DetectorContender
+    from rig.evaluation.scoring.outside_contender import OutsideContender
+
+    def contender(name: str, chosen: ChosenDetector) -> Contender:
+        return (DetectorContender if chosen.is_own else OutsideContender)(name, chosen)
 
     if overrides is None:
         return [
-            DetectorContender(name, detector_with_settings(name, None))
-            for name in dict.fromkeys(names)
+            contender(name, detector_with_settings(name, None)) for name in dict.fromkeys(names)
         ]
     if len(names) != 1:
         raise ConfigurationError(
@@ -218,7 +222,7 @@ def detectors_named(names: Sequence[str], overrides: Path | None) -> list[Conten
             "give exactly one --detector",
         )
     changed = detector_with_settings(names[0], overrides)
-    return [DetectorContender(f"{names[0]} with {overrides.stem}", changed)]
+    return [contender(f"{names[0]} with {overrides.stem}", changed)]
 
 
 def baselines_named(wanted: bool, file: Path | None) -> list[BaselineSettings]:

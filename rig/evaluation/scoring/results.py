@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.evaluation.scoring.contenders import FACTORS, Named
+from rig.core.errors import RigError
+from rig.evaluation.scoring.contenders import FACTORS, Contender, Named
 from rig.evaluation.scoring.outcomes import SLIPS, DetectorReport, TrialOutcome, Truth
 from rig.evaluation.scoring.roc import AXES, ROLL_ALARMS, Roc, roc
 from rig.evaluation.scoring.tables import BINS, NAMES, Score, by_trait, score
@@ -38,6 +39,9 @@ class ScoredTrial:
     possible: DetectorReport | None = None
     """What an ideal observer finds in it (`rig.evaluation.scoring.ideal`); None where no one has
     computed it."""
+    failed: Mapping[str, RigError] = field(default_factory=dict)
+    """What the detectors of other packages that failed at it failed at, by their names in the
+    tables; their outcomes mean nothing (`without_failed`)."""
 
 
 @dataclass(frozen=True)
@@ -66,6 +70,31 @@ class ContenderResult:
     """Scores by bins of the traits."""
     rocs: dict[str, Roc] = field(default_factory=dict)
     """Slips found against false alarms, by the names of `AXES`; empty if no threshold was swept."""
+
+
+def without_failed(
+    contenders: Sequence[Contender], judged: Sequence[ScoredTrial]
+) -> tuple[list[Contender], list[ScoredTrial], dict[str, tuple[str, RigError]]]:
+    """Return the detectors that have judged every trial, the trials with their outcomes alone, and
+    for each of the others the name of the first trial at which it failed, and the failure."""
+    failures: dict[str, tuple[str, RigError]] = {}
+    for trial in judged:
+        for name, error in trial.failed.items():
+            failures.setdefault(name, (trial.name, error))
+    if not failures:
+        return list(contenders), list(judged), {}
+    left = [at for at, one in enumerate(contenders) if one.name not in failures]
+    trials = [
+        replace(
+            one,
+            outcomes=tuple(one.outcomes[at] for at in left),
+            found=one.found[left],
+            alarmed=one.alarmed[left],
+            failed={},
+        )
+        for one in judged
+    ]
+    return [contenders[at] for at in left], trials, failures
 
 
 def results(contenders: Sequence[Named], judged: Sequence[ScoredTrial]) -> list[ContenderResult]:

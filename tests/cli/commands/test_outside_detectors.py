@@ -291,6 +291,40 @@ def test_one_that_ends_its_process_does_not_end_the_command_as_if_all_were_done(
     assert "died while detector 'lab-level' of the package lab-level judged" in done.errors[-1]
 
 
+@pytest.mark.parametrize(
+    ("fault", "words"),
+    [
+        ("os.kill(os.getpid(), signal.SIGSEGV)", "ended its process (SIGSEGV)"),
+        pytest.param("os._exit(0)", "ended its process (exit code 0)", marks=pytest.mark.thorough),
+        pytest.param("1 // 0", "ZeroDivisionError", marks=pytest.mark.thorough),
+    ],
+)
+def test_one_that_fails_in_a_score_is_named_and_the_others_are_scored(
+    rig: Any, fault: str, words: str
+) -> None:
+    installed(
+        rig, LEVEL.replace("above =", f"import os, signal; self.rows > 100 and {fault}; above =")
+    )
+    file = recorded(rig)
+    rows = [f"{file.name},{point},tap,0.5" for point in ("trial-001", "trial-002")]
+    (rig.folder / "list.csv").write_text("\n".join(["file,point,label,motion_s", *rows, ""]))
+    scored = ("score", "--files", "list.csv", "--no-roc", "--json", "--detector")
+    done = rig.run(*scored, "lab-level", "--detector", "paper-hp", "--out", "both")
+    assert done.code == 5, done.stderr
+    document = json.loads(done.stdout)
+    assert [one["name"] for one in document["detectors"]] == ["paper-hp"]
+    assert words in document["failed_detectors"]["lab-level"]
+    assert "lab-level" not in {row["detector"] for row in document["results"]}
+    assert {row["of"] for row in document["results"] if row["quantity"] == "tap_alarms"} == {2}
+    assert "error: lab-level is not in the tables: at a_r001.h5 trial-001, " in done.errors[-1]
+    assert "detector 'lab-level' of the package lab-level" in done.errors[-1]
+    assert words in done.errors[-1]
+    done = rig.run(*scored, "lab-level", "--out", "alone")
+    assert done.code == 1, done.stderr
+    assert words in done.errors[-1]
+    assert not (rig.folder / "alone").exists()
+
+
 def test_a_name_that_two_packages_register_disables_that_name_only(rig: Any) -> None:
     installed(rig)
     on_path(rig, install(rig.folder / "other", "lab-other", LAB))
