@@ -89,9 +89,10 @@ def lines_of(rows: list[StudyRow], mark: str = "") -> list[str]:
     """Return a table as aligned lines, the first of which bears the mark."""
     lines = [
         f"SIMULATED. {mark}Weights are shares of the holding force of the same bench; saved: not "
-        "lost; force: over the least that holds, median of those saved; 95 % by Wilson.",
-        f"{'weight':>7} {'strategy':<16}{'n':>4}  {'saved':<18}{'squeezed':<18}{'squeezes':>8} "
-        f"{'force':>6} {'risen (ms)':>10}",
+        "lost; force: over the least that holds, median of those saved; 95 % by Wilson. Left out: "
+        "trials that could not be made or were invalid.",
+        f"{'weight':>7} {'strategy':<16}{'n':>4} {'left out':>8}  {'saved':<18}"
+        f"{'squeezed':<18}{'squeezes':>8} {'force':>6} {'risen (ms)':>10}",
     ]
     for row in rows:
         force, risen = (
@@ -99,8 +100,8 @@ def lines_of(rows: list[StudyRow], mark: str = "") -> list[str]:
             for value, digits in ((row.force_over_least, 2), (row.risen_ms, 1))
         )
         lines.append(
-            f"{row.weights:>7} {row.strategy:<16}{row.n:>4}  {_share(row.saved):<18}"
-            f"{_share(row.squeezed):<18}{row.squeezes:>8} {force:>6} {risen:>10}"
+            f"{row.weights:>7} {row.strategy:<16}{row.n:>4} {row.failed:>8}  "
+            f"{_share(row.saved):<18}{_share(row.squeezed):<18}{row.squeezes:>8} {force:>6} {risen:>10}"
         )
     return lines
 

@@ -133,6 +133,15 @@ def test_a_bench_that_cannot_be_made_is_said_and_counted(monkeypatch: pytest.Mon
     assert {(row.n, row.failed) for row in table(found)} == {(0, 3)}
 
 
+def test_the_table_says_how_many_trials_it_leaves_out() -> None:
+    made = Weight(1_000_000, 1.1, "rig", 2.0, 3.3, outcome="averted", squeezes=1, force_used_N=4.0)
+    left_out = Weight(1_000_001, 1.1, "rig", 2.0, 3.3, failed="the trial is invalid: late ticks")
+    first, head, *rows = lines_of(table([made, left_out, left_out]))
+    assert "Left out: trials that could not be made or were invalid" in first
+    ends = head.index("left out") + len("left out")
+    assert [line[:ends].split()[-2:] for line in rows] == [["1", "2"]] * 2
+
+
 @pytest.mark.parametrize(
     ("seeds", "tuning", "words"),
     [
