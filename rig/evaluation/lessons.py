@@ -10,6 +10,7 @@ the same side.
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
@@ -270,12 +271,8 @@ def sides_of(groups: Sequence[tuple[str, str]]) -> list[bool]:
     >>> sides_of([("a", "monday"), ("a", "tuesday"), ("b", "friday")])
     [False, False, True]
     """
-    part = list(range(len(groups)))
-    for at, (sample, day) in enumerate(groups):
-        for before, (other, then) in enumerate(groups[:at]):
-            if sample == other or day == then:
-                part = [part[before] if one == part[at] else one for one in part]
-    sizes = {one: part.count(one) for one in dict.fromkeys(part)}
+    part = _connected(groups)
+    sizes = Counter(part)
     if len(sizes) < 2:
         named = ", ".join(sorted({sample or "without a name" for sample, _ in groups})[:4])
         what = f"all {len(groups)} trials share samples or days ({named})"
@@ -292,3 +289,21 @@ def sides_of(groups: Sequence[tuple[str, str]]) -> list[bool]:
             chosen.add(one)
             kept += sizes[one]
     return [one in chosen for one in part]
+
+
+def _connected(groups: Sequence[tuple[str, str]]) -> list[int]:
+    """Return for each trial the number of its part: trials that share a sample or a day, also by
+    way of others, are in the same one."""
+    above: dict[tuple[str, str], tuple[str, str]] = {}
+
+    def top(name: tuple[str, str]) -> tuple[str, str]:
+        while (next_above := above.setdefault(name, name)) != name:
+            above[name] = above.setdefault(next_above, next_above)
+            name = next_above
+        return name
+
+    for sample, day in groups:
+        above[top(("sample", sample))] = top(("day", day))
+    tops = [top(("sample", sample)) for sample, _ in groups]
+    numbers = {one: number for number, one in enumerate(dict.fromkeys(tops))}
+    return [numbers[one] for one in tops]

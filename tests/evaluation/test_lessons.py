@@ -62,6 +62,20 @@ def test_recordings_of_which_nothing_is_known_are_refused_with_what_to_state():
     assert "rig import --sample, --start-time" in line
 
 
+def test_trials_are_on_the_same_side_as_those_that_share_a_sample_or_a_day_by_way_of_others():
+    groups = [("a", "mon"), ("b", "tue"), ("a", "tue"), ("c", "wed"), ("b", "thu"), ("d", "mon")]
+    assert sides_of(groups) == [False, False, False, True, False, False]
+
+
+def test_thousands_of_trials_are_divided_without_comparing_each_with_each():
+    """With a comparison of each with each, and a list of all for each that agrees, this takes half
+    an hour."""
+    groups = [(f"sample {number % 2000}", f"day {number % 4}") for number in range(6000)]
+    sides = dict(zip(groups, sides_of(groups), strict=True))
+    assert sum(sides[one] for one in groups) == 1500
+    assert {day for (_, day), held in sides.items() if held} == {"day 0"}
+
+
 def test_a_roll_on_the_bench_ends_when_it_has_turned():
     trial = made("roll a", 4)
     (lesson,) = bench_lessons(trial, 1)
