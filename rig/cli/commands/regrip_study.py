@@ -101,7 +101,8 @@ def lines_of(rows: list[StudyRow], mark: str = "") -> list[str]:
         )
         lines.append(
             f"{row.weights:>7} {row.strategy:<16}{row.n:>4} {row.failed:>8}  "
-            f"{_share(row.saved):<18}{_share(row.squeezed):<18}{row.squeezes:>8} {force:>6} {risen:>10}"
+            f"{_share(row.saved):<18}{_share(row.squeezed):<18}{row.squeezes:>8} "
+            f"{force:>6} {risen:>10}"
         )
     return lines
 
