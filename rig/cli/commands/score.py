@@ -20,6 +20,7 @@ from rig.cli.options.shared import AsJson, Debug, Jobs
 from rig.cli.outcome import reported, say
 from rig.cli.progress import TenthsProgress, WireProgress
 from rig.core.errors import ConfigurationError
+from rig.core.units import counted
 from rig.detector import DEFAULT_DETECTOR
 
 if TYPE_CHECKING:
@@ -131,7 +132,9 @@ def score(
                 "code": found.code,
             }
             where = f"on the simulated bench, {use}"
-            report(contenders, found.judged, where, True, details, out, as_json)
+            missing = len(found.failed)
+            left_out = f"{counted(missing, 'trial')} could not be made" if missing else ""
+            report(contenders, found.judged, where, True, details, out, as_json, left_out)
             return
         trials = _population(ranges, front, swapped_gains, kinds, drawn)
         if tune is not None:
@@ -194,8 +197,9 @@ def _wire(
     progress = WireProgress("score", jobs)
     try:
         found = judge_wire(
-            chosen, drawn.seeds(), contenders, user_cache(), sweep=roc, jobs=jobs, done=progress
-        )
+            chosen, drawn.seeds(), contenders, user_cache(), sweep=roc, jobs=jobs, done=progress,
+            scored=TenthsProgress("score", "trials scored"),
+        )  # fmt: skip
     except (KeyboardInterrupt, SystemExit):
         say(
             f"score: interrupted after {progress.number} trials; they are stored, and the same "

@@ -32,12 +32,14 @@ def report(
     said: dict[str, Any],
     out: Path,
     as_json: bool,
+    left_out: str = "",
 ) -> None:
     """Write tables and figures to `out` and print the tables.
 
-    Trivial answers are scored beside the detectors. `said` goes into the JSON file. A detector of
-    another package that failed is named and left out, and the exit code is then that of a command
-    that finished with failures. Where no other is left, that failure is raised.
+    Trivial answers are scored beside the detectors. `said` goes into the JSON file, `left_out`, the
+    trials that are missing, into the heading of the tables. A detector of another package that
+    failed is named and left out, and the exit code is then that of a command that finished with
+    failures. Where no other is left, that failure is raised.
     """
     from rig.core.settings import fingerprint
     from rig.evaluation.scoring.results import ROW, results, rows, without_failed
@@ -83,6 +85,7 @@ def report(
         _end(failures)
         return
     heading = f"{'simulated trials, ' if simulated else ''}{use}, {len(judged)} trials"
+    heading += f" ({left_out})" if left_out else ""
     for line in score_tables(scored, heading):
         typer.echo(line)
     figures = len({file.stem for file in drawn})

@@ -34,14 +34,20 @@ def judge_wire(
     sweep: bool,
     jobs: int,
     done: Callable[[int, int, int], None],
+    scored: Callable[[int, int], None],
 ) -> WireScore:
     """Make the trials that are not in the cache, `jobs` at a time, and score all of them.
 
-    `done` is called with the number so far, that of all, and that of those that had to be made. The
-    result does not depend on what was in the cache.
+    `done` is called with the number so far, that of all, and that of those that had to be made;
+    `scored`, after that, with the number of scored trials and of all that were made. The result
+    does not depend on what was in the cache.
     """
     made = sorted(make_trials(kinds, seeds, cache, jobs, done), key=_place)
-    judged = [_judged(one, contenders, sweep) for one in made if one.record is not None]
+    recorded = [one for one in made if one.record is not None]
+    judged = []
+    for number, one in enumerate(recorded, 1):
+        judged.append(_judged(one, contenders, sweep))
+        scored(number, len(recorded))
     failed = {one.trial.name: one.failed for one in made if one.record is None}
     return WireScore(judged, failed, code_digest())
 

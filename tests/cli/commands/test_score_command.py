@@ -4,12 +4,18 @@ import csv
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 import typer
 from strips_file import slip_file
 from typer.testing import CliRunner
 
 from rig.cli.commands.score import score
+from rig.evaluation.scoring.outcomes import Truth
+from rig.evaluation.wire import judging
+from rig.evaluation.wire.kinds import drawn
+from rig.evaluation.wire.making import MadeTrial
+from rig.evaluation.wire.record import WireRecord
 from rig.physics.population import PopulationSettings
 
 app = typer.Typer(pretty_exceptions_enable=False)
@@ -275,6 +281,34 @@ def test_a_line_that_cannot_be_used_is_named_before_the_first_trial_is_judged(tm
     result = CliRunner().invoke(app, [str(each) for each in given])
     (line,) = result.stderr.splitlines()
     assert "line 3: motion_s 900 s: the record is from 0 to 3 s" in line
+
+
+def test_a_table_of_the_simulated_bench_says_what_it_leaves_out_and_its_judging_how_far_it_is(
+    tmp_path, monkeypatch
+):
+    """Twenty seeds with three detectors are judged for minutes after the last trial was made."""
+    time = np.arange(2000) / 1000
+    press = np.where((time > 0.3) & (time < 0.6), -4.5e-3 * np.sin(np.pi * (time - 0.3) / 0.3), 0.0)
+    record = WireRecord(
+        np.column_stack([press, press]), 1000.0, Truth("slip", 1.0, 1.4, 1.5, 1.6, record_s=2.0),
+        0.2, 1.0, {},
+    )  # fmt: skip
+
+    def made(kinds, seeds, cache, jobs, done):
+        for number, seed in enumerate(seeds, 1):
+            done(number, len(seeds), number)
+            trial = drawn("slide", seed, None)
+            yield MadeTrial(trial, record) if seed % 3 else MadeTrial(trial, None, "too steep")
+
+    monkeypatch.setattr(judging, "make_trials", made)
+    given = ("--wire", "--seeds", "1000000:1000004", "--kinds", "slide", "--detector", "paper-hp",
+             "--no-roc", "--out", str(tmp_path / "out"))  # fmt: skip
+    result = CliRunner().invoke(app, given, catch_exceptions=False)
+    assert result.exit_code == 0, result.output
+    heading = result.stdout.splitlines()[0]
+    assert heading.endswith("1000000:1000004, 3 trials (1 trial could not be made)")
+    assert "1000002 could not be made: too steep" in result.stderr
+    assert "score: 3 of 3 trials scored" in result.stderr
 
 
 @pytest.mark.nightly
