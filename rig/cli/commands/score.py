@@ -19,7 +19,7 @@ from rig.cli.options.settings_file import read_settings
 from rig.cli.options.shared import AsJson, Debug, Jobs
 from rig.cli.outcome import reported, say
 from rig.cli.progress import TenthsProgress, WireProgress
-from rig.core.errors import ConfigurationError
+from rig.core.errors import ConfigurationError, ExitCode, RigError
 from rig.core.units import counted
 from rig.detector import DEFAULT_DETECTOR
 
@@ -208,6 +208,13 @@ def _wire(
         raise
     for name, reason in found.failed.items():
         say(f"score: {name} could not be made: {reason}")
+    if not found.judged:
+        missing = counted(len(found.failed), "trial")
+        raise RigError(
+            f"none of the {missing} could be made, so nothing is scored",
+            "choose other seeds or kinds, or repeat the command if the reasons are the computer's",
+            ExitCode.FINISHED_WITH_FAILURES,
+        )
     return found
 
 

@@ -26,7 +26,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from rig.core.cache import Cache
-from rig.core.errors import ConfigurationError
+from rig.core.errors import ConfigurationError, ExitCode
 from rig.core.settings import option_name
 from rig.evaluation.wire.kinds import Limit, WireKind, WireTrial, drawn, needs_limit
 from rig.evaluation.wire.record import WireRecord, pack, read_record, unpack
@@ -229,7 +229,8 @@ def _trial_of(kind: WireKind, seed: int, slide: MadeTrial | None) -> tuple[WireT
 def _make(trial: WireTrial, cache: Cache, bench: TrialCommands) -> MadeTrial:
     """Make a trial and store its record, or why there is none."""
     record, reason, lasting = make_one(trial, bench, read_record)
-    # A command that was killed or whose disk was full says nothing of the trial: made again later.
+    # A command that was killed, whose disk was full or whose bench has died, which is a failure of
+    # an instrument (3), says nothing of the trial: made again later.
     if record is not None:
         cache.put(key_of(trial), pack(record))
     elif lasting:
@@ -265,7 +266,7 @@ def make_one(
             reason = "" if found is not None else _reason(code, out, err)
         except (ValueError, KeyError) as error:
             found, reason = None, str(error)[:REASON_CHARACTERS]
-    return found, reason, code in (3, 4)
+    return found, reason, code == ExitCode.LIMIT
 
 
 def _reason(code: int, out: str, err: str) -> str:

@@ -311,6 +311,21 @@ def test_a_table_of_the_simulated_bench_says_what_it_leaves_out_and_its_judging_
     assert "score: 3 of 3 trials scored" in result.stderr
 
 
+def test_no_score_is_saved_of_trials_none_of_which_could_be_made(tmp_path, monkeypatch):
+    def made(kinds, seeds, cache, jobs, done):
+        for seed in seeds:
+            yield MadeTrial(drawn("slide", seed, None), None, "too steep")
+
+    monkeypatch.setattr(judging, "make_trials", made)
+    given = ("--wire", "--seeds", "1000000:1000002", "--kinds", "slide",
+             "--out", str(tmp_path / "out"))  # fmt: skip
+    result = CliRunner().invoke(app, given)
+    assert result.exit_code == 5, result.output
+    assert result.stdout == ""
+    assert "none of the 2 trials could be made, so nothing is scored" in result.stderr
+    assert not (tmp_path / "out").exists()
+
+
 @pytest.mark.nightly
 def test_trials_are_made_on_the_whole_simulated_bench_once(tmp_path):
     given = ("--wire", "--seeds", "1000000:1000001", "--kinds", "hold", "--detector", "paper-hp",

@@ -180,6 +180,14 @@ def test_a_hold_comes_after_the_slide_that_shows_how_far_it_may_go(bench: Path):
     assert 0.6 <= ends_mm / 0.2 <= 0.98
 
 
+def test_a_trial_whose_bench_has_died_is_made_again(bench: Path):
+    said = {"file": None, "errors": ["simulated bench: start: the process ended at once"]}
+    answers(bench, 3, said)
+    assert [one.record for one in made(bench, "slide")] == [None, None]
+    answers(bench, 0, {"file": "some.h5", "errors": []})
+    assert all(one.record is not None for one in made(bench, "slide"))
+
+
 def test_a_trial_that_ends_at_a_limit_is_stored_as_failed_and_one_that_was_killed_is_not(
     bench: Path,
 ):
