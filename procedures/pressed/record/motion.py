@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from rig.analysis.trial.decimation import DECIMATED_Hz
+from rig.files.journal.detections import SLIP
 
 if TYPE_CHECKING:
     import numpy.typing as npt
@@ -59,6 +60,9 @@ class MotionRecord:
     """Signal of strip 2 in V."""
     v_d: Values
     """v_1 - v_2 in V."""
+    slip_t_s: Values
+    """Times, among `signal_t_s`, of the incipient slips that the detector found during the trial;
+    empty without a detector."""
 
 
 def motion_record(record: TrialRecord) -> MotionRecord:
@@ -72,6 +76,8 @@ def motion_record(record: TrialRecord) -> MotionRecord:
         return (times_s >= record.motion_from_s) & (times_s <= record.motion_to_s)
 
     moved, felt, seen = within(position_s), within(force_s), within(signal_s)
+    slip_s = np.array([one.time_s for one in record.detections if one.kind == SLIP], float)
+    slip_s -= record.filter_delay_s
     forces_N, volts = record.forces_N()[felt], volts[seen]
     return MotionRecord(
         trial=record.number,
@@ -88,6 +94,7 @@ def motion_record(record: TrialRecord) -> MotionRecord:
         v_1=volts[:, 0],
         v_2=volts[:, 1],
         v_d=volts[:, 0] - volts[:, 1],
+        slip_t_s=np.sort(slip_s[within(slip_s)]) - record.motion_from_s,
     )
 
 
