@@ -31,6 +31,8 @@ if TYPE_CHECKING:
 
 _ERROR_REPLY = re.compile(r'^([+-]?\d+),"(.*)"$')
 _SMALLEST_BLOCK_REPLY = len(b"#10")
+_STREAM = re.compile(r"^ASRL|::SOCKET$", re.IGNORECASE)
+"""Resources that deliver bytes, not messages."""
 _LINE_ENDS = (b"", b"\n", b"\r\n")
 _LONGEST_ERROR_QUEUE = 32
 _FIRST_USE = threading.Lock()
@@ -81,6 +83,8 @@ class VisaLink:
             # pyvisa-py ends a read_raw() at the chunk size, so the chunk must hold it all.
             session.chunk_size = content_bytes + 64
             raw: bytes = session.read_raw()
+            while self._is_cut_at_line_end(raw, content_bytes):
+                raw += session.read_raw()
             return self._block_content(message, raw, content_bytes)
 
     def command(self, *commands: str, then: tuple[str, ...] = ()) -> list[str]:
@@ -193,6 +197,18 @@ class VisaLink:
         if code == -222:
             text += " (the instrument clipped the value and applied the clipped one)"
         return f"error {code}: {text}"
+
+    def _is_cut_at_line_end(self, raw: bytes, expected: int) -> bool:
+        """Return whether a read has ended within a block, at a byte of it that is a line end.
+
+        A raw socket or a serial line has no other mark of the end of a message. One with a mark
+        (USBTMC, HiSLIP, VXI-11) delivers the message whole, and a short one is broken.
+        """
+        if not _STREAM.search(self.resource):
+            return False
+        digits = int(raw[1:2]) if raw[1:2].isdigit() else 0
+        header = b"#%d%0*d" % (digits, digits, expected)
+        return raw.startswith(header) and len(raw) <= len(header) + expected
 
     def _block_content(self, message: str, raw: bytes, expected: int) -> bytes:
         if len(raw) < _SMALLEST_BLOCK_REPLY or raw[:1] != b"#" or not raw[1:2].isdigit():
