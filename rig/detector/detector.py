@@ -3,8 +3,9 @@ same code."""
 
 from __future__ import annotations
 
+import contextlib
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -94,28 +95,15 @@ class IncipientSlipDetector(Detector):
         super().__init__(settings, rate_Hz)
         self.saturation_V = settings.saturation_V
         self._low_pass = design_low_pass(settings.low_pass, rate_Hz)
-        self._constants = _constants(settings, rate_Hz, self._low_pass)
+        self._kernel = _KernelArrays(settings, rate_Hz, self._low_pass)
         self._braking_rows = 0
         if isinstance(settings, ImpulseSettings):
             self._braking_rows = round(settings.braking_s * rate_Hz)
-        self._sections = _high_pass(settings.impulse_Hz, rate_Hz)
         self._knows_forces = (
             settings.network is not None and settings.network.inputs == kernel.INPUTS
         )
-        inputs = len(kernel.INPUTS if settings.network is None else settings.network.inputs)
-        if settings.network is None:
-            self._hidden, self._output = np.zeros((inputs + 1, 0)), np.zeros((2, 1))
-        else:
-            self._hidden, self._output = settings.network.weights()
-        self._units = np.zeros(self._hidden.shape[1])
-        self._line = np.zeros(self._low_pass.taps.size)
-        self._piece = np.zeros((4, int(self._constants["quiet_rows"][0])))
-        self._room = np.zeros(self._piece.shape[1])
-        self._events = np.zeros((_MOST_A_ROW * _SLICE, kernel.EVENT_COLUMNS))
-        # Inputs of the network at the rows of a block, and where it was evaluated; no rows but for
-        # `network_inputs`.
-        self._seen, self._looked = np.zeros((1, inputs)), np.zeros(0, np.bool_)
-        self._shown: list[NetworkInputs] = []
+        self._shown: list[NetworkInputs] | None = None
+        """Inputs of the network so far, while `network_inputs` collects them."""
         self._state, self._touch_before = np.zeros(1, kernel.STATE), False
         self.reset()
 
@@ -143,12 +131,10 @@ class IncipientSlipDetector(Detector):
         events: list[SlipEvent] = []
         for begin in range(0, len(volts), _SLICE):
             first, rows = int(self._state["row"][0]), volts[begin : begin + _SLICE]
-            self._looked[:] = False
-            count = self._advance(rows)
-            events += [self._event(row) for row in self._events[:count]]
-            if self._looked.size:
-                at = np.flatnonzero(self._looked)
-                self._shown.append(NetworkInputs(first + at, self._seen[at]))
+            events += [self._event(row) for row in self._kernel.advance(rows, self._state)]
+            if self._shown is not None:
+                at = np.flatnonzero(self._kernel.looked)
+                self._shown.append(NetworkInputs(first + at, self._kernel.seen[at]))
         return events
 
     def commanded(self, before_mm_s: float, after_mm_s: float) -> None:
@@ -189,9 +175,8 @@ class IncipientSlipDetector(Detector):
             return []
         unjudged = {UNJUDGED: 1e3 * int(state["row"]) / self.rate_Hz}
         reason = kernel.REASONS[kernel.NOT_QUIET]
-        needed = int(
-            self._constants["warm_up_rows" if self._constants["adapts"] else "quiet_rows"][0]
-        )
+        constants = self._kernel.constants
+        needed = int(constants["warm_up_rows" if constants["adapts"] else "quiet_rows"][0])
         if state["row"] < needed:
             reason = f"too short: offset and noise need {needed / self.rate_Hz:.3g} s"
         return [self.event("cannot judge", -1, 0.0, reason, unjudged)]
@@ -199,36 +184,17 @@ class IncipientSlipDetector(Detector):
     def network_inputs(self, volts: ArrayLike, notices: Iterable[Notice] = ()) -> NetworkInputs:
         """Return the inputs of the network over a whole recording (n, 2) in V with these notices,
         for training."""
-        inputs = self._seen.shape[1]
-        self._seen, self._looked = np.zeros((_SLICE, inputs)), np.zeros(_SLICE, np.bool_)
-        for one in notices:
-            self.notice(one)
-        self.add(volts)
-        shown, self._shown = self._shown, []
-        self._seen, self._looked = np.zeros((1, inputs)), np.zeros(0, np.bool_)
+        shown: list[NetworkInputs] = []
+        self._shown = shown
+        with self._kernel.showing_inputs():
+            for one in notices:
+                self.notice(one)
+            self.add(volts)
+        self._shown = None
+        none = NetworkInputs(np.zeros(0, np.int64), np.zeros((0, self._kernel.inputs)))
         return NetworkInputs(
-            np.concatenate([np.zeros(0, np.int64), *(one.rows for one in shown)]),
-            np.concatenate([np.zeros((0, inputs)), *(one.inputs for one in shown)]),
-        )
-
-    def _advance(self, rows: Reals) -> int:
-        return int(
-            kernel.advance(
-                rows,
-                self._state,
-                self._line,
-                self._piece,
-                self._room,
-                self._constants,
-                self._low_pass.taps,
-                self._sections,
-                self._hidden,
-                self._output,
-                self._units,
-                self._events,
-                self._seen,
-                self._looked,
-            )
+            np.concatenate([one.rows for one in (none, *shown)]),
+            np.concatenate([one.inputs for one in (none, *shown)]),
         )
 
     def _event(self, row: Reals) -> SlipEvent:
@@ -244,6 +210,50 @@ class IncipientSlipDetector(Detector):
             reason=kernel.REASONS[int(row[3])],
             features=features,
         )
+
+
+class _KernelArrays:
+    """The arrays that the compiled kernel is called with, in addition to the rows and the state:
+    filters, weights, settings in rows and mV, and room to work in."""
+
+    def __init__(self, settings: DetectorSettings, rate_Hz: float, low_pass: LowPass):
+        self.constants = _constants(settings, rate_Hz, low_pass)
+        self._taps, self._sections = low_pass.taps, _high_pass(settings.impulse_Hz, rate_Hz)
+        self.inputs = len(kernel.INPUTS if settings.network is None else settings.network.inputs)
+        """Number of inputs of the network."""
+        if settings.network is None:
+            self._hidden, self._output = np.zeros((self.inputs + 1, 0)), np.zeros((2, 1))
+        else:
+            self._hidden, self._output = settings.network.weights()
+        self._units = np.zeros(self._hidden.shape[1])
+        self._line = np.zeros(low_pass.taps.size)
+        self._piece = np.zeros((4, int(self.constants["quiet_rows"][0])))
+        self._room = np.zeros(self._piece.shape[1])
+        self._events = np.zeros((_MOST_A_ROW * _SLICE, kernel.EVENT_COLUMNS))
+        self.seen, self.looked = np.zeros((1, self.inputs)), np.zeros(0, np.bool_)
+        """Inputs of the network at each of the latest rows, and whether it was evaluated there; no
+        rows but within `showing_inputs`."""
+
+    @contextlib.contextmanager
+    def showing_inputs(self) -> Iterator[None]:
+        """Have `seen` and `looked` filled within the block."""
+        nothing = self.seen, self.looked
+        self.seen, self.looked = np.zeros((_SLICE, self.inputs)), np.zeros(_SLICE, np.bool_)
+        try:
+            yield
+        finally:
+            self.seen, self.looked = nothing
+
+    def advance(self, rows: Reals, state: NDArray[np.void]) -> Reals:
+        """Take in further rows, `_SLICE` at most; return the events that were decided in them, one
+        a row, which the next call overwrites."""
+        self.looked[:] = False
+        count = kernel.advance(
+            rows, state, self._line, self._piece, self._room, self.constants, self._taps,
+            self._sections, self._hidden, self._output, self._units, self._events, self.seen,
+            self.looked,
+        )  # fmt: skip
+        return self._events[: int(count)]
 
 
 def _constants(settings: DetectorSettings, rate_Hz: float, low_pass: LowPass) -> NDArray[np.void]:
