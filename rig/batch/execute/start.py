@@ -110,7 +110,10 @@ def refuse_changes(queue: Queue, batch: BatchFile) -> None:
     for key, value in now.items():
         if (was := queue.meta(key)) != value:
             what = key.removeprefix("fingerprint ")
-            if key != OF_PROGRAM:  # whose states may differ in their last characters alone
+            copy = BatchFolder(queue.path.parent).batch_file
+            if key == OF_BATCH_FILE and value and copy.exists():
+                was, value = str(copy), queue.meta("batch_file")
+            elif key != OF_PROGRAM:  # whose states may differ in their last characters alone
                 was, value = was[:12], value[:12]
             changed.append(f"{what} ({was or 'none'} then, {value or 'gone'} now)")
     if changed:

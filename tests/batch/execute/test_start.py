@@ -77,8 +77,9 @@ def test_the_copy_of_a_batch_file_is_of_the_text_that_was_compared(
     folder = begin(file, prepared, NOW)
     assert folder.batch_file.read_bytes() == text.encode()
     with Queue.open(folder.queue) as queue:
-        with pytest.raises(ConfigurationError, match="changed since the batch began: batch file"):
+        with pytest.raises(ConfigurationError, match="changed since the batch began") as changed:
             refuse_changes(queue, batch)
+        assert f"batch file ({folder.batch_file} then, {file} now)" in changed.value.message
         file.write_bytes(text.encode())
         refuse_changes(queue, batch)
 
