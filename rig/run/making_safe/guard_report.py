@@ -12,6 +12,7 @@ from typing import Any
 
 from rig.core.atomic import write_text
 from rig.core.text import in_shell
+from rig.files.file_kind import BATCH_QUEUE
 
 GUARD_SUFFIX = ".guard.json"
 """Suffix of a report next to its run file, for a bench that ended with the run."""
@@ -48,10 +49,17 @@ def in_words(report: dict[str, Any]) -> str:
     if report.get("pressed"):
         words += f", {report['pressed']}"
     if report["journal"] is not None and "file" in report:
-        words += (
-            f"; data: {report['file']}; continue with: rig resume {in_shell(report['journal'])}"
-        )
+        words += f"; data: {report['file']}; continue with: {_continuing(Path(report['journal']))}"
     return words
+
+
+def _continuing(journal: Path) -> str:
+    """Return the command that continues a run: that of its batch, if it is one of a batch."""
+    batch = journal.parent.parent
+    with contextlib.suppress(OSError):  # a folder that may not be looked into
+        if (batch / BATCH_QUEUE).is_file():
+            return f"rig batch resume {in_shell(batch)}"
+    return f"rig resume {in_shell(journal)}"
 
 
 def mark_reported(path: Path, report: dict[str, Any]) -> None:
