@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from rig.cli.options.results_folder import require_results_folder
 from rig.cli.options.shared import RESULTS, AsJson, Debug
 from rig.cli.outcome import print_json, reported
 from rig.core.errors import ConfigurationError, OutputError
@@ -86,6 +87,8 @@ def filter_(
         from rig.analysis.low_pass_curves import low_pass_curves, low_pass_summary
         from rig.detector.low_pass import NAMED_LOW_PASSES
 
+        if figures:
+            require_results_folder(results)
         low_pass = _designed(_specification(name, texts), _quantity("--rate", rate, "Hz"))
         summary = low_pass_summary(low_pass)
         changed = low_pass.settings != NAMED_LOW_PASSES[name]

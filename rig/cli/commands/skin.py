@@ -22,6 +22,7 @@ from rig.cli.commands.skin_files import (
 )
 from rig.cli.options.groups import option_group, with_option_groups
 from rig.cli.options.numbers import number_in, whole_number
+from rig.cli.options.results_folder import require_results_folder
 from rig.cli.options.settings_file import read_settings
 from rig.cli.options.shared import RESULTS, Debug
 from rig.cli.outcome import print_json, reported
@@ -163,6 +164,7 @@ def slide(
         instants = _times(at)
         if _shown(output, pressed, chosen):
             return
+        require_results_folder(output.results)
         elastic, skin = _skin(pressed.skin_settings())
         trial = run(skin, chosen, keep_forces=True)
         name = f"Slide at {chosen.speed_mm_s:g} mm/s under {chosen.press.normal_force_N:g} N"
@@ -209,6 +211,7 @@ def roll(
         else:
             start = f"{output.settings}: start_x_mm = {chosen.start_x_mm:g} mm"
         _refuse_out_of_reach(start, chosen, pressed.skin_settings())
+        require_results_folder(output.results)
         elastic, skin = _skin(pressed.skin_settings())
         trial = run(skin, chosen, keep_forces=True)
         what = f"Roll of a {chosen.body.shape} by {chosen.angle_deg:g}°"
@@ -248,6 +251,7 @@ def history(
             _show(chosen)
             return
         steps = _steps(at, chosen.steps)
+        require_results_folder(output.results)
         found = run_history(chosen, shots=tuple(steps))
         from rig.figures import skin as figures
 
@@ -296,6 +300,7 @@ def map_(
         if output.show_settings:
             _show(chosen)
             return
+        require_results_folder(output.results)
         found = design_map(chosen)
         from rig.figures import skin as figures
 

@@ -28,9 +28,13 @@ def test_what_cannot_be_written_is_not_an_error_of_usage(tmp_path: Path, command
     assert caught.value.code == ExitCode.INTERNAL
 
 
-def test_a_filter_that_cannot_be_written_ends_with_1(rig: Any) -> None:
+@pytest.mark.parametrize("command", [["filter"], ["skin", "slide"], ["skin", "map"]])
+def test_a_folder_that_cannot_be_written_is_refused_before_anything_is_computed(
+    rig: Any, command: list[str]
+) -> None:
+    """Computing a slide or a map takes minutes."""
     (rig.folder / "taken").write_text("")
-    done = rig.run("filter", "--results", "taken/out")
-    assert done.code == 1
+    done = rig.run(*command, "--results", "taken/out")
+    assert done.code == 2
     (error,) = done.errors
-    assert "cannot be written to taken/out" in error
+    assert error.startswith("error: --results taken/out: nothing can be written to it: Not a dir")
