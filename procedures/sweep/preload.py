@@ -263,10 +263,12 @@ def _approach(
     patience_s = (last_mm - stage.position_mm()) / speed_mm_s + LATE_S
     begin_s = clock.now()
     watch = ApproachWatch(run, CONTACT_N, target_N, torque)
+    targets = 0
     while (here_mm := stage.position_mm()) < last_mm - BOTTOM_mm:
         if clock.now() - begin_s > patience_s:
             stage.stop()
-            raise not_there(run, patience_s)
+            raise not_there(run, patience_s, patience_s / max(1, targets), AHEAD_S)
+        targets += 1
         target_mm = min(here_mm + AHEAD_S * speed_mm_s, last_mm)
         watch.commanded(target_mm - here_mm, speed_mm_s)
         stage.start_move(target_mm, speed_mm_s)

@@ -9,6 +9,7 @@ is the same again, at every exit (`procedures.pressed.approach.unload`).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
@@ -237,13 +238,29 @@ def nothing_felt(run: Run, force_N: float, contact_N: float, check: str) -> Inst
     )
 
 
-def not_there(run: Run, within_s: float) -> InstrumentError:
+class LateTargetsError(InstrumentError):
+    """Raised for a z that has waited for its targets because its link or the computer is slow."""
+
+
+def not_there(
+    run: Run, within_s: float, target_every_s: float = 0.0, target_lasts_s: float = math.inf
+) -> InstrumentError:
     """Return the error for a z that has not reached the latest contact, without contact, in more
-    time than it needs."""
-    return InstrumentError(
-        "stage_z",
-        "approach",
+    time than it needs. It has been given a target every `target_every_s` on average, each of which
+    it reaches in `target_lasts_s`."""
+    cause = (
         f"it is at {run.bench.stage_z.position_mm():.3f} mm after {within_s:.3g} s of approach "
-        f"and did not reach {contact_range_mm(run.bench)[1]:g} mm (contact_to_mm)",
-        "check what blocks the stage; then start again",
+        f"and did not reach {contact_range_mm(run.bench)[1]:g} mm (contact_to_mm)"
+    )
+    if target_every_s > target_lasts_s:
+        return LateTargetsError(
+            "stage_z",
+            "approach",
+            f"{cause}: it had to wait for its targets, which came every {target_every_s:.2g} s and "
+            f"last {target_lasts_s:g} s",
+            "its answers come late, or the computer is busy: check its connection, and end other "
+            "programs; then start again",
+        )
+    return InstrumentError(
+        "stage_z", "approach", cause, "check what blocks the stage; then start again"
     )
