@@ -142,3 +142,21 @@ def test_a_run_whose_bench_is_gone_has_lost_nothing(rig):
     assert f"Failed: {kept} of 3 points" in again.stderr
     assert again.object["points_done"] == kept
     assert verify(rig.folder / stopped.object["journal"]) == []
+
+
+def test_a_resume_in_another_folder_says_where_the_bench_file_is_missed(rig):
+    """It is named as it was given, which may be relative to the folder where the run began; `rig
+    resume` has no other way to name it."""
+    with rig.served():
+        asked = ("--frequencies", "300,400,500", *SETTLING, "--json", "--no-figures")
+        running = rig.start("sweep", *asked, "--bench", "bench.toml")
+        running.wait_for(r"^1/3 ")
+        running.send(signal.SIGINT)
+        stopped = running.finish()
+    (rig.folder / "bench.toml").rename(rig.folder / "elsewhere.toml")
+    again = rig.run("resume", stopped.object["journal"])
+    assert again.code == 2
+    (error,) = again.errors
+    assert f"the bench file of this run, bench.toml, does not exist in {rig.folder}" in error
+    assert "give the command in the folder in which the run began" in error
+    assert "--bench" not in error

@@ -59,6 +59,12 @@ def resume(
             ) from error
         with _world_of(header.bench_toml, str(file)) as (world, stages):
             bench_file = None if world is not None else Path(header.bench_file)
+            if bench_file is not None and not bench_file.exists():
+                raise ConfigurationError(
+                    f"{file}: the bench file of this run, {bench_file}, does not exist"
+                    + ("" if bench_file.is_absolute() else f" in {Path.cwd()}"),
+                    "give the command in the folder in which the run began, or put the file there",
+                )
             request = ProcedureRequest(
                 bench=bench_file,
                 results=results_folder_of(contents.path),
