@@ -255,12 +255,22 @@ def _first_row(lines: Sequence[str], shape: Shape, name: str) -> int:
         if shape.nearly(line):
             raise ForeignFileError(
                 name,
-                f"looks like a row, but not like the last ones: {shape.width} cells with numbers "
-                f"({shape.dialect})",
+                f"looks like a row, but {_unlike(line, shape)} ({shape.dialect})",
                 f"correct it, or --header-lines {number + 1} where it belongs to the header",
                 f"line {number + 1}",
             )
     raise ForeignFileError(name, "no rows of numbers")
+
+
+def _unlike(line: str, shape: Shape) -> str:
+    """Return what distinguishes a line from the rows, as the end of "looks like a row, but"."""
+    cells = shape.dialect.cells(line)
+    if len(cells) == shape.width:
+        for k in shape.numbers:
+            if not shape.dialect.is_number(cells[k]):
+                what = repr(shortened(cells[k])) if cells[k] else "an empty cell"
+                return f"column {k + 1} holds {what} where the last ones hold a number"
+    return f"not like the last ones: {shape.width} cells with numbers"
 
 
 def _refuse_column_numbers(rows: Sequence[str], number: int, shape: Shape, name: str) -> None:
