@@ -192,6 +192,8 @@ class Sources:
     jobs: int
     counted: dict[str, int] = field(default_factory=dict)
     """Number of trials by source, as far as they have been read."""
+    held: dict[str, int] = field(default_factory=dict)
+    """Number of those that are held out, likewise."""
 
     def words(self, population: Path | None, front_end: Path | None) -> list[str]:
         """Return the options of the command that names these sources."""
@@ -206,6 +208,11 @@ class Sources:
         """Return how many trials of each source there were, in words."""
         return ", ".join(f"{counted(n, 'trial')} {of}" for of, n in self.counted.items())
 
+    def learnt(self) -> str:
+        """Return how many trials of each source are not held out, in words."""
+        numbers = {of: number - self.held.get(of, 0) for of, number in self.counted.items()}
+        return ", ".join(f"{counted(n, 'trial')} {of}" for of, n in numbers.items() if n)
+
     def lessons(self) -> Iterator[Lesson]:
         """Yield all lessons, source by source. Raises ConfigurationError for a file that cannot
         be used."""
@@ -216,9 +223,13 @@ class Sources:
         ):
             for one in lessons:
                 self.counted[source] = self.counted.get(source, 0) + one.first
+                if one.held_out and not self.everything:
+                    self.held[source] = self.held.get(source, 0) + one.first
                 yield one
             if source in self.counted:
-                say(f"train: {counted(self.counted[source], 'trial')} {source}")
+                held = self.held.get(source, 0)
+                left_out = f", {held} of them held out" if held else ""
+                say(f"train: {counted(self.counted[source], 'trial')} {source}{left_out}")
 
     def _of_the_model(self) -> Iterator[Lesson]:
         from rig.core.cache import user_cache
@@ -353,7 +364,7 @@ def _trained(
         first_seed=min((one.first for one in seeds), default=0),
         last_seed=max((one.end for one in seeds), default=0) - 1,
         trained_by=f"{command}, tactile-rig {rig.__version__}, detector {DETECTOR_VERSION}",
-        trained_on=sources.said(),
+        trained_on=sources.learnt(),
     )
     return network, held_out
 

@@ -59,7 +59,7 @@ def test_a_network_is_trained_on_run_files_alone_and_says_so(tmp_path: Path, lis
     network = Network.model_validate_json(out.read_bytes())
     assert network.inputs == INPUTS
     assert len(network.hidden) == 2 * 4
-    assert network.trained_on == "5 trials of run files"
+    assert network.trained_on == "3 trials of run files", "two were held out"
     assert network.name == "net"  # `rig show` names it beside the one of the program
     assert f"--files {listing} --members 2 --units 4 --epochs 3" in network.trained_by
     assert (network.first_seed, network.last_seed) == (0, -1)
@@ -69,7 +69,9 @@ def test_a_network_is_trained_on_run_files_alone_and_says_so(tmp_path: Path, lis
     assert "roll, false alarm: " in said
     said = run("--out", tmp_path / "all.json", "--files", listing, "--epochs", "1", "--all")
     assert "held out" not in said
-    assert "--all" in Network.model_validate_json((tmp_path / "all.json").read_bytes()).trained_by
+    of_all = Network.model_validate_json((tmp_path / "all.json").read_bytes())
+    assert "--all" in of_all.trained_by
+    assert of_all.trained_on == "5 trials of run files"
     assert run("--out", tmp_path / "b.json", "--files", listing, "--epochs", "3", "--units", "4")
     again = json.loads((tmp_path / "b.json").read_text())
     assert again | {"name": "net"} == json.loads(out.read_text())
