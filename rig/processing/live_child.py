@@ -13,6 +13,7 @@ import contextlib
 import ctypes
 import json
 import os
+import resource
 import select
 import signal
 import socket
@@ -42,8 +43,21 @@ def main() -> None:
     os.nice(NICENESS)
     with contextlib.suppress(OSError):  # where memory runs out the detector goes, not the run
         Path("/proc/self/oom_score_adj").write_text("1000")
+    _limit_memory()
     _serve(connection)
     os._exit(0)
+
+
+def _limit_memory() -> None:
+    """Leave the run half of the memory that is free now: where a detector took all of it, the
+    computer would stand still, and with it the run and a simulated bench."""
+    with contextlib.suppress(OSError, ValueError, StopIteration):
+        known = Path("/proc/meminfo").read_text(encoding="ascii").splitlines()
+        free_kB = int(next(line for line in known if line.startswith("MemAvailable")).split()[1])
+        present, most = resource.getrlimit(resource.RLIMIT_DATA)
+        # Of data, not of addresses: libraries reserve more of these than they ever use.
+        lower = [limit for limit in (present, most) if limit != resource.RLIM_INFINITY]
+        resource.setrlimit(resource.RLIMIT_DATA, (min([free_kB * 1024 // 2, *lower]), most))
 
 
 def _watch(connection: socket.socket, worker: int) -> None:

@@ -226,6 +226,12 @@ DROPPED = {
         "os.readlink(f'/proc/self/fd/{fd}').startswith('socket')]; return ''",
         "gave no usable answer (",
     ),
+    "asks for most of the free memory": (
+        SAY,
+        "free = next(one for one in open('/proc/meminfo') if one.startswith('MemAvailable')); "
+        "np.empty(int(free.split()[1]) * 3 // 4 * 128); return ''",
+        "MemoryError",
+    ),
     "sees the future": ('"incipient slip", row', '"incipient slip", row + 9', "but rows "),
     "reports without end": (
         "        return found",
@@ -236,7 +242,10 @@ DROPPED = {
 
 
 @pytest.mark.parametrize(
-    "fault", mostly_thorough(DROPPED, default=("raises", "hangs in C code", "forks"))
+    "fault",
+    mostly_thorough(
+        DROPPED, default=("raises", "hangs in C code", "forks", "asks for most of the free memory")
+    ),
 )
 def test_one_that_fails_is_dropped_and_nobody_waits_for_it(
     lab: Callable[..., None], started: Callable[..., live.LiveDetector], fault: str
