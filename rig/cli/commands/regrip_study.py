@@ -10,6 +10,7 @@ import typer
 from rig.cli.options.shared import AsJson, Debug
 from rig.cli.outcome import print_json, reported, say
 from rig.core.errors import ConfigurationError
+from rig.core.units import counted
 from rig.detector import DEFAULT_DETECTOR
 
 if TYPE_CHECKING:
@@ -74,7 +75,9 @@ def regrip_study(
                 if weight.failed:
                     say(f"seed {weight.seed}, {weight.share:g}, {weight.strategy}: {weight.failed}")
         except (KeyboardInterrupt, SystemExit):
-            say(f"interrupted after {progress.number} trials; the same command continues")
+            say(
+                f"interrupted after {counted(progress.number, 'trial')}; the same command continues"
+            )
             raise
         if as_json:
             drawn_as = {"seeds": str(drawn), "tuning": tuning, "speed_mm_s": speed_mm_s}
