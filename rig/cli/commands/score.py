@@ -202,8 +202,8 @@ def _wire(
         )  # fmt: skip
     except (KeyboardInterrupt, SystemExit):
         say(
-            f"score: interrupted after {counted(progress.number, 'trial')}; what was made is stored, "
-            "and the same command continues"
+            f"score: interrupted after {counted(progress.number, 'trial')}; what was made is "
+            "stored, and the same command continues"
         )
         raise
     for name, reason in found.failed.items():
