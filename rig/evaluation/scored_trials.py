@@ -256,6 +256,12 @@ def _over(population: Population, each: Each[Result], jobs: int) -> Iterator[Res
     pool = ProcessPoolExecutor(jobs, mp_context=get_context("fork"), initializer=_begin_worker)
     try:
         yield from pool.map(_work_inherited, trials, chunksize=_CHUNK)
+    except BaseException:
+        # A detector may never return, and its process does not hear Ctrl-C. What is lost is the
+        # trials under way: no result of theirs is wanted any more.
+        for process in list((pool._processes or {}).values()):
+            process.kill()
+        raise
     finally:
         pool.shutdown(cancel_futures=True)
         _inherited = None

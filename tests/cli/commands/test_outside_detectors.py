@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import json
 import re
+import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 from typing import Any
 
@@ -323,6 +325,24 @@ def test_one_that_fails_in_a_score_is_named_and_the_others_are_scored(
     assert done.code == 1, done.stderr
     assert words in done.errors[-1]
     assert not (rig.folder / "alone").exists()
+
+
+def test_ctrl_c_ends_a_score_in_which_one_hangs_in_one_of_several_processes(rig: Any) -> None:
+    hangs = "volts.any() and (open('hangs', 'w').close(), [0 for _ in iter(int, 1)]); above ="
+    installed(rig, LEVEL.replace("above =", hangs))
+    (rig.folder / "population.json").write_text(
+        json.dumps({"ridge": 2, "skin": {"ridges": 3, "elements_per_ridge": 3}, "held_s": 0.05})
+    )
+    begun = rig.start(
+        "score", "--detector", "lab-level", "--population", "population.json", "--kinds", "slide",
+        "--seeds", "1000000:1000002", "--no-roc", "--jobs", "2", "--out", "out",
+    )  # fmt: skip
+    give_up_s = time.monotonic() + 120
+    while not (rig.folder / "hangs").exists():
+        assert time.monotonic() < give_up_s, "the detector has not judged a trial"
+        time.sleep(0.05)
+    begun.send(signal.SIGINT)
+    assert begun.process.wait(120) == 130
 
 
 def test_a_name_that_two_packages_register_disables_that_name_only(rig: Any) -> None:
