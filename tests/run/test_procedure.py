@@ -357,6 +357,30 @@ def test_what_a_hook_raises_is_the_fault_of_its_package(
     assert procedure.log.count("off") == procedure.log.count("on") or hook == "arm"
 
 
+@pytest.mark.parametrize(
+    ("rows", "words"),
+    [
+        (np.zeros((2, 3)), "scale: 2 channels need as many values"),
+        (np.zeros((2, 2), int), "stream held: an array of int64 (2, 2), expected rows of <f8 (2,)"),
+        (np.zeros(2), "stream held: an array of the shape (2,), expected (n, channels)"),
+    ],
+)
+def test_rows_that_a_stream_does_not_have_are_the_fault_of_the_package_at_that_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, rows: Any, words: str
+) -> None:
+    def take(self: Example, run: Any, point: Any) -> Any:
+        run.streams.record_rows("held", 0, rows, None)
+
+    held = StreamPlan("held", "clock", ("z", "force"), "Held", "<f8")
+    procedure = made(take=take, streams=(held,))(Settings())
+    outcome = run_of(procedure, tmp_path, monkeypatch)
+    (failure,) = outcome.failures
+    line = take.__code__.co_firstlineno + 1
+    assert failure.message == (
+        f"a fault in the package test_procedure: test_procedure.py line {line}: ValueError: {words}"
+    )
+
+
 @pytest.mark.parametrize("what", [dividing, leaving])
 def test_a_summary_that_fails_costs_the_results_and_is_a_warning(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, what: Callable[..., Any]

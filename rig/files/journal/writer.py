@@ -424,19 +424,26 @@ def _beginning(place: Path) -> Iterator[None]:
         ) from error
 
 
+class UnrecordableError(RigError):
+    """Values that cannot be recorded. Nothing was written then, and the journal can still be
+    used."""
+
+    def __init__(self, path: Path, reason: str):
+        super().__init__(f"{path}: cannot be recorded: {reason}", code=ExitCode.INTERNAL)
+        self.reason = reason
+        """What is wrong with the values, without the name of the file."""
+
+
 def encode_or_raise(path: Path, encode: Any) -> Any:
     """Return ``encode()``. Its ValueError or TypeError, for values that cannot be recorded, becomes
-    a RigError that names the file.
-
-    Nothing was written then, and the journal can still be used.
-    """
+    an UnrecordableError."""
     try:
         return encode()
     except ValidationError as error:
         reason = ConfigurationError.from_validation(error, "record").message
-        raise RigError(f"{path}: cannot be recorded: {reason}", code=ExitCode.INTERNAL) from error
+        raise UnrecordableError(path, reason) from error
     except (ValueError, TypeError) as error:
-        raise RigError(f"{path}: cannot be recorded: {error}", code=ExitCode.INTERNAL) from error
+        raise UnrecordableError(path, str(error)) from error
 
 
 def lock_journal(path: Path, descriptor: int, *, shared: bool = False) -> None:

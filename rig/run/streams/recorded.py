@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from rig.files.journal.recorder import Recorder
+from rig.files.journal.writer import UnrecordableError
 from rig.instruments.roles import Record, Scaling
 
 if TYPE_CHECKING:
@@ -16,7 +17,8 @@ class RecordedStreams:
     """The streams of a procedure, which it gives its samples to be recorded.
 
     How numbers become values is recorded before the first of them, and again where it has changed.
-    The data are on the disk within 0.25 s.
+    The data are on the disk within 0.25 s. Rows whose shape or type is not the one that the
+    procedure has declared are a ValueError.
     """
 
     def __init__(
@@ -34,7 +36,8 @@ class RecordedStreams:
         index = self._indices[stream]
         scaling = record.scaling
         if self._scalings.get(stream) != scaling:
-            self._recorder.put_stream(
+            self._put(
+                self._recorder.put_stream,
                 {
                     "stream": index,
                     "rate_Hz": scaling.rate_S_s,
@@ -43,10 +46,12 @@ class RecordedStreams:
                     "units": "V",
                     "delay_s": scaling.delay_s,
                     "range": scaling.range_V,
-                }
+                },
             )
             self._scalings[stream] = scaling
-        self._recorder.put_block(index, record.first_index, self._elapsed_s(), record.counts)
+        self._put(
+            self._recorder.put_block, index, record.first_index, self._elapsed_s(), record.counts
+        )
 
     def record_rows(
         self,
@@ -64,6 +69,10 @@ class RecordedStreams:
         `rate_Hz` is None if the rows are not equally spaced in time.
         """
         index = self._indices[stream]
+        if rows.ndim != 2:
+            raise ValueError(
+                f"stream {stream}: an array of the shape {rows.shape}, expected (n, channels)"
+            )
         channels = rows.shape[1]
         state = {
             "stream": index,
@@ -73,6 +82,14 @@ class RecordedStreams:
             "units": units,
         }
         if self._states.get(stream) != state:
-            self._recorder.put_stream(state)
+            self._put(self._recorder.put_stream, state)
             self._states[stream] = state
-        self._recorder.put_block(index, first_index, self._elapsed_s(), rows)
+        self._put(self._recorder.put_block, index, first_index, self._elapsed_s(), rows)
+
+    def _put(self, put: Callable[..., None], *given: object) -> None:
+        """Record what is given. Values that do not fit the stream are the fault of the procedure,
+        and not of the file: as a ValueError they are reported with its package, file and line."""
+        try:
+            put(*given)
+        except UnrecordableError as error:
+            raise ValueError(error.reason) from error
