@@ -61,3 +61,17 @@ def listed(parts: Iterable[str]) -> str:
     """
     *others, last = parts
     return f"{', '.join(others)} and {last}" if others else last
+
+
+def one_edit_apart(one: str, other: str) -> bool:
+    """Return whether one insertion, deletion, replacement or swap of neighbours turns `one` into
+    `other`."""
+    if abs(len(one) - len(other)) > 1 or one == other:
+        return False
+    same = next(
+        (k for k, (a, b) in enumerate(zip(one, other, strict=False)) if a != b),
+        min(len(one), len(other)),
+    )
+    one, other = one[same:], other[same:]
+    swapped = one[1::-1] + one[2:]
+    return one[1:] == other or one == other[1:] or one[1:] == other[1:] or swapped == other

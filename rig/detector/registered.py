@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from importlib import import_module
 from pathlib import Path
+from types import FunctionType
 from typing import Any
 
 from pydantic import ValidationError
@@ -32,6 +33,7 @@ from rig.core.entry_points import (
 from rig.core.errors import ConfigurationError, finding, is_stop
 from rig.core.quiet_stdout import quiet_stdout
 from rig.core.settings import Settings
+from rig.core.text import one_edit_apart
 from rig.detector.checking import CheckedDetector, DetectorError, asked
 from rig.detector.contract import Detector
 from rig.detector.resampling import ResampledDetector
@@ -162,6 +164,12 @@ def _fault(name: str, value: Any) -> str | None:
         return "has a name that is not of letters, digits, - and _, which file names need"
     if not (isinstance(value, type) and issubclass(value, Detector)):
         return "is not a class that derives from rig.detector.contract.Detector"
+    if (misspelt := _misspelt(value)) is not None:
+        name, meant = misspelt
+        return (
+            f"has {name!r}, which is not a method of a detector; did you mean {meant!r}? (A name "
+            "of your own that is so similar has to begin with an underscore.)"
+        )
     if inspect.isabstract(value):
         return f"lacks {', '.join(sorted(value.__abstractmethods__))}"
     if not (isinstance(value.version, str) and _VERSION.fullmatch(value.version)):
@@ -182,6 +190,26 @@ def _fault(name: str, value: Any) -> str | None:
             words = "; ".join(map(finding, error.errors()))
         return f"has Settings without usable defaults: {' '.join(words.split())}"
     return None if again == settings else "has Settings that JSON does not hold"
+
+
+def _misspelt(kind: type[Detector]) -> tuple[str, str] | None:
+    """Return the first public method whose name differs by one letter from one of `Detector`, and
+    that one: it would never be called. None if there is none."""
+    known = [name for name in _methods(Detector) if not name.startswith("_")]
+    for own in (cls for cls in kind.__mro__ if cls is not Detector and issubclass(cls, Detector)):
+        for name in _methods(own):
+            if name.startswith("_") or name in known:
+                continue
+            for meant in known:
+                if one_edit_apart(name, meant):
+                    return name, meant
+    return None
+
+
+def _methods(kind: type) -> list[str]:
+    """Return the names of the methods that a class itself defines."""
+    methods = (FunctionType, classmethod, staticmethod)
+    return [name for name, member in vars(kind).items() if isinstance(member, methods)]
 
 
 @cache

@@ -16,6 +16,7 @@ from rig.bench.settings import Fixture
 from rig.core.entry_points import PROCEDURES, load
 from rig.core.errors import finding
 from rig.core.settings import Settings, option_name
+from rig.core.text import one_edit_apart
 from rig.core.units import is_unit
 from rig.files.journal.layout import Column, Layout
 from rig.files.journal.values import Stream
@@ -104,26 +105,12 @@ def _misspelt(procedure: type[Procedure]) -> Iterator[str]:
         if name.startswith("_") or name in known:
             continue
         public = (one for one in known if not one.startswith("_"))
-        meant = next((one for one in public if _one_edit_apart(name, one)), None)
+        meant = next((one for one in public if one_edit_apart(name, one)), None)
         if meant is not None:
             yield (
                 f"has {name!r}, which is not a hook; did you mean {meant!r}? (A name of your own "
                 "that is so similar has to begin with an underscore.)"
             )
-
-
-def _one_edit_apart(one: str, other: str) -> bool:
-    """Return whether one insertion, deletion, replacement or swap of neighbours turns `one` into
-    `other`."""
-    if abs(len(one) - len(other)) > 1 or one == other:
-        return False
-    same = next(
-        (k for k, (a, b) in enumerate(zip(one, other, strict=False)) if a != b),
-        min(len(one), len(other)),
-    )
-    one, other = one[same:], other[same:]
-    swapped = one[1::-1] + one[2:]
-    return one[1:] == other or one == other[1:] or one[1:] == other[1:] or swapped == other
 
 
 def _doing_nothing(procedure: type[Procedure]) -> Iterator[str]:

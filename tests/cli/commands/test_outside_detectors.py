@@ -121,7 +121,12 @@ BROKEN = {
     "it cannot be imported": ("import acme_sdk\n", "install acme_sdk, which the package lab-level"),
     "it ends the program": ("raise SystemExit(0)\n", "cannot be imported: .*SystemExit"),
     "a class of another kind": ("class Level: pass\n", "is not a class that derives from"),
-    "without judge": (LEVEL.replace("def judge", "def judges"), "lacks judge"),
+    "without judge": (LEVEL.replace("def judge", "def find"), "lacks judge"),
+    "judge misspelt": (LEVEL.replace("def judge", "def judges"), "did you mean 'judge'"),
+    "a hook misspelt": (
+        f"{LEVEL}\n    def cutoff(self, now):\n        pass\n",
+        "has 'cutoff', which is not a method of a detector; did you mean 'cut_off'",
+    ),
     "without a version": (LEVEL.replace('version = "3"', 'version = "3/1"'), "lacks a version"),
     "settings of its own kind": (
         LEVEL.replace("Settings = LevelSettings", "Settings = dict"),
