@@ -188,6 +188,8 @@ def _wrong_attributes(procedure: type[Procedure]) -> Iterator[str]:
 
 
 def _wrong_layout(layout: Layout, streams: tuple[StreamPlan, ...]) -> Iterator[str]:
+    from pydantic import ValidationError
+
     columns: tuple[Column, ...] = layout.columns
     for key, count in Counter(column.key for column in columns).items():
         if count > 1:
@@ -210,9 +212,16 @@ def _wrong_layout(layout: Layout, streams: tuple[StreamPlan, ...]) -> Iterator[s
                 units=stream.units,
                 long_name=stream.long_name,
             )
-        except ValueError as error:
-            yield f"has a stream {stream.name!r} that cannot be recorded: {error}"
+        except ValidationError as error:
+            reasons = "; ".join(map(finding, error.errors()))
+            yield f"has a stream {stream.name!r} that cannot be recorded: {reasons}"
     channels = {stream.name: stream.channels for stream in streams}
+    for stream in streams:
+        if stream.times and len(channels.get(stream.times, ())) != 1:
+            yield (
+                f"has a stream {stream.name!r} whose times are the stream {stream.times!r}, which "
+                "is not one of its streams of one channel"
+            )
     for trace in layout.traces:
         if trace.stream not in channels:
             yield (

@@ -145,7 +145,13 @@ FAULTS: dict[str, tuple[dict[str, Any], str]] = {
     ),
     "a stream of no type": (
         {"streams": (StreamPlan("ticks", "clock", ("b",), "Ticks", "float"),)},
-        "has a stream 'ticks' that cannot be recorded",
+        "has a stream 'ticks' that cannot be recorded: dtype 'float': expected an integer or float "
+        "such as '<i2'",
+    ),
+    "times of no stream": (
+        {"streams": (StreamPlan("position", "clock", ("z",), "z", "<f8", times="tick"),)},
+        "has a stream 'position' whose times are the stream 'tick', which is not one of its "
+        "streams of one channel",
     ),
     "two settings with one option": (
         {"Settings": TwoHolds},
