@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -117,11 +117,7 @@ def refusals(
         seen.add(point.id)
         for move in point.moves:
             if move.quantity not in limits:
-                role = move.quantity.split(".")[0]
-                yield ConfigurationError(
-                    f"point {point.id} needs {move.quantity}, which this bench does not have",
-                    f"add a [{role}] table to {bench.plan.source}",
-                )
+                yield _unknown_quantity(point, move, limits, bench)
                 continue
             name = move.quantity.replace(".", " ")
             try:
@@ -135,6 +131,23 @@ def refusals(
             except LimitError as error:
                 message = error.message + _origin(point.acquisitions_given, settings)
                 yield LimitError(f"point {point.id}: {message}", remedy(error, bench))
+
+
+def _unknown_quantity(
+    point: Point, move: Move, limits: Collection[str], bench: Bench
+) -> ConfigurationError:
+    """Return the error for a quantity without a limit: the bench lacks the role, or the instrument
+    in this role has no such quantity, which a procedure or a driver has misspelt."""
+    role, _, quantity = move.quantity.partition(".")
+    if known := sorted(name for name in limits if name.startswith(f"{role}.")):
+        return ConfigurationError(
+            f"point {point.id} needs {move.quantity}, but {role} has no limit {quantity!r}",
+            f"it has {', '.join(known)}: correct the point's Move, or limits() of the driver",
+        )
+    return ConfigurationError(
+        f"point {point.id} needs {move.quantity}, which this bench does not have",
+        f"add a [{role}] table to {bench.plan.source}",
+    )
 
 
 def _in_widest_range(acquisition: Acquisition, bench: Bench) -> Acquisition:

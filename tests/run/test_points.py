@@ -7,9 +7,9 @@ from typing import Any
 
 import pytest
 
-from rig.core.errors import LimitError
-from rig.instruments.roles import Acquisition, InputChannel
-from rig.run.points import RANGE_FOUND_LATER_V, Point, check_points
+from rig.core.errors import ConfigurationError, LimitError
+from rig.instruments.roles import Acquisition, InputChannel, Limits
+from rig.run.points import RANGE_FOUND_LATER_V, Move, Point, check_points
 
 
 class Converter:
@@ -41,3 +41,21 @@ def test_a_range_that_is_found_later_fits_a_daq_with_any_ranges() -> None:
     check_points([point(2.0)], BENCH)
     with pytest.raises(LimitError, match=r"point 20Hz: daq: range 1\.25 V"):
         check_points([point(1.25)], BENCH)
+
+
+def test_a_quantity_that_an_instrument_lacks_is_not_called_a_missing_table() -> None:
+    there = Limits(0.0, 1e6, "Hz", "generator")
+    bench: Any = SimpleNamespace(**vars(BENCH))
+    bench.limits = lambda: {"generator.frequency": there, "generator.amplitude": there}
+
+    def refused(quantity: str) -> str:
+        with pytest.raises(ConfigurationError) as caught:
+            check_points([Point("20Hz", None, (Move(quantity, 20.0),))], bench)
+        return caught.value.one_line()
+
+    assert refused("generator.freq") == (
+        "point 20Hz needs generator.freq, but generator has no limit 'freq'; it has "
+        "generator.amplitude, generator.frequency: correct the point's Move, or limits() of the "
+        "driver"
+    )
+    assert refused("stage_x.position").endswith("add a [stage_x] table to bench.toml")
