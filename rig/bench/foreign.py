@@ -252,7 +252,8 @@ class CheckedStage:
 class CheckedForceSensor:
     """A force sensor of another package, whose frames are checked; all else is the driver's own.
 
-    Frames are `ForceFrames` of n rows and 3 columns, and every force is a finite number.
+    Frames are `ForceFrames` of n rows and 3 columns, every force is a finite number, and so is the
+    rate of a stream.
     """
 
     def __init__(self, sensor: Any, driver: str):
@@ -260,6 +261,18 @@ class CheckedForceSensor:
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._sensor, name)
+
+    def start(self, rate_S_s: float) -> float:
+        """See `ForceSensor`. Raises InstrumentError for a rate that is not one."""
+        rate: Any = self._sensor.start(rate_S_s)
+        if isinstance(rate, Real) and not isinstance(rate, bool) and 0 < rate < math.inf:
+            return float(rate)
+        raise InstrumentError(
+            "force_sensor",
+            "start",
+            f"its driver returned {_shown(rate)}, not the rate of the stream in frames/s",
+            f"check the driver {self._driver}",
+        )
 
     def read(self) -> ForceFrames | None:
         """See `ForceSensor`. Raises WrongFramesError."""

@@ -257,6 +257,26 @@ def test_frames_with_forces_are_handed_over_as_they_are() -> None:
     assert checked_force_sensor(Gauge(None), "").read() is None
 
 
+class GaugeOfRate(Gauge):
+    """A gauge that returns this from its start."""
+
+    def __init__(self, rate: Any):
+        super().__init__(None)
+        self.rate = rate
+
+    def start(self, rate_S_s: float) -> Any:
+        return self.rate
+
+
+@pytest.mark.parametrize("returned", [None, "400", True, 0.0, math.nan, math.inf])
+def test_a_start_without_a_rate_names_the_driver(returned: Any) -> None:
+    sensor = checked_force_sensor(GaugeOfRate(returned), "'gauge' of the package lab")
+    with pytest.raises(InstrumentError, match="not the rate of the stream in frames/s") as caught:
+        sensor.start(100.0)
+    assert "the driver 'gauge' of the package lab" in caught.value.one_line()
+    assert checked_force_sensor(GaugeOfRate(np.float32(400)), "").start(100.0) == 400.0
+
+
 class Generator:
     """A generator that gives this answer about its output."""
 
