@@ -265,7 +265,7 @@ class CheckedForceSensor:
     def start(self, rate_S_s: float) -> float:
         """See `ForceSensor`. Raises InstrumentError for a rate that is not one."""
         rate: Any = self._sensor.start(rate_S_s)
-        if isinstance(rate, Real) and not isinstance(rate, bool) and 0 < rate < math.inf:
+        if isinstance(rate, Real) and not isinstance(rate, bool) and 0 < float(rate) < math.inf:
             return float(rate)
         raise InstrumentError(
             "force_sensor",
