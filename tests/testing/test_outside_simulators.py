@@ -81,3 +81,33 @@ def test_a_bench_in_real_time_has_them_where_its_command_says(rig: Any) -> None:
     assert bench["rotary"]["high_limit_deg"] == 30.0
     safe = rig.run("make-safe", "--bench", "sim.toml")
     assert safe.code == 0, safe.stderr
+
+
+def test_what_a_simulator_raises_while_it_serves_is_named_with_its_file_and_line(
+    rig: Any, site: Path
+) -> None:
+    (module,) = site.rglob("daq_simulator.py")
+    source = module.read_text()
+    broken = source.replace(
+        '            case ["ID?"]:\n', '            case ["ID?"]:\n' + " " * 16 + "1 / 0\n"
+    )
+    assert broken != source
+    module.write_text(broken)
+    line = broken.splitlines().index(" " * 16 + "1 / 0") + 1
+    (rig.folder / "bench.toml").write_text(CLAMP + packages.FORCE_SENSOR)
+    failed = rig.run("sweep", "--frequencies", "200", "--no-figures", "--dry-run")
+    assert failed.code == 3, failed.stderr
+    (warning,) = (one for one in failed.stderr.splitlines() if one.startswith("warning: simulator"))
+    assert "warning: simulator 'acme-daq' of the package acme" in warning
+    assert f"daq_simulator.py line {line}: ZeroDivisionError: division by zero" in warning
+
+
+def test_a_simulator_that_answers_nothing_is_refused_when_it_is_loaded(
+    rig: Any, site: Path
+) -> None:
+    (module,) = site.rglob("daq_simulator.py")
+    module.write_text(module.read_text().replace("def answer(", "def answers("))
+    refused = rig.run("simulate", "--replace", "daq=acme-daq")
+    assert refused.code == 2
+    assert "simulator 'acme-daq' of the package acme" in refused.stderr
+    assert "lacks answer or exchanges" in refused.stderr

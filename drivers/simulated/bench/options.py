@@ -90,6 +90,9 @@ def simulator_of(role: str, driver: str) -> type[InstrumentCore]:
             return "is not derived from a core of drivers.simulated.instruments"
         if missing := sorted(getattr(found, "__abstractmethods__", ())):
             return f"lacks {', '.join(missing)}"
+        untouched = (InstrumentCore.answer, InstrumentCore.exchanges)
+        if (found.answer, found.exchanges) == untouched:
+            return "lacks answer or exchanges"
         if found.link not in ("serial", "tcp"):
             return f"has the link {found.link!r}, which has to be 'serial' or 'tcp'"
         return None
@@ -104,23 +107,30 @@ def simulator_of(role: str, driver: str) -> type[InstrumentCore]:
     return found
 
 
-def fault_of_simulator(replace: Mapping[str, str], error: Exception) -> BrokenPackageError | None:
+def fault_of_simulator(
+    replace: Mapping[str, str], error: Exception, what: str = "cannot be started"
+) -> BrokenPackageError | None:
     """Return the error that names the package of the simulator whose code took part in `error`, of
-    the drivers in `replace` by role; None where none did."""
+    the drivers in `replace` by role; None where none did. `what` says what has become of it."""
+    found = None
     for role, driver in replace.items():
-        top = simulator_of(role, driver).__module__.split(".")[0]
+        module = simulator_of(role, driver).__module__
+        top = module.split(".")[0]
         entry = find(SIMULATORS, driver)
         own = [
-            f"{frame.f_code.co_filename} line {line}"
+            (str(frame.f_globals.get("__name__")), f"{frame.f_code.co_filename} line {line}")
             for frame, line in traceback.walk_tb(error.__traceback__)
             if str(frame.f_globals.get("__name__")).split(".")[0] == top
         ]
         if entry is not None and own and top not in ("drivers", "rig"):
             text = " ".join(str(error).split())
-            return BrokenPackageError(
-                entry, f"cannot be started: {own[-1]}: {type(error).__name__}: {text}"
+            fault = BrokenPackageError(
+                entry, f"{what}: {own[-1][1]}: {type(error).__name__}: {text}"
             )
-    return None
+            if any(name == module for name, _ in own):  # not another simulator of this package
+                return fault
+            found = found or fault
+    return found
 
 
 def options_for(drivers: Mapping[str, str]) -> dict[str, Any]:

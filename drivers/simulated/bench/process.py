@@ -37,6 +37,9 @@ from rig.core.errors import ConfigurationError, InstrumentError, RigError
 
 SETTLE_EVERY_S = 0.02
 """Interval in s at which drives in real time check what has happened to them."""
+MOST_REPORTED = 5
+"""Faults of simulators that are shown: further ones follow from them, and nothing may fill the pipe
+to the owner."""
 LATE_S = 0.2
 """Time in s by which a bench in real time is late enough for a message: frames of a force sensor
 that are 0.25 s old hold a run."""
@@ -72,7 +75,7 @@ async def serve(
 ) -> None:
     """Run a bench until it is stopped; `ready` gets ``control_port``, ``bench_toml``,
     ``recorded_toml`` and the ``models`` of its instruments by role. `show_line` shows a line to who
-    runs a bench in real time. Raises ConfigurationError for options that the bench does not have,
+    runs the bench. Raises ConfigurationError for options that the bench does not have,
     and InstrumentError at the end where its contact found no solution."""
     for asked, known in ((options.fixture, Fixture), (options.stages, Stages)):
         if asked not in get_args(known):
@@ -85,6 +88,7 @@ async def serve(
     # What has been imported stays until the end: no collection has to examine it, the one at the
     # interpreter's end included, for which a run would wait.
     gc.freeze()
+    asyncio.get_running_loop().set_exception_handler(bench.report)
     try:
         ready(await bench.begin())
         await bench.ended.wait()
@@ -99,6 +103,8 @@ class _ServedBench:
 
     def __init__(self, options: Options, show_line: Callable[[str], None]):
         self._options, self._show_line = options, show_line
+        self._reported: set[str] = set()
+        """Faults of simulators of other packages that were shown."""
         self._settings = world_settings(options)
         faults = fault_plan(options)
         log = Path(options.world_log) if options.world_log else None
@@ -204,6 +210,19 @@ class _ServedBench:
                 self.ended.set()
             await asyncio.sleep(SETTLE_EVERY_S)
 
+    def report(self, loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
+        """Show once what a simulator of another package has raised while it served: its client sees
+        only that the connection is closed."""
+        error = context.get("exception")
+        fault = None
+        if isinstance(error, Exception):
+            fault = fault_of_simulator(self._options.replace, error, "failed")
+        if fault is None:
+            loop.default_exception_handler(context)
+        elif fault.message not in self._reported and len(self._reported) < MOST_REPORTED:
+            self._reported.add(fault.message)
+            self._show_line(f"warning: {fault.one_line()}")
+
 
 class _OwnersPipe(asyncio.Protocol):
     """The owner's end of our stdin: closed when the owner has ended, however early it dies."""
@@ -217,7 +236,7 @@ class _OwnersPipe(asyncio.Protocol):
 
 def main() -> None:
     """Run the process behind `start`: read the options as a line of JSON, and write one when it
-    listens.
+    listens, and one with ``line`` for each line to be shown to who runs the command.
 
     Where the input ends without options, the owner has died: nothing is started.
     """
@@ -233,7 +252,7 @@ def main() -> None:
     if not options:
         return
     try:
-        asyncio.run(serve(Options(**json.loads(options)), say))
+        asyncio.run(serve(Options(**json.loads(options)), say, lambda text: say({"line": text})))
     except RigError as error:
         say({"error": error.message, "hint": error.hint})
     except Exception as error:

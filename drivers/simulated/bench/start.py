@@ -86,7 +86,7 @@ class StartedBench:
 
     def wait(self, timeout_s: float = 5.0) -> None:
         """Wait for the process to end; one that does not is ended. With it end the faults of the
-        disk."""
+        disk. What it had to say meanwhile is shown."""
         if self._disk is not None:
             self._disk.remove()
         try:
@@ -94,6 +94,10 @@ class StartedBench:
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()
+        if self._process.stdout is not None and not self._process.stdout.closed:
+            for line in self._process.stdout:
+                with contextlib.suppress(ValueError, KeyError):  # the end of one that was killed
+                    sys.stderr.write(f"{json.loads(line)['line']}\n")
         for pipe in (self._process.stdin, self._process.stdout, self._process.stderr):
             if pipe is not None:
                 pipe.close()
