@@ -300,6 +300,13 @@ class CheckedDaq:
     def __getattr__(self, name: str) -> Any:
         return getattr(self._daq, name)
 
+    def ranges_V(self) -> tuple[float, ...]:  # noqa: N802 - the unit keeps its capital
+        """See `DataAcquisition`. Raises InstrumentError for other values than ascending full
+        scales."""
+        ranges: Any = self._daq.ranges_V()
+        self._require("ranges_V", _wrong_ranges(ranges))
+        return tuple(float(one) for one in ranges)
+
     def acquire(self, acquisition: Acquisition) -> Record:
         """See `DataAcquisition`. Raises InstrumentError for a wrong record."""
         record = self._daq.acquire(acquisition)
@@ -425,6 +432,18 @@ def checked_stage(role: str, stage: Any, driver: str) -> Any:
 def checked_force_sensor(sensor: Any, driver: str) -> Any:
     """Return a force sensor with its frames checked."""
     return _with_members_of(sensor, CheckedForceSensor, "_sensor")(sensor, driver)
+
+
+def _wrong_ranges(ranges: Any) -> str | None:
+    """Return what is wrong with the ranges of a DAQ, in words; None if nothing is."""
+    if not isinstance(ranges, (tuple, list)):
+        return f"{_shown(ranges)}, not a tuple of full scales in V"
+    if not ranges:
+        return "no range"
+    for one in ranges:
+        if not isinstance(one, Real) or isinstance(one, bool) or not 0 < float(one) < math.inf:
+            return f"the range {_shown(one)}, not a full scale in V"
+    return None if list(ranges) == sorted(ranges) else "ranges that do not ascend"
 
 
 def checked_daq(daq: Any, driver: str) -> Any:

@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 from importlib.metadata import EntryPoint
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -311,6 +312,27 @@ STEPS = (4e-5, 4e-5)
 RANGES = (1.25, 1.25)
 SCALING = Scaling(("strip_1", "strip_2"), 1000.0, STEPS, NONE, RANGES, NONE, -32768, 32767)
 COUNTS = np.zeros((4, 2), np.int16)
+
+
+@pytest.mark.parametrize(
+    ("returned", "words"),
+    [
+        (10.0, "returned 10.0, not a tuple of full scales in V"),
+        (None, "returned None, not a tuple of full scales in V"),
+        ((), "returned no range"),
+        (("10 V",), "returned the range '10 V', not a full scale in V"),
+        ((1.0, math.nan), "returned the range nan, not a full scale in V"),
+        ((10.0, 1.0), "returned ranges that do not ascend"),
+    ],
+)
+def test_ranges_that_are_none_name_the_driver(returned: Any, words: str) -> None:
+    daq = checked_daq(SimpleNamespace(ranges_V=lambda: returned), "'ad' of the package lab")
+    with pytest.raises(InstrumentError, match="ranges_V") as caught:
+        daq.ranges_V()
+    assert words in caught.value.one_line()
+    assert "the driver 'ad' of the package lab" in caught.value.one_line()
+    good = SimpleNamespace(ranges_V=lambda: [1, 10.0])
+    assert checked_daq(good, "").ranges_V() == (1.0, 10.0)
 
 
 class Converter:
