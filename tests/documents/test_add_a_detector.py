@@ -75,3 +75,20 @@ def test_the_page_s_tables_name_what_there_is(rig: Any) -> None:
     assert len(named) >= 9
     for kind in EVENT_KINDS:
         assert f"`{kind}`" in text
+
+
+def test_a_detector_that_fails_at_once_and_one_with_a_misspelt_hook_are_refused(rig: Any) -> None:
+    page = Page(PAGE, rig)
+    assert "a detector that fails at those is refused" in page.text
+    assert "such as `cutoff`, is refused" in page.text
+    judge = "    def judge(self, volts):\n"
+    page.make((judge, f"{judge}        1 / 0\n"))
+    trial = ("slip-trial", "--detector", "lab-jump", "--no-figures")
+    failed = rig.run(*trial)
+    assert failed.code == 1
+    assert "of the package lab-jump failed at judging: lab_jump/detector.py line" in failed.stderr
+    assert not list(rig.folder.rglob("*.rigj")), "nothing was connected"
+    page.make((judge, f"    def cutoff(self, now):\n        pass\n\n{judge}"))
+    refused = rig.run(*trial)
+    assert refused.code == 2
+    assert "did you mean 'cut_off'?" in refused.stderr

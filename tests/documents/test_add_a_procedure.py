@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import fields
 from textwrap import indent
 from typing import Any
 
@@ -9,9 +10,12 @@ import pytest
 from page import Page
 from tiers import mostly_nightly
 
+from procedures.pressed.record.motion import MotionRecord
+from procedures.sweep import preload
 from rig.bench.settings import BenchSettings
 from rig.core.clock import SIGN_OF_LIFE_S
 from rig.files.runfile.reader import RunFile
+from rig.run.streams.recorded import RecordedStreams
 
 PAGE = "add-a-procedure.md"
 
@@ -151,3 +155,16 @@ def test_other_messages_are_those_of_the_page(rig: Any) -> None:
     assert "No such command 'creep'" in missing.stderr
     page.make(("class Creep(", "class class Creep("))
     assert "creep (unavailable: lab-creep: " in " ".join(rig.run("--help").stdout.split())
+
+
+def test_what_the_page_names_of_the_program_is_there(rig: Any) -> None:
+    text = Page(PAGE, rig).text
+    for owner, name in (
+        (RecordedStreams, "run.streams.record_raw"),
+        (RecordedStreams, "run.streams.record_rows"),
+        (preload, "procedures.sweep.preload.press"),
+    ):
+        assert f"`{name}" in text
+        assert callable(getattr(owner, name.rpartition(".")[2]))
+    for field in fields(MotionRecord):
+        assert f"`{field.name}`" in text or f"record.{field.name}" in text
