@@ -12,7 +12,6 @@ from typing import Any
 
 from rig.core.atomic import write_text
 from rig.core.text import in_shell
-from rig.files.file_kind import BATCH_QUEUE
 
 GUARD_SUFFIX = ".guard.json"
 """Suffix of a report next to its run file, for a bench that ended with the run."""
@@ -55,6 +54,9 @@ def in_words(report: dict[str, Any]) -> str:
 
 def _continuing(journal: Path) -> str:
     """Return the command that continues a run: that of its batch, if it is one of a batch."""
+    # Here, since a guard that waits imports little; once a file is compiled, this is imported.
+    from rig.files.file_kind import BATCH_QUEUE
+
     batch = journal.parent.parent
     with contextlib.suppress(OSError):  # a folder that may not be looked into
         if (batch / BATCH_QUEUE).is_file():
