@@ -27,8 +27,8 @@ class Ending:
         """Calls to instruments that did not answer, if the run has ended because of them."""
         self.silent: frozenset[str] = frozenset()
         """Roles of these instruments, and of those that share a link with one of them."""
-        self.left: list[str] = []
-        """How z was left where it could not be moved clear, as parts of a sentence."""
+        self._left: list[str] = []
+        self._doubts: list[str] = []
         self.made_safe: list[str] = []
         """Effects of the shutdown actions on what has not been switched on again, in their order,
         as parts of a sentence: "generator off". An action that failed in part is not included."""
@@ -40,17 +40,24 @@ class Ending:
         self.made_safe = [other for other in self.made_safe if other != done]
 
         def shutdown() -> None:
-            failed_before = len(self.failures)
+            before = len(self.failures), len(self._doubts)
             off()
-            if len(self.failures) == failed_before:
+            if (len(self.failures), len(self._doubts)) == before:
                 self.made_safe.append(done)
 
         return shutdown
 
+    @property
+    def left(self) -> tuple[str, ...]:
+        """How z was left where it could not be moved clear, or where that is not known, as parts of
+        a sentence."""
+        return (*self._left, *self._doubts)
+
     def begin(self) -> None:
-        """Forget what was said when the bench was last made safe. What was done then stays done
-        until it is armed again."""
+        """Forget what was said, and was not known, when the bench was last made safe. What was done
+        then stays done until it is armed again."""
         self._not_safe_said = False
+        self._doubts.clear()
 
     def announce(self) -> None:
         """Record that the run ends and is about to make the bench safe, for who follows it."""
@@ -71,9 +78,15 @@ class Ending:
         says for the closing lines how z stands there, as part of a sentence: "the skin may still be
         pressed"."""
         self.failures.append(error)
-        if left and left not in self.left:
-            self.left.append(left)
+        if left and left not in self._left:
+            self._left.append(left)
         self._record("error", type(error).__name__, error.one_line())
+
+    def doubt(self, left: str, text: str) -> None:
+        """Warn of a shutdown action that was done, and of which it is not known whether it had its
+        effect; `left` is as in `fail`: "it is not known whether the skin is still pressed"."""
+        self._doubts.append(left)
+        self._record("warning", "pressed", text)
 
     def _note(self, code: str, text: str) -> None:
         try:

@@ -339,7 +339,7 @@ class _Execution:
         self.outcome.made_safe = tuple(self.run.ending.made_safe)
         self.outcome.armed = self.run.arming.begun
         self.outcome.own_bench = self.job.lock is None
-        self.outcome.left = tuple(self.run.ending.left)
+        self.outcome.left = self.run.ending.left
         self.outcome.off_failures = [failure for failure in failures if failure.drives]
         for failure in failures:
             if not failure.drives:
@@ -356,7 +356,7 @@ class _Execution:
             self.outcome.status = "failed"
             self._mark()
         else:
-            self.outcome.safe = not self.run.ending.failures
+            self.outcome.safe = not (self.run.ending.failures or self.outcome.left)
             self._mark()
             self.guard.safe()
         with contextlib.suppress(RigError):  # a failed recorder is reported by `RunSaving`

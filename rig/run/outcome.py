@@ -51,8 +51,8 @@ class RunOutcome:
     own_bench: bool = False
     """True if the bench was started for this run alone: no earlier run can have left it pressed."""
     left: tuple[str, ...] = ()
-    """How z was left where it could not be moved clear, as parts of a sentence: "the skin may still
-    be pressed"."""
+    """How z was left where it could not be moved clear, or where that is not known, as parts of a
+    sentence: "the skin may still be pressed"."""
     warnings: list[str] = field(default_factory=list)
 
     def end_with(self, error: RigError) -> RunOutcome:

@@ -369,6 +369,23 @@ def test_a_stop_is_heard_while_the_last_files_are_made(
     assert len(given_up) == 1
 
 
+@pytest.mark.parametrize(("missing", "code"), [([7], ExitCode.SIGTERM), ([], ExitCode.DONE)])
+def test_a_signal_that_leaves_files_of_finished_runs_out_is_the_exit_code_of_the_batch(
+    missing: list[int], code: ExitCode, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    stop = StopFlag()
+
+    def workers() -> ExitCode:
+        stop.requested = signal.SIGTERM
+        monkeypatch.setattr(Queue, "unprocessed", lambda _: missing)
+        return ExitCode.DONE
+
+    with supervision(tmp_path, stop=stop) as finishing:
+        monkeypatch.setattr(finishing, "_workers", workers)
+        monkeypatch.setattr(finishing, "_finish_files", lambda: None)
+        assert finishing.to_the_end() == code
+
+
 def test_a_worker_that_dies_after_a_request_to_stop_gets_no_successor(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

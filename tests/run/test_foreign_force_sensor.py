@@ -90,8 +90,10 @@ def test_a_force_that_is_no_number_while_z_presses_ends_the_run_and_z_is_lifted(
         use_the_package(path)
         done = rig.run(*SWEEP, "--bench", str(path))
         assert_named(done)
-        assert "Bench is safe: preload released" in done.stderr
-        assert "it is not known whether the film is still pressed" in done.stderr
+        unknown = "it is not known whether the film is still pressed"
+        assert f"Bench is stopped, but {unknown} (see above): check stage_z before" in done.stderr
+        assert f"and {unknown}; look before you go near it" in done.stderr
+        assert "preload released" not in done.stderr
         stood = z_at_rest(rig)
         assert max(stood) > CLEAR_mm
         assert stood[-1] < CLEAR_mm

@@ -12,6 +12,7 @@ from made_up import Example, run_of
 from rig.core.errors import ExitCode, InstrumentError
 from rig.core.settings import Settings
 from rig.run.context import Run
+from rig.run.ending import Ending
 from rig.run.observers import RunObserver
 from rig.run.points import Point, Reading
 from rig.run.stopping import StopFlag
@@ -61,6 +62,35 @@ def test_a_run_knows_what_it_has_left_pressed(
     outcome = run_of(LeavesItPressed(Settings()), tmp_path, monkeypatch)
     assert outcome.left == ("the film may still be pressed",)
     assert (outcome.safe, outcome.code) == (False, ExitCode.INSTRUMENT)
+
+
+class LeavesItUnknown(Example):
+    """What presses goes up, and no sensor shows whether it has; a hold may come before that."""
+
+    def arm(self, run: Run) -> None:
+        super().arm(run)
+        run.arm("preload", lambda: self._up(run), done="preload released")
+
+    def _up(self, run: Run) -> None:
+        unknown = "it is not known whether the film is still pressed"
+        run.ending.doubt(unknown, f"the sensor sends nothing, and {unknown}")
+
+
+def test_a_run_does_not_call_a_bench_safe_of_which_it_does_not_know_what_is_pressed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    outcome = run_of(LeavesItUnknown(Settings()), tmp_path, monkeypatch)
+    assert outcome.left == ("it is not known whether the film is still pressed",)
+    assert (outcome.safe, outcome.code) == (False, ExitCode.DONE)
+    assert "preload released" not in outcome.made_safe
+    assert [w for w in outcome.warnings if "the sensor sends nothing" in w]
+
+
+def test_a_doubt_ends_where_the_bench_is_made_safe_again() -> None:
+    ending = Ending(lambda level, code, text: None, [])
+    ending.doubt("it is not known whether the film is still pressed", "no frames")
+    ending.begin()
+    assert ending.left == ()
 
 
 class Tripped(Example):

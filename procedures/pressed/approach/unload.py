@@ -234,11 +234,11 @@ def _judge_what_remains(run: Run, pressed: str, where: str) -> None:
     force_N = run.force_from_now_N(SETTLED_S)
     if force_N is None:
         # Frames that are late, as after a suspension of the computer, end no stream by themselves.
-        run.event(
-            "warning",
-            "pressed",
-            f"force_sensor sends nothing, or late, after the way up: z is {where}, and it is "
-            f"not known whether the {pressed} is still pressed; look before you go near it",
+        unknown = f"it is not known whether the {pressed} is still pressed"
+        run.ending.doubt(
+            unknown,
+            f"force_sensor sends nothing, or late, after the way up: z is {where}, and {unknown}; "
+            "look before you go near it",
         )
         return
     limit_N = run.force.limit_N

@@ -60,6 +60,8 @@ REQUESTS = {
 """A command's name for people, where it differs."""
 BENCH_WAITS = ("waiting", "resting", "paused", "held")
 """States in which no run needs the computer: the files of finished runs may be begun."""
+FINISHED = (ExitCode.DONE, ExitCode.FINISHED_WITH_FAILURES)
+"""Exit codes of a batch whose runs are done."""
 CLOSING_S = 10.0
 """Longest time in s that the files under way may take when a person has asked the batch to stop."""
 FILE_PATIENCE_S = 120.0
@@ -192,6 +194,9 @@ class _Supervision:
         code = self._workers()
         with contextlib.suppress(QueueDamagedError):
             self._finish_files()
+            number = self._terminal.requested
+            if code in FINISHED and number is not None and self._queue.unprocessed():
+                code = ExitCode(128 + number)
         self._write_heartbeat("ended")
         self._people.notify("end", self._reports.progress.text)
         self._people.close()
