@@ -525,8 +525,8 @@ def test_the_end_is_on_the_disk_before_the_summary_is_computed(
 
 
 def test_an_unknown_procedure_is_refused() -> None:
-    with pytest.raises(ConfigurationError, match="procedure 'creep' is unknown"):
-        load_procedure("creep")
+    with pytest.raises(ConfigurationError, match="procedure 'that-nobody-has' is unknown"):
+        load_procedure("that-nobody-has")
 
 
 def test_a_computer_without_memory_is_not_a_defect_of_the_program() -> None:
