@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.core.csv_lists import ListRow, read_list
-from rig.core.errors import ConfigurationError
+from rig.core.errors import ConfigurationError, RigError
 from rig.detector.notices import Notice, notices_in
 from rig.evaluation import simulated_truth
 from rig.evaluation.scored_trials import judge_one
@@ -32,6 +32,7 @@ from rig.evaluation.scoring.contenders import Contender
 from rig.evaluation.scoring.outcomes import LABELS, SLIPPED, Truth
 from rig.evaluation.scoring.results import ScoredTrial
 from rig.evaluation.scoring.tables import NAMES
+from rig.files.errors import RunFileError
 from rig.files.runfile.reader import RunFile
 
 Floats = NDArray[np.float64]
@@ -145,10 +146,17 @@ def listed_trials(listing: Path) -> Iterator[tuple[ListedTrial, int]]:
     """Yield every trial of a list, with the number of all. Raises ConfigurationError, which names
     the line, where one cannot be used."""
     rows = _rows(listing)
+    lines: dict[tuple[Path, str], int] = {}
     for line, row in rows:
         where = f"{listing}, line {line}"
         path = listing.parent / row["file"]
         recorded = _recorded(path, row.get("point", ""), where)
+        first = lines.setdefault((path.resolve(), recorded.point), line)
+        if first != line:
+            raise ConfigurationError(
+                f"{where}: the trial of line {first}, which would be judged twice",
+                "remove one of them",
+            )
         truth = _truth(row, recorded, where)
         slips_s, ends_known = recorded.slips_s, True
         # Where the list states the truth itself, the bench's account may contradict it.
@@ -195,15 +203,6 @@ def _rows(listing: Path) -> list[ListRow]:
             )
     if not rows:
         raise ConfigurationError(f"{listing}: lists no file")
-    seen: dict[tuple[str, ...], int] = {}
-    for row in rows:
-        first = seen.setdefault(tuple(row.cells.values()), row.line)
-        if first != row.line:
-            raise ConfigurationError(
-                f"{listing}, line {row.line}: the same as line {first}, so that its trial "
-                "would be judged twice",
-                "remove one of them",
-            )
     return rows
 
 
@@ -214,8 +213,13 @@ def _holds_numbers(name: str, rows: Sequence[ListRow]) -> bool:
 
 
 def _recorded(path: Path, point: str, where: str) -> _Recorded:
-    """Return what a file holds of a point."""
-    with RunFile.open(path) as run:
+    """Return what a file holds of a point. Raises RigError, which names the line, for one that
+    cannot be read."""
+    try:
+        opened = RunFile.open(path)
+    except RunFileError as error:
+        raise RigError(f"{where}: {error.message}", error.hint, error.code) from error
+    with opened as run:
         points = run.point_ids()
         if not point and len(points) == 1:
             point = points[0]

@@ -2,6 +2,7 @@
 
 import csv
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -234,8 +235,9 @@ def test_labelled_files_are_scored_by_their_list_or_by_what_a_simulated_bench_kn
     listed = (
         "file,point,label,motion_s,node_slip_s,ridge_slip_s,noise_mV\n"
         "slip.h5,trial-001,slip,1.1,1.7,1.8,0.1\n"
-        "slip.h5,,tap,1.1,,,0.1\n"
+        "tap.h5,,tap,1.1,,,0.1\n"
     )
+    shutil.copy(tmp_path / "slip.h5", tmp_path / "tap.h5")
     reported = scored(tmp_path, listed, "listed")
     found = values(reported)
     assert (found["found"], found["early"], found["tap_alarms"]) == (0.0, 1.0, 1.0)
@@ -263,7 +265,12 @@ def test_labelled_files_are_scored_by_their_list_or_by_what_a_simulated_bench_kn
             "file,motion_s,ridge_slip_s\n\nslip.h5,0.5,0.2\n",
             "line 3: ridge_slip_s 0.2 s is before motion_s 0.5 s",
         ),
-        ("file\nslip.h5\nslip.h5\n", "line 3: the same as line 2, so that its trial would be "),
+        ("file\nslip.h5\nslip.h5\n", "line 3: the trial of line 2, which would be judged twice"),
+        (
+            "file,label,motion_s,ridge_slip_s\nslip.h5,slip,0.5,1\n./slip.h5,hold,0.5,\n",
+            "line 3: the trial of line 2, which would be judged twice",
+        ),
+        ("file\nslip.h5\ngone.h5\n", "line 3: "),
     ],
 )
 def test_a_list_that_cannot_be_used_is_refused_with_its_line(listing, words, tmp_path):
@@ -276,7 +283,8 @@ def test_a_list_that_cannot_be_used_is_refused_with_its_line(listing, words, tmp
 
 def test_a_line_that_cannot_be_used_is_named_before_the_first_trial_is_judged(tmp_path):
     slip_file(tmp_path)
-    (tmp_path / "list.csv").write_text("file,motion_s\nslip.h5,1.1\nslip.h5,900\n")
+    shutil.copy(tmp_path / "slip.h5", tmp_path / "other.h5")
+    (tmp_path / "list.csv").write_text("file,motion_s\nslip.h5,1.1\nother.h5,900\n")
     given = ("--files", tmp_path / "list.csv", "--out", tmp_path / "out")
     result = CliRunner().invoke(app, [str(each) for each in given])
     (line,) = result.stderr.splitlines()
