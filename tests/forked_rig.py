@@ -295,6 +295,8 @@ def _become_rig(job: Mapping[str, Any], descriptors: Sequence[int]) -> None:
     """Call the program's entry point in this process, which it ends."""
     signal.set_wakeup_fd(-1)
     signal.signal(signal.SIGCHLD, signal.SIG_DFL)
+    # As in a terminal, also where a shell runs the tests in the background, with Ctrl-C ignored.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     os.setpgid(0, 0)
     for number, descriptor in enumerate(descriptors, 1):
         os.dup2(descriptor, number)

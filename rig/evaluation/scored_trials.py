@@ -8,7 +8,6 @@ The result does not depend on their number.
 from __future__ import annotations
 
 import math
-import signal
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import suppress
@@ -20,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.core.cache import Cache
+from rig.core.pool_workers import begin_worker
 from rig.detector.checking import DetectorError
 from rig.detector.notices import Notice
 from rig.evaluation.front_ends import through_front_end
@@ -224,12 +224,6 @@ class _Work(Generic[Result]):
 _inherited: _Work[Any] | None = None
 
 
-def _begin_worker() -> None:
-    r"""Ignore Ctrl-C and Ctrl-\ in a worker, because the parent process handles them."""
-    for number in (signal.SIGINT, signal.SIGQUIT):
-        signal.signal(number, signal.SIG_IGN)
-
-
 def _work_inherited(drawn: tuple[Kind, int]) -> Any:
     assert _inherited is not None
     return _inherited(drawn)
@@ -253,7 +247,7 @@ def _over(population: Population, each: Each[Result], jobs: int) -> Iterator[Res
         yield from map(work, trials)
         return
     _inherited = work
-    pool = ProcessPoolExecutor(jobs, mp_context=get_context("fork"), initializer=_begin_worker)
+    pool = ProcessPoolExecutor(jobs, mp_context=get_context("fork"), initializer=begin_worker)
     try:
         yield from pool.map(_work_inherited, trials, chunksize=_CHUNK)
     except BaseException:

@@ -8,8 +8,6 @@ import multiprocessing
 import os
 import platform
 import queue
-import signal
-import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import (
@@ -22,6 +20,7 @@ from concurrent.futures import (
 from typing import Any, TypeVar
 
 from rig.core.errors import ConfigurationError, ExitCode, RigError
+from rig.core.pool_workers import begin_worker
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -115,23 +114,7 @@ def _outcome(future: Future[Result]) -> Result | RigError:
 
 def _forked(processes: int) -> ProcessPoolExecutor:
     context = multiprocessing.get_context("fork")
-    return ProcessPoolExecutor(processes, context, initializer=_serve)
-
-
-def _serve() -> None:
-    """Leave Ctrl-C and Ctrl-\\ to the command, and end with it (in a worker)."""
-    for number in (signal.SIGINT, signal.SIGQUIT):  # the terminal sends them to both
-        signal.signal(number, signal.SIG_IGN)
-    for number in (signal.SIGTERM, signal.SIGHUP):
-        signal.signal(number, signal.SIG_DFL)
-    threading.Thread(target=_end_with_the_command, daemon=True).start()
-
-
-def _end_with_the_command() -> None:
-    command = multiprocessing.parent_process()
-    assert command is not None
-    command.join()
-    os._exit(1)
+    return ProcessPoolExecutor(processes, context, initializer=begin_worker)
 
 
 def worker_name() -> str:

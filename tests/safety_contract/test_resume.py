@@ -144,6 +144,7 @@ def test_a_run_whose_bench_is_gone_has_lost_nothing(rig):
     assert verify(rig.folder / stopped.object["journal"]) == []
 
 
+@pytest.mark.thorough
 def test_a_resume_in_another_folder_says_where_the_bench_file_is_missed(rig):
     """It is named as it was given, which may be relative to the folder where the run began; `rig
     resume` has no other way to name it."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import re
 import signal
@@ -333,7 +334,21 @@ def test_one_that_fails_in_a_score_is_named_and_the_others_are_scored(
     assert not (rig.folder / "alone").exists()
 
 
-def test_ctrl_c_ends_a_score_in_which_one_hangs_in_one_of_several_processes(rig: Any) -> None:
+def living_in(group: int) -> list[int]:
+    """The processes of this group that have not ended."""
+    living = []
+    for entry in Path("/proc").glob("[0-9]*/stat"):
+        with contextlib.suppress(OSError):
+            state, _, of_group = entry.read_text().rpartition(")")[2].split()[:3]
+            if int(of_group) == group and state != "Z":
+                living.append(int(entry.parent.name))
+    return living
+
+
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGKILL, -9)])
+def test_a_score_in_which_one_hangs_in_one_of_several_processes_ends_with_all_of_them(
+    number: signal.Signals, code: int, rig: Any
+) -> None:
     hangs = "volts.any() and (open('hangs', 'w').close(), [0 for _ in iter(int, 1)]); above ="
     installed(rig, LEVEL.replace("above =", hangs))
     (rig.folder / "population.json").write_text(
@@ -347,8 +362,11 @@ def test_ctrl_c_ends_a_score_in_which_one_hangs_in_one_of_several_processes(rig:
     while not (rig.folder / "hangs").exists():
         assert time.monotonic() < give_up_s, "the detector has not judged a trial"
         time.sleep(0.05)
-    begun.send(signal.SIGINT)
-    assert begun.process.wait(120) == 130
+    begun.send(number)
+    assert begun.process.wait(120) == code
+    while left := living_in(begun.process.pid):
+        assert time.monotonic() < give_up_s + 120, left
+        time.sleep(0.05)
 
 
 def test_a_name_that_two_packages_register_disables_that_name_only(rig: Any) -> None:
