@@ -87,9 +87,9 @@ def filter_(
         from rig.analysis.low_pass_curves import low_pass_curves, low_pass_summary
         from rig.detector.low_pass import NAMED_LOW_PASSES
 
-        if figures:
-            require_results_folder(results)
         low_pass = _designed(_specification(name, texts), _quantity("--rate", rate, "Hz"))
+        if figures:  # not before: a specification that is refused leaves no empty folder behind
+            require_results_folder(results)
         summary = low_pass_summary(low_pass)
         changed = low_pass.settings != NAMED_LOW_PASSES[name]
         files: list[Path] = []
