@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.core.cache import Cache
-from rig.core.pool_workers import begin_worker
+from rig.core.pool_workers import begin_worker, kill_workers
 from rig.detector.checking import DetectorError
 from rig.detector.notices import Notice
 from rig.evaluation.front_ends import through_front_end
@@ -251,10 +251,7 @@ def _over(population: Population, each: Each[Result], jobs: int) -> Iterator[Res
     try:
         yield from pool.map(_work_inherited, trials, chunksize=_CHUNK)
     except BaseException:
-        # A detector may never return, and its process does not hear Ctrl-C. What is lost is the
-        # trials under way: no result of theirs is wanted any more.
-        for process in list((pool._processes or {}).values()):
-            process.kill()
+        kill_workers(pool)  # the results of the trials under way are not wanted any more
         raise
     finally:
         pool.shutdown(cancel_futures=True)

@@ -20,7 +20,7 @@ from concurrent.futures import (
 from typing import Any, TypeVar
 
 from rig.core.errors import ConfigurationError, ExitCode, RigError
-from rig.core.pool_workers import begin_worker
+from rig.core.pool_workers import begin_worker, kill_workers
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -94,8 +94,8 @@ def _end(executor: ProcessPoolExecutor, futures: Iterable[Future[Any]]) -> None:
     try:
         ended = not wait(running, END_S).not_done
     finally:  # by a second Ctrl-C as well: no one else would end them
-        for process in [] if ended else list((executor._processes or {}).values()):
-            process.kill()
+        if not ended:
+            kill_workers(executor)
 
 
 def _outcome(future: Future[Result]) -> Result | RigError:

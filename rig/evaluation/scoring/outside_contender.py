@@ -13,6 +13,7 @@ from multiprocessing.connection import Connection
 from typing import Any
 
 from rig.core.errors import RigError
+from rig.core.pool_workers import leave_signals_to_the_command
 from rig.detector.checking import DetectorError
 from rig.detector.notices import Notice
 from rig.evaluation.scoring.contenders import DetectorContender, Floats
@@ -88,14 +89,11 @@ class _Served:
 
 
 def _serve(answer: Any, pipe: Connection, other_end: Connection) -> None:
-    """Answer questions until there is no one to ask (in the fork)."""
+    """Answer questions until the other end is closed (in the fork)."""
     other_end.close()
     # What ends the command ends this process as well, even within the detector's C code.
     ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
-    for number in (signal.SIGINT, signal.SIGQUIT):  # the terminal sends them to all
-        signal.signal(number, signal.SIG_IGN)
-    for number in (signal.SIGTERM, signal.SIGHUP):
-        signal.signal(number, signal.SIG_DFL)
+    leave_signals_to_the_command()
     with suppress(EOFError, OSError):
         while True:
             question = pipe.recv()
