@@ -247,7 +247,9 @@ def test_other_terminals_pause_it_let_it_go_on_and_stop_it_after_a_point(rig) ->
 
 def test_a_batch_that_is_paused_within_a_run_is_stopped_without_being_resumed(rig) -> None:
     """A stop after the point under way: none is."""
-    running = begin(rig, ONE_RUN)
+    # 40 points, so that the run is still under way when the other command has started.
+    frequencies = ", ".join(map(str, range(160, 200)))
+    running = begin(rig, ONE_RUN.replace("160, 180, 200, 220", frequencies))
     await_point(folder_of(rig.results), 1)
     assert rig.run("batch", "pause").code == 0
     running.wait_for("^paused")
