@@ -69,13 +69,14 @@ def of_run(
     warnings = sorted(description.get("warnings", ()), key=lambda text: INVALID not in text)
     sections.append(Section("warnings", warnings, rank=3))
     foot = [f"results computed by: {results_by}"] if results_by else []
+    foot.append(MORE_AND_FIGURES if _can_be_drawn(description) else MORE)
     journal = Path(description["file"]).with_suffix(".rigj")
     if not journal.exists() or not _can_be_resumed(description):
-        return on_a_screen(head, sections, [*foot, MORE_AND_FIGURES])
+        return on_a_screen(head, sections, foot)
     # As one line, however long: it is to be copied.
     resume = f"resume with: rig resume {in_shell(journal)}"
     room = LINES - math.ceil(len(resume) / COLUMNS)
-    return [*on_a_screen(head, sections, [*foot, MORE_AND_FIGURES], room), resume]
+    return [*on_a_screen(head, sections, foot, room), resume]
 
 
 def of_processed(description: Mapping[str, Any], usual: Mapping[str, Any]) -> list[str]:
@@ -131,6 +132,11 @@ def _status(description: Mapping[str, Any], procedure: type[Procedure] | None) -
     done = f"{description['points_done']} of {counted(description['points_planned'], *noun)}"
     again = f", attempt {description['attempt']}" if description["attempt"] > 1 else ""
     return f"status: {description['status']}{reason}, {done}{again}"
+
+
+def _can_be_drawn(description: Mapping[str, Any]) -> bool:
+    """Return whether the file is a run file, not a journal, with a completed point."""
+    return Path(description["file"]).suffix != ".rigj" and description["points_done"] > 0
 
 
 def _can_be_resumed(description: Mapping[str, Any]) -> bool:

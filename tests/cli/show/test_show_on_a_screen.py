@@ -98,6 +98,18 @@ def test_a_run_that_was_killed_shows_how_to_go_on(rig: Any) -> None:
     assert "resume with: rig resume run.rigj" in said
 
 
+def test_figures_are_offered_only_where_they_can_be_drawn(rig: Any) -> None:
+    with JournalWriter.create(rig.folder / "run.rigj", recorded_run.header()) as writer:
+        recorded_run.take_point(writer, 0)
+    compile_run(rig.folder / "run.rigj")
+    assert "--figures" not in shown(rig, "run.rigj")
+    assert "--figures draws the figures again" in shown(rig, "run.h5")
+    with JournalWriter.create(rig.folder / "none.rigj", recorded_run.header()):
+        pass  # no point was completed
+    compile_run(rig.folder / "none.rigj")
+    assert "--figures" not in shown(rig, "none.h5")
+
+
 def test_the_line_to_resume_is_whole_however_long_the_path_is(rig: Any) -> None:
     folder = rig.folder / "a folder of measurements" / ("deep-" * 20)
     folder.mkdir(parents=True)
