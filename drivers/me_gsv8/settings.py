@@ -44,7 +44,8 @@ class MeGsv8Settings(Settings):
             raise ValueError("matrix_N_mV_V cannot be inverted: two axes would be one")
         if self.max_force_N is not None and self.max_force_N > 1.5 * self.nominal_force_N:
             raise ValueError(
-                f"max_force_N = {self.max_force_N:g} is beyond 1.5 times nominal_force_N"
+                f"max_force_N = {self.max_force_N:g} N is beyond 1.5 times nominal_force_N = "
+                f"{self.nominal_force_N:g} N"
             )
         return self
 

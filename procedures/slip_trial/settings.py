@@ -45,8 +45,8 @@ class SlipTrialSettings(GripSettings):
     )
     """Tangential force at which a ramp ends if nothing has slipped."""
     hold_at_N: float | None = Field(default=None, gt=0, json_schema_extra=RAMPS_ONLY)
-    """Tangential force that a ramp holds from there on, as a weight does; by default it ends
-    instead, at --ramp-to."""
+    """Tangential force to which a ramp rises and which it then holds, as a weight does; by default
+    a ramp ends at --ramp-to."""
     hold_for_s: float = Field(default=1.0, gt=0, le=60, json_schema_extra=WEIGHTS_ONLY)
     """Time for which the weight of --hold-at has to rest on the contact to be held."""
     lost_mm: float = Field(default=0.5, gt=0, json_schema_extra=WEIGHTS_ONLY)

@@ -23,7 +23,9 @@ def monitor(
     bench: Annotated[
         Path | None,
         typer.Option(
-            help="Bench file, whose instruments are read if no run uses it.", metavar="FILE"
+            help="Bench file, whose instruments are read if no run uses it.  "
+            "[default: ./bench.toml if it exists]",
+            metavar="FILE",
         ),
     ] = None,
     seconds: Annotated[

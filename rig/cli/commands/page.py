@@ -20,7 +20,11 @@ def page(
     results: WatchedFolder = RESULTS,
     bench: Annotated[
         Path | None,
-        typer.Option(help="Bench file, for making the bench safe without a run.", metavar="FILE"),
+        typer.Option(
+            help="Bench file, for making the bench safe without a run.  "
+            "[default: ./bench.toml if it exists]",
+            metavar="FILE",
+        ),
     ] = None,
     port: Annotated[
         int,

@@ -21,7 +21,7 @@ def resume(
         Path, typer.Argument(help="Journal or run file of the interrupted run.", metavar="FILE")
     ],
     as_json: AsJson = False,
-    figures: Annotated[bool, typer.Option(help="Draw the figure of the run.")] = True,
+    figures: Annotated[bool, typer.Option(help="Draw the figures of the run.")] = True,
     world_log: WorldLog = None,
     debug: Debug = False,
 ) -> None:

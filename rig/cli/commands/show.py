@@ -77,7 +77,7 @@ def show(
                     continue
                 shown = say if as_json else _print
                 if not why_nothing:
-                    say(f"{path}: its figures were drawn when it was computed, beside it")
+                    say(f"{path}: the figures of rig skin are drawn only when it computes the file")
                     continue
                 drawn = _draw(path, figures_to, pdf, shown, debug) if drawable else None
                 if drawn is None or not (drawn.files or drawn.warnings):

@@ -64,7 +64,9 @@ class OutputOptions:
     settings: Annotated[
         Path | None,
         typer.Option(
-            help="JSON file with settings, as --show-settings prints them.", metavar="FILE"
+            help="JSON file with settings, as --show-settings prints them. With it, --speed, "
+            "--start, --shape, --relief and --normal-force have no effect.",
+            metavar="FILE",
         ),
     ] = None
     show_settings: Annotated[

@@ -90,7 +90,7 @@ def train(
     members: Annotated[
         int,
         typer.Option(
-            help="Number of networks that are trained apart and averaged into one, 1 to 16.",
+            help="Number of networks that are trained separately and averaged into one, 1 to 16.",
             parser=whole_number(1, 16),
             metavar="COUNT",
         ),
@@ -332,7 +332,7 @@ def _trained(
             raise ConfigurationError(f"{lesson.name}: {error}") from error
     if not learnt or not (held_out or sources.everything):
         raise ConfigurationError(
-            f"{sources.said() or 'no trials'}: too few to learn from some and be judged on others",
+            f"{sources.said() or 'no trials'}: too few to train on some and to hold others out",
             "take at least five seeds, or files of two samples",
         )
     if not any(len(one.inputs) for one in learnt):
@@ -342,12 +342,12 @@ def _trained(
         )
     if not any((one.slip >= 0).any() for one in learnt):
         raise ConfigurationError(
-            f"{sources.said()}: none to learn from has a slip of the whole ridge, so the network "
-            "would never alarm",
+            f"{sources.said()}: those to learn from have no slip of the whole ridge, so the "
+            "network would never alarm",
             "add trials with slips (label, ridge_slip_s), or hold none out with --all",
         )
     if not any((one.right[:, 1] > 0).any() for one in learnt):
-        say("train: none of them rolls, so the network does not learn to report rolls")
+        say("train: no trial to learn from is a roll, so the network does not report rolls")
     say(f"train: {sum(len(one.inputs) for one in learnt)} rows")
 
     def show(epoch: int, loss: float) -> None:

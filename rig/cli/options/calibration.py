@@ -47,7 +47,8 @@ class RecordOptions:
     to: Annotated[
         Path | None,
         typer.Option(
-            help="Folder for the record.  [default: calibrations/ next to the bench file]",
+            help="Folder for the record.  [default: calibrations/ next to the bench file, or here "
+            "without one]",
             metavar="FOLDER",
         ),
     ] = None
@@ -59,7 +60,10 @@ class RecordOptions:
     ] = ""
     valid: Annotated[
         str | None,
-        typer.Option(help="Period of validity of the record, for example 90d.", metavar="DAYS"),
+        typer.Option(
+            help="Period of validity of the record.  [default: 90d for a film, 365d for a sensor]",
+            metavar="DAYS",
+        ),
     ] = None
     temperature: Annotated[
         float | None, typer.Option(help="Ambient temperature in degrees Celsius.", metavar="degC")

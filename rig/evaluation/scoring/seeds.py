@@ -86,8 +86,8 @@ def check_use(seeds: SeedRange, *, tuning: bool) -> None:
         )
     if seeds.tunes and not tuning:
         raise ConfigurationError(
-            f"seeds {seeds} are reserved for tuning (below {FIRST_REPORTING_SEED}): parameters "
-            "chosen on them must not be reported on them",
+            f"seeds {seeds} are reserved for tuning (below {FIRST_REPORTING_SEED}): a detector is "
+            "not evaluated on trials on which its parameters were chosen",
             f"use seeds from {FIRST_REPORTING_SEED} on, or --tuning, which marks the tables",
         )
     if seeds.reports and tuning:

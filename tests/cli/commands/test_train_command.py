@@ -137,7 +137,7 @@ def test_what_never_slips_teaches_nothing_and_is_refused(tmp_path: Path):
     slip_file(tmp_path, "t0", procedure="roll-trial", simulated=False)
     (tmp_path / "list.csv").write_text("file\nt0.h5\n")
     said = refused("--out", tmp_path / "net.json", "--files", tmp_path / "list.csv", "--all")
-    assert "1 trial of run files: none to learn from has a slip of the whole ridge" in said
+    assert "1 trial of run files: those to learn from have no slip of the whole ridge" in said
     assert not (tmp_path / "net.json").exists()
 
 
