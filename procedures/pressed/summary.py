@@ -114,9 +114,9 @@ def _put_in(readings: Sequence[Reading]) -> list[str]:
     if "static_coefficient" in known:
         lines.append(
             f"True values in the simulation: friction {known['static_coefficient']:g} at rest, "
-            f"which falls to {known['kinetic_coefficient']:g} over "
-            f"{known['weakening_distance_um']:g} um of sliding (ASSUMED). The skin's finger radius "
-            "is calibrated so that all nine ridges touch at 4 N; its other dimensions are ASSUMED "
+            f"{known['kinetic_coefficient']:g} in motion, over "
+            f"{known['weakening_distance_um']:g} um (ASSUMED), and the skin: its finger radius is "
+            "calibrated so that all nine ridges touch at 4 N, its other dimensions are ASSUMED "
             "where the paper gives none. When and where it slips follows from these."
         )
     return lines
