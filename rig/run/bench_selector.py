@@ -278,10 +278,11 @@ def _refuse_simulation_options(request: BenchRequest, path: Path) -> None:
     own = ("stages", "world", "fault", "world_log")
     given = [name for name in own if getattr(request, name) is not None]
     if given:
-        options = ", ".join("--" + name.replace("_", "-") for name in given)
+        options = " and ".join("--" + name.replace("_", "-") for name in given)
+        belong, it = ("belongs", "it") if len(given) == 1 else ("belong", "them")
         raise ConfigurationError(
-            f"{options} belongs to a simulated bench that this command starts, not to {path}",
-            "give it to `rig simulate`, or leave the bench file out",
+            f"{options} {belong} to a simulated bench that this command starts, not to {path}",
+            f"give {it} to `rig simulate`, or leave the bench file out",
         )
 
 

@@ -271,6 +271,8 @@ def test_a_bench_in_real_time_is_driven_made_safe_and_ended(rig: Any) -> None:
     refused = rig.run("sweep", *SHORT, "--bench", "sim.toml", *log)
     assert refused.code == 2
     assert "--world-log belongs to a simulated bench that this command starts" in refused.errors[0]
+    refused = rig.run("sweep", *SHORT, "--bench", "sim.toml", "--stages", "az", *log)
+    assert "--stages and --world-log belong to a simulated bench" in refused.errors[0]
 
     safe = rig.run("make-safe", "--bench", "sim.toml")
     assert safe.code == 0
