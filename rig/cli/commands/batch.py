@@ -257,7 +257,7 @@ def status(
     debug: Debug = False,
 ) -> None:
     """Show the progress of a batch, from any terminal."""
-    with reported(debug):
+    with reported(debug, as_json):
         found = folder
         while True:
             try:

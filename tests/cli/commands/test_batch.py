@@ -317,6 +317,9 @@ def test_where_no_batch_is_says_so(rig) -> None:
     ended = rig.run("batch", "status")
     assert ended.code == 2
     assert "results contains no batch; name its folder" in ended.stderr
+    refused = rig.run("batch", "status", "--json")
+    assert refused.code == 2
+    assert "results contains no batch" in object_of(refused.stdout)["errors"][0]
 
 
 @pytest.mark.thorough
