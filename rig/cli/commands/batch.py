@@ -150,8 +150,11 @@ def resume(
                         "for a batch that has ended",
                         f"stop it first: rig batch stop {in_shell(found.path)}",
                     )
-                state = status_of(found, running=True).state
+                status = status_of(found, running=True)
+                state = status.state
                 queue.add_request("go")
+                if as_json:
+                    print_json(status.as_object())
                 if state.startswith(("paus", "held")):
                     say(f"batch {found.path}: resumed")
                 else:

@@ -233,8 +233,9 @@ def test_other_terminals_pause_it_let_it_go_on_and_stop_it_after_a_point(rig) ->
     status = object_of(rig.run("batch", "status", "--json").stdout)
     assert status["running"]
     assert status["state"].startswith("paused")
-    resumed = rig.run("batch", "resume")
+    resumed = rig.run("batch", "resume", "--json")
     assert (resumed.code, "resumed" in resumed.stderr) == (0, True), "no second supervisor"
+    assert object_of(resumed.stdout)["running"]
     running.wait_for("^running")
     assert rig.run("batch", "stop").code == 0
     ended = running.finish()
