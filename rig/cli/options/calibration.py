@@ -106,7 +106,7 @@ class WeighingOptions:
     tolerance: Annotated[
         float,
         typer.Option(
-            help="Relative tolerance of the weight set, at least 0.",
+            help=f"Relative tolerance of the weight set, 0 to {LARGEST_TOLERANCE_PERCENT:g}.",
             parser=real_number(0),
             metavar="percent",
         ),
