@@ -125,7 +125,10 @@ class OrientalAzSettings(Settings):
     @model_validator(mode="after")
     def _consistent(self) -> Self:
         if not self.low_limit_mm < self.high_limit_mm:
-            raise ValueError("low_limit_mm has to be below high_limit_mm")
+            raise ValueError(
+                f"low_limit_mm = {self.low_limit_mm:g} mm has to be below high_limit_mm = "
+                f"{self.high_limit_mm:g} mm"
+            )
         farthest_mm = max(abs(self.low_limit_mm), abs(self.high_limit_mm))
         if farthest_mm * self.steps_per_mm > LARGEST_STEP:
             raise ValueError("low_limit_mm and high_limit_mm do not fit the drive's steps")

@@ -148,7 +148,10 @@ class ZaberRstSettings(Settings):
         if self.port.startswith("socket:") and not _NETWORK.fullmatch(self.port):
             raise ValueError("port on the network has to be socket://HOST:NUMBER")
         if not self.low_limit_deg < self.high_limit_deg:
-            raise ValueError("low_limit_deg has to be below high_limit_deg")
+            raise ValueError(
+                f"low_limit_deg = {self.low_limit_deg:g} deg has to be below high_limit_deg = "
+                f"{self.high_limit_deg:g} deg"
+            )
         if max(abs(self.low_limit_deg), abs(self.high_limit_deg)) / self.microstep_deg > (
             LARGEST_DATA
         ):

@@ -114,7 +114,8 @@ def load(group: str, name: str, find_fault: Callable[[Any], str | None] | None =
     entry = find(group, name)
     if entry is None:
         raise ConfigurationError(
-            f"{KINDS[group]} {shortened(name)!r} is unknown", f"known are {', '.join(names(group))}"
+            f"{KINDS[group]} {shortened(name)!r} is unknown",
+            f"choose a {KINDS[group]} among {', '.join(names(group))}",
         )
     if entry.pattern.match(entry.value) is None:
         raise BrokenPackageError(entry, "does not name a module")

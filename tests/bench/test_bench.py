@@ -109,10 +109,14 @@ WRONG: dict[str, tuple[str, str]] = {
     "unknown key": (changed("name = ", "nmae = 1\nname = "), "nmae: unknown key"),
     "unknown key of a part": (changed("sensitivity_V_N", "gain = 1\nsensitivity_V_N"), "gain"),
     "unknown key of a driver": (changed("max_amplitude_V", "loud = 1\nmax_amplitude_V"), "loud"),
+    "a name with a blank": (
+        changed("bench-3", "bench 3"),
+        "name = 'bench 3': has to consist of letters without accents, digits, '_', '.' and '-'",
+    ),
     "unknown table": (GOOD + "\n[oven]\nx = 1\n", "oven: unknown key"),
     "unknown driver": (
         changed("keysight-33500b", "keysight-1"),
-        "known are festo-cmmt, keysight-33500b",
+        "choose a driver among festo-cmmt, keysight-33500b",
     ),
     "driver of another role": (
         changed("keysight-33500b", "keysight-u2300a"),

@@ -361,7 +361,7 @@ def test_a_process_that_has_left_its_session_ends_with_it(
 @pytest.mark.parametrize(
     ("name", "instead", "reason"),
     [
-        ("lab-none", (SAY, SAY), "detector 'lab-none' is unknown; known are "),
+        ("lab-none", (SAY, SAY), "detector 'lab-none' is unknown; choose a detector among "),
         ("lab-level", ("import os\n", "import acme_sdk\n"), "install acme_sdk, which the package"),
         ("lab-level", ("import os\n", "import os; os._exit(0)\n"), "its process ended (exit code"),
         (

@@ -164,7 +164,7 @@ def test_a_stage_that_does_not_tell_its_turn_is_known_by_its_resolution() -> Non
     ("wrong", "words"),
     [
         ({"port": "socket://localhost"}, "socket://HOST:NUMBER"),
-        ({"low_limit_deg": 90.0}, "low_limit_deg has to be below"),
+        ({"low_limit_deg": 90.0}, "low_limit_deg = 90 deg has to be below"),
         ({"high_limit_deg": 1e6}, "do not fit the stage's numbers"),
         ({"max_speed_deg_s": 1e-5}, "max_speed_deg_s is below"),
         ({"max_acceleration_deg_s2": 0.9}, "max_acceleration_deg_s2 is below"),
