@@ -206,17 +206,18 @@ class Run:
 
     def event(self, level: str, code: str, message: str, at_s: float | None = None) -> None:
         """Record that something happened; warnings are repeated at the end of the run. `at_s` is
-        the time on the run's clock at which it did, by default now."""
+        the time on the run's clock at which it did, by default now.
+
+        Raises what the recorder raises, except while the bench is made safe: a disk that has failed
+        must not end a shutdown action."""
         if level == "warning" and message not in self.warnings:
             self.warnings.append(message)
-        self._recorder.put_event(
-            {
-                "time": self.elapsed_s() if at_s is None else at_s - self._start_s,
-                "level": level,
-                "code": code,
-                "message": message,
-            }
-        )
+        time_s = self.elapsed_s() if at_s is None else at_s - self._start_s
+        fields = {"time": time_s, "level": level, "code": code, "message": message}
+        if self.ending.under_way:
+            self.ending.try_to_record(lambda: self._recorder.put_event(fields))
+        else:
+            self._recorder.put_event(fields)
 
     def check_stop(self) -> None:
         """Raise here if the run has to stop: a stop request, or a failure of another thread. Waits

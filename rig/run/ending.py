@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import contextlib
+from collections.abc import Callable, Iterator
 
 from rig.core.errors import InstrumentTimeoutError, RigError
 from rig.files.errors import JournalMovedError
@@ -33,6 +34,8 @@ class Ending:
         """Effects of the shutdown actions on what has not been switched on again, in their order,
         as parts of a sentence: "generator off". An action that failed in part is not included."""
         self._not_safe_said = False
+        self.under_way = False
+        """True while shutdown actions run."""
 
     def noting(self, off: Callable[[], None], done: str) -> Callable[[], None]:
         """Return the shutdown action, extended so that it adds `done` to `made_safe` if nothing
@@ -53,15 +56,21 @@ class Ending:
         a sentence."""
         return (*self._left, *self._doubts)
 
-    def begin(self) -> None:
-        """Forget what was said, and was not known, when the bench was last made safe. What was done
-        then stays done until it is armed again."""
+    @contextlib.contextmanager
+    def making_safe(self) -> Iterator[None]:
+        """Have shutdown actions run in the block. What was said, and was not known, when the bench
+        was last made safe is forgotten; what was done then stays done until it is armed again."""
         self._not_safe_said = False
         self._doubts.clear()
+        self.under_way = True
+        try:
+            yield
+        finally:
+            self.under_way = False
 
     def announce(self) -> None:
         """Record that the run ends and is about to make the bench safe, for who follows it."""
-        self._note("making-safe", "the bench is being made safe")
+        self._note("info", "making-safe", "the bench is being made safe")
 
     def say_not_safe(self, text: str) -> None:
         """Say and record at once, while the bench is being made safe, that a part of that has not
@@ -70,7 +79,7 @@ class Ending:
             return
         self._not_safe_said = True
         self.warn_at_once(text)
-        self._note("not-safe-yet", text)
+        self._note("info", "not-safe-yet", text)
 
     def fail(self, error: RigError, left: str = "") -> None:
         """Report a failure without raising it: for a shutdown action that could be done only in
@@ -80,18 +89,23 @@ class Ending:
         self.failures.append(error)
         if left and left not in self._left:
             self._left.append(left)
-        self._record("error", type(error).__name__, error.one_line())
+        self._note("error", type(error).__name__, error.one_line())
 
     def doubt(self, left: str, text: str) -> None:
         """Warn of a shutdown action that was done, and of which it is not known whether it had its
         effect; `left` is as in `fail`: "it is not known whether the skin is still pressed"."""
         self._doubts.append(left)
-        self._record("warning", "pressed", text)
+        self._note("warning", "pressed", text)
 
-    def _note(self, code: str, text: str) -> None:
-        try:
-            self._record("info", code, text)
-        except JournalMovedError as moved:  # said to the first that puts something, and only once
-            self._warnings.append(moved.one_line())
-        except Exception:  # noqa: BLE001 - a failed recorder is reported when it is closed
-            pass
+    def try_to_record(self, put: Callable[[], None]) -> None:
+        """Call `put`, which records something; whatever it raises is not raised."""
+        # A failed recorder is reported when it is closed.
+        with contextlib.suppress(Exception):
+            try:
+                put()
+            except JournalMovedError as moved:  # said to the first that puts something, only once
+                self._warnings.append(moved.one_line())
+                put()
+
+    def _note(self, level: str, code: str, text: str) -> None:
+        self.try_to_record(lambda: self._record(level, code, text))

@@ -317,8 +317,7 @@ class _Execution:
         """Run the shutdown actions, undisturbed by stop requests and by drives and threads that
         fail meanwhile; return those that failed."""
         self.phases.enter(RunPhase.MAKING_SAFE)
-        self.run.ending.begin()
-        with self.bench.links.making_safe():
+        with self.run.ending.making_safe(), self.bench.links.making_safe():
             return self.run.arming.make_safe(self.guard.beat, keep_watching)
 
     def _make_safe(self) -> None:

@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 from made_up import Example, run_of
 
-from rig.core.errors import RigError
+from rig.core.errors import InstrumentError, RigError
 from rig.core.settings import Settings
-from rig.files.errors import JournalMovedError
+from rig.files.errors import JournalMovedError, RecordingError
 from rig.files.journal.reader import read_journal
 from rig.run.context import Run
 from rig.run.points import Point, Reading
@@ -58,3 +58,40 @@ def test_a_recorder_that_takes_no_event_does_not_keep_the_bench_from_being_made_
     assert outcome.safe
     reported = any("everything recorded is in b.rigj" in text for text in outcome.warnings)
     assert reported is isinstance(refusal, JournalMovedError)
+
+
+class FullDisk(Example):
+    """The disk is full from the first point on. z meets something on its way up, says so, and has
+    to go on up all the same."""
+
+    def arm(self, run: Run) -> None:
+        super().arm(run)
+        run.arm("preload", lambda: self._up(run), done="preload released")
+
+    def _up(self, run: Run) -> None:
+        run.event("warning", "answer-lost", "one answer was lost on the way up")
+        run.ending.fail(InstrumentError("stage_z", "unload", "it was stopped", "look"))
+        run.ending.doubt("it is not known where stage_z is", "the sensor sends nothing")
+        self.log.append("up")
+
+    def take(self, run: Run, point: Point) -> Reading:
+        full = RecordingError("a.rigj", "no space left on device")
+
+        def refuse(fields: object) -> None:
+            raise full
+
+        run._recorder.put_event = refuse  # type: ignore[method-assign]
+        raise full
+
+
+def test_a_full_disk_does_not_end_the_way_up(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Seen on the simulated bench: z stopped halfway, and the preload was reported as not switched
+    off for want of space on the disk."""
+    procedure = FullDisk(Settings())
+    outcome = run_of(procedure, tmp_path, monkeypatch)
+    assert procedure.log[-4:] == ["up", "off", "guard: safe", "guard: done"]
+    assert (outcome.off_failures, outcome.code) == ([], RecordingError("", "").code)
+    assert "one answer was lost on the way up" in outcome.warnings
+    assert outcome.left == ("it is not known where stage_z is",)
