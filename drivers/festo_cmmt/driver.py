@@ -293,7 +293,7 @@ class FestoAxis:
         done. Raises InstrumentError for what ended a motion, and for a fault once, when it
         appears."""
         every_s = self._settings.communication_timeout_ms * 1e-3 / KEEP_ALIVES_PER_TIMEOUT
-        if not self._link.charging and self._watch.age_s >= every_s:
+        if not self._link.charge.under_way and self._watch.age_s >= every_s:
             self._watch.keep_alive()
 
     def make_safe(self) -> None:

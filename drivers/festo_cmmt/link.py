@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING, Any
 from pymodbus.client import ModbusTcpClient
 
 from drivers.shared.request_log import RequestLog
+from drivers.shared.timeout_charge import TimeoutCharge
 from rig.core.errors import InstrumentError, InstrumentLinkError, InstrumentTimeoutError, RigError
 
 if TYPE_CHECKING:
@@ -59,8 +60,7 @@ class CmmtLink:
     ):
         self.device = device
         self.where = f"{host}:{port}"
-        self.charging = False
-        """True if a time-out is being charged to the clock just now."""
+        self.charge = TimeoutCharge(clock, timeout_s)
         self._host, self._port, self._unit_id = host, port, unit_id
         self._timeout_s = timeout_s
         self._clock = clock
@@ -310,17 +310,9 @@ class CmmtLink:
         return reply
 
     def _timed_out(self, what: str, charge: bool) -> InstrumentTimeoutError:
-        """Return the error for a time-out, and let the bench's clock pass for it once: a time-out
-        takes wall time."""
-        if charge and not self.charging:
-            self.charging = True
-            try:
-                with contextlib.suppress(
-                    InstrumentError
-                ):  # the time-out itself is what has to be reported
-                    self._clock.charge(self._timeout_s)
-            finally:
-                self.charging = False
+        """Return the error for a time-out; with `charge` bench time passes for it first."""
+        if charge:
+            self.charge()
         return InstrumentTimeoutError(
             self.device,
             what,

@@ -273,7 +273,7 @@ class AzAxis:
         take turns. Raises InstrumentError for what ended a motion, for an alarm once, when it
         appears, and for a drive of the line that does not answer while another one does.
         """
-        if self._link.charging or self._line.waiting:
+        if self._link.charge.under_way or self._line.waiting:
             return
         age = self._watch.state_age
         if age >= OVERDUE or (age >= 1 and self._line.free):
@@ -285,7 +285,7 @@ class AzAxis:
 
         Raises InstrumentError while the line waits out a time-out.
         """
-        if self._link.charging:
+        if self._link.charge.under_way:
             raise self._watch.error(
                 "read inputs", "the line is waiting out a time-out", "look at its cable"
             )

@@ -32,6 +32,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from drivers.shared.request_log import RequestLog
+from drivers.shared.timeout_charge import TimeoutCharge
 from rig.core.errors import InstrumentError, InstrumentLinkError, InstrumentTimeoutError, RigError
 
 if TYPE_CHECKING:
@@ -158,9 +159,9 @@ class AzLine:
         """Bench time before which nothing may be sent."""
         self._listen_until_s = 0.0
         """Wall time until which an answer may still come that has been given up."""
-        self._doubtful: set[int] = set()
-        """Units that have to echo before they are believed."""
-        self._known: set[int] = set()
+        self._trusted: set[int] = set()
+        """Units that have echoed since the port was opened and have owed no answer since; any other
+        has to echo before it is believed."""
         self._numbers = itertools.cycle(range(1, 0x10000))
         self._heard_s: dict[int, float] = {}
         self._watched: dict[int, tuple[str, float]] = {}
@@ -218,7 +219,7 @@ class AzLine:
         silence is reported once."""
         now_s = self._clock.now()
         last_s = max(self._heard_s.values(), default=now_s)
-        for unit, (device, patience_s) in self._watched.items():
+        for unit, (device, patience_s) in tuple(self._watched.items()):
             silent_s = now_s - self._heard_s[unit]
             if silent_s <= patience_s:
                 self._reported.discard(unit)
@@ -268,21 +269,20 @@ class AzLine:
         with self._lock:
             try:
                 self._open_port()
-                if not trusting and request.unit in self._doubtful | {request.unit} - self._known:
+                if not trusting and request.unit not in self._trusted:
                     self._synchronise(request.unit, timeout_s)
                 permit()
                 return self._ask(request, timeout_s)
             except NoAnswerError:
-                self._doubtful.add(request.unit)
+                self._trusted.discard(request.unit)
                 self._listen_until_s = time.monotonic() + self._wire_s(request)
                 raise
             except BrokenAnswerError:
-                self._doubtful.add(request.unit)
+                self._trusted.discard(request.unit)
                 raise
             except RigError:
                 raise
             except Exception as error:  # pyserial and termios raise what they like where it breaks
-                self._doubtful.add(request.unit)
                 self._close()
                 raise BrokenAnswerError(f"{type(error).__name__}: {error}") from error
 
@@ -296,8 +296,7 @@ class AzLine:
         while request.frame not in got:
             got += self._receive(give_up, got)
         self._answered(request)
-        self._doubtful.discard(unit)
-        self._known.add(unit)
+        self._trusted.add(unit)
 
     def _ask(self, request: AzRequest, timeout_s: float) -> bytes:
         give_up = self._send(request) + timeout_s
@@ -314,8 +313,7 @@ class AzLine:
         """Send the bytes and return the wall time at which they were sent."""
         time.sleep(max(0.0, self._free_at_s - self._clock.now()))
         self._port.reset_input_buffer()
-        self._sent_at_s = self._clock.now()
-        self._free_at_s = self._sent_at_s + self._wire_s(request) + self._gap_s
+        self._free_at_s = self._clock.now() + self._wire_s(request) + self._gap_s
         sent = time.monotonic()
         self.requests.note()
         self._port.write(request.frame)
@@ -351,7 +349,7 @@ class AzLine:
             return
         import serial
 
-        self._known.clear()
+        self._trusted.clear()
         self._port = serial.Serial(
             self.path,
             self._baudrate,
@@ -395,8 +393,7 @@ class AzLink:
         self.device = device
         self.line = line
         self.where = f"unit {unit_id} on {line.path}"
-        self.charging = False
-        """True if a time-out is being charged to the clock just now."""
+        self.charge = TimeoutCharge(clock, timeout_s)
         self.failures = 0
         """Number of exchanges that have failed."""
         self._unit, self._timeout_s, self._clock = unit_id, timeout_s, clock
@@ -465,7 +462,7 @@ class AzLink:
         except NoAnswerError as nothing:
             self.failures += 1
             if charge:
-                self._charge()
+                self.charge()
             came = f": {nothing}" if str(nothing) else ""
             raise InstrumentTimeoutError(
                 self.device,
@@ -503,19 +500,6 @@ class AzLink:
                 code,
             )
         return pdu
-
-    def _charge(self) -> None:
-        """Let the bench's clock pass for a time-out, once: a time-out takes wall time."""
-        if self.charging:
-            return
-        self.charging = True
-        try:
-            with contextlib.suppress(
-                InstrumentError
-            ):  # the time-out itself is what has to be reported
-                self._clock.charge(self._timeout_s)
-        finally:
-            self.charging = False
 
 
 class AzRefusalError(InstrumentError):

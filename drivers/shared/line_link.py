@@ -19,6 +19,7 @@ from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING
 
 from drivers.shared.ports import SOCKET, USUAL_FORMAT, Port, open_port
+from drivers.shared.timeout_charge import TimeoutCharge
 from rig.core.errors import InstrumentError, InstrumentTimeoutError, RigError
 
 if TYPE_CHECKING:
@@ -71,7 +72,7 @@ class LineLink:
         """What has come and is not used yet."""
         self._taken = 0
         """Bytes that have come since the link was made."""
-        self._charging = False
+        self._charge = TimeoutCharge(clock, timeout_s)
         self._failed = False
         self._used = False
 
@@ -231,14 +232,9 @@ class LineLink:
         return line.decode("latin-1")
 
     def _timed_out(self, command: str, charge: bool) -> InstrumentTimeoutError:
-        """Return the error of a time-out, of which the bench's clock has to hear, once."""
-        if charge and not self._charging:
-            self._charging = True
-            try:
-                with contextlib.suppress(InstrumentError):  # the time-out itself is the news
-                    self._clock.charge(self._timeout_s)
-            finally:
-                self._charging = False
+        """Return the error of a time-out; with `charge` bench time passes for it first."""
+        if charge:
+            self._charge()
         return InstrumentTimeoutError(
             self._device,
             _shown(command),

@@ -248,7 +248,7 @@ class ZaberAxis:
         target."""
         if (
             self._closed
-            or self._link.charging
+            or self._link.charge.under_way
             or self._clock.now() - self._seen_at_s < KEEP_ALIVE_S
         ):
             return

@@ -16,6 +16,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from drivers.shared.ports import Port, open_port
+from drivers.shared.timeout_charge import TimeoutCharge
 from drivers.zaber_rst import frames as zaber_frames
 from drivers.zaber_rst.frames import Reply, ZaberFrameError
 from rig.core.errors import InstrumentError, InstrumentTimeoutError, RigError
@@ -40,8 +41,7 @@ class ZaberLink:
     ):
         self.name = name
         self.where = f"device {device} at {port}"
-        self.charging = False
-        """True if a time-out is being charged to the clock just now."""
+        self.charge = TimeoutCharge(clock, timeout_s)
         self._path, self._baudrate = port, baudrate
         self._device = device
         self._timeout_s = timeout_s
@@ -122,16 +122,9 @@ class ZaberLink:
     # --- what goes wrong ---------------------------------------------------------------------
 
     def _timed_out(self, what: str, charge: bool) -> InstrumentTimeoutError:
-        """Return the error of a time-out, whose wall time is charged once to the bench's clock."""
-        if charge and not self.charging:
-            self.charging = True
-            try:
-                with contextlib.suppress(
-                    InstrumentError
-                ):  # the time-out itself is what has to be reported
-                    self._clock.charge(self._timeout_s)
-            finally:
-                self.charging = False
+        """Return the error of a time-out; with `charge` bench time passes for it first."""
+        if charge:
+            self.charge()
         return InstrumentTimeoutError(
             self.name, what, f"no answer within {self._timeout_s:g} s", self._remedy
         )
