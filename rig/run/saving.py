@@ -48,6 +48,8 @@ class RunSaving:
         outcome.warnings = self._run.warnings + outcome.warnings
         late: DiskLateError | None = None
         with self._saving():
+            self._recorder.check()  # what it reports once would cost the record that is put next
+        with self._saving():
             for failure in outcome.failures:
                 if failure in self._run.ending.failures:
                     continue  # it is in the journal

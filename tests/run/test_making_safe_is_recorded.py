@@ -60,6 +60,32 @@ def test_a_recorder_that_takes_no_event_does_not_keep_the_bench_from_being_made_
     assert reported is isinstance(refusal, JournalMovedError)
 
 
+class Moved(Example):
+    """The folder of results is moved away while the bench is made safe."""
+
+    def arm(self, run: Run) -> None:
+        run.arm("lamp", lambda: self._off(run), done="lamp off")
+
+    def _off(self, run: Run) -> None:
+        journal = run._recorder.journal.path
+        journal.rename(journal.with_suffix(".moved"))
+        run.event("info", "last", "words")
+        while run._recorder._moved is None:
+            run.clock.sleep(0.01)
+
+
+def test_a_journal_that_is_moved_while_the_bench_is_made_safe_has_its_end(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    outcome = run_of(Moved(Settings()), tmp_path, monkeypatch)
+    assert outcome.status == "failed"
+    assert outcome.journal is not None
+    end = read_journal(outcome.journal).end
+    assert end is not None
+    assert (end.status, end.points_done) == ("failed", 2)
+    assert "was moved" in end.reason
+
+
 class FullDisk(Example):
     """The disk is full from the first point on. z meets something on its way up, says so, and has
     to go on up all the same."""
