@@ -219,11 +219,13 @@ class Worker:
         try:
             outcome = self._perform(claim, at_the_end)
         except StopRequestedError as stopped:  # nothing was connected yet
-            self._queue.finish(claim, AttemptResult("stopped", code=int(stopped.code)), "queued")
+            ended = AttemptResult("stopped", code=int(stopped.code))
+            self._queue.finish(claim, self._with_earlier_points(claim, ended), "queued")
             raise
         except RigError as error:
             kind = kind_of(error.code, error.parts())
             ended = AttemptResult("failed", kind, int(error.code), error.one_line())
+            ended = self._with_earlier_points(claim, ended)
         else:
             ended = _ended(outcome)
         self._clock.used(ended.bench_s)
@@ -234,6 +236,15 @@ class Worker:
         None."""
         ended = outcome_from_journal(self._folder.journal(claim.number, claim.condition.procedure))
         return replace(ended, bench_s=0.0) if ended.ending == "complete" else None
+
+    def _with_earlier_points(self, claim: Claim, ended: AttemptResult) -> AttemptResult:
+        """Return the result of an attempt that was over before it had a bench, with the points that
+        earlier attempts at the run have recorded."""
+        journal = self._folder.journal(claim.number, claim.condition.procedure)
+        earlier = outcome_from_journal(journal)
+        return replace(
+            ended, points_done=earlier.points_done, points_planned=earlier.points_planned
+        )
 
     def _conclude(self, claim: Claim, ended: AttemptResult) -> None:
         """Record how an attempt ended, and do what follows from it."""

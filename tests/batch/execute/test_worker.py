@@ -1,0 +1,77 @@
+"""What a worker records of attempts at a run, apart from those that have a bench."""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Iterator
+from contextlib import ExitStack
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from rig.batch.execute import worker as working
+from rig.batch.execute.worker import Worker
+from rig.batch.folder import BatchFolder
+from rig.batch.plan.read import parse_batch
+from rig.batch.queue import Queue
+from rig.batch.queue_records import AttemptResult, RunEstimate
+from rig.core.errors import RigError
+from rig.run.stopping import NOTHING_CONNECTED, StopRequestedError
+
+BATCH = """
+[batch]
+name = "night"
+[[experiment]]
+procedure = "sweep"
+"""
+
+
+@pytest.fixture
+def queue(tmp_path: Path) -> Iterator[Queue]:
+    """A batch of one run, whose first attempt was interrupted."""
+    _, plan, _ = parse_batch(BATCH, "night.toml")
+    estimates = dict.fromkeys(plan.conditions, RunEstimate(18.0, 1.0))
+    with Queue.create(tmp_path / "queue.sqlite", plan, estimates, {"name": "night"}) as made:
+        interrupted = AttemptResult("stopped", bench_s=100.0, points_done=8, points_planned=13)
+        made.finish(made.claim(1), interrupted, "queued")
+        yield made
+
+
+def worker_of(queue: Queue) -> Any:
+    """A worker of this batch, without a supervisor and a bench."""
+    worker: Any = Worker.__new__(Worker)
+    worker._folder, worker._queue = BatchFolder(queue.path.parent), queue
+    worker._send = lambda *_, **__: None
+    worker._clock = SimpleNamespace(used=lambda bench_s: None)
+    worker._completed_elsewhere = lambda claim: None
+    return worker
+
+
+@pytest.mark.parametrize(
+    "ends_it",
+    [StopRequestedError(signal.SIGINT, NOTHING_CONNECTED), RigError("the bench is in use")],
+    ids=["stopped", "failed"],
+)
+def test_an_attempt_that_is_over_before_it_has_a_bench_leaves_the_points_of_the_run(
+    queue: Queue, ends_it: RigError, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Found by hand: a run with 8 of 13 points was one with 0 of 0 after a Ctrl-C while its bench
+    was started again."""
+    recorded = AttemptResult("died", points_done=8, points_planned=13)
+    monkeypatch.setattr(working, "outcome_from_journal", lambda journal: recorded)
+    worker = worker_of(queue)
+
+    def perform(*_: object) -> None:
+        raise ends_it
+
+    def conclude(claim: Any, ended: AttemptResult) -> None:
+        queue.finish(claim, ended, "queued")
+        raise ends_it
+
+    worker._perform, worker._conclude = perform, conclude
+    with pytest.raises(RigError), ExitStack() as at_the_end:
+        worker._take(queue.upcoming(), at_the_end)
+    (row,) = queue.rows()
+    assert (row.points_done, row.points_planned) == (8, 13)
