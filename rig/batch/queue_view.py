@@ -6,6 +6,7 @@ import contextlib
 import json
 import sqlite3
 from collections.abc import Iterator, Sequence
+from datetime import datetime
 from pathlib import Path
 from typing import Any, Self
 
@@ -209,6 +210,13 @@ class QueueView:
             "SELECT number, repeat, condition FROM run WHERE state = 'running' LIMIT 1"
         ).fetchone()
         return None if row is None else self._claim(row, further=0)
+
+    def began(self, claim: Claim) -> datetime:
+        """Return when an attempt began."""
+        row = self._sql.execute(
+            "SELECT began FROM attempt WHERE run = ? AND attempt = ?", (claim.number, claim.attempt)
+        ).fetchone()
+        return datetime.fromisoformat(row[0])
 
     def unprocessed(self) -> list[tuple[int, str]]:
         """Return number and procedure of the finished runs whose files are still to be made."""

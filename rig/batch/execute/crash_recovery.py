@@ -8,6 +8,7 @@ run that is done; it is not taken again. Any other is continued where it was int
 from __future__ import annotations
 
 from collections.abc import Sequence
+from datetime import datetime, timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -26,8 +27,12 @@ if TYPE_CHECKING:
     from rig.run.points import Reading
 
 
-def outcome_from_journal(journal: Path) -> AttemptResult:
-    """Return how the attempt ended that has this journal, or had it before it was compiled."""
+def outcome_from_journal(journal: Path, began: datetime | None = None) -> AttemptResult:
+    """Return how the attempt ended that has this journal, or had it before it was compiled.
+
+    Its bench time is that of the whole run; or that of the attempt alone, where it is given when
+    that `began`. On a real bench the time of a run includes that between its attempts.
+    """
     if journal.exists():
         try:
             contents = read_journal(journal)
@@ -36,7 +41,10 @@ def outcome_from_journal(journal: Path) -> AttemptResult:
         readings = [point.reading for point in contents.kept()]
         end = contents.ends[-1] if contents.complete else None
         return _ended(
-            contents.header, None if end is None else end.exit, readings, contents.last_time
+            contents.header,
+            None if end is None else end.exit,
+            readings,
+            _bench_s(contents.header, contents.last_time, began),
         )
     run_file = journal.with_suffix(RUN_SUFFIX)
     if run_file.exists():
@@ -44,7 +52,8 @@ def outcome_from_journal(journal: Path) -> AttemptResult:
             with RunFile.open(run_file) as run:
                 outcome = run.outcome
                 code = outcome.exit if outcome.status == "complete" else None
-                return _ended(run.header, code, run.readings(), outcome.duration)
+                bench_s = _bench_s(run.header, outcome.duration, began)
+                return _ended(run.header, code, run.readings(), bench_s)
         except RigError as error:
             return AttemptResult("died", "died", reason=error.one_line())
     return AttemptResult("died", "died", reason="it died before its first record")
@@ -75,6 +84,15 @@ def archive_files(journal: Path) -> Path:
         if old.exists():
             old.rename(archived.with_suffix(old.suffix))
     return archived
+
+
+def _bench_s(header: RunHeader, run_s: float, began: datetime | None) -> float:
+    """Return the bench time, up to a time since the run's start, of the attempt that `began` then;
+    without that of the whole run."""
+    if began is None or header.start_time is None:
+        return run_s
+    until = datetime.fromisoformat(header.start_time) + timedelta(seconds=run_s)
+    return min(run_s, max(0.0, (until - began).total_seconds()))
 
 
 def _ended(

@@ -134,9 +134,13 @@ class Worker:
         claim = self._queue.unfinished()
         if claim is None:
             return
-        ended = outcome_from_journal(self._folder.journal(claim.number, claim.condition.procedure))
-        earlier_s = self._queue.bench_s(claim.number)
-        ended = replace(ended, bench_s=max(0.0, ended.bench_s - earlier_s))
+        journal = self._folder.journal(claim.number, claim.condition.procedure)
+        if self._terms.bench is None:
+            ended = outcome_from_journal(journal)
+            earlier_s = self._queue.bench_s(claim.number)
+            ended = replace(ended, bench_s=max(0.0, ended.bench_s - earlier_s))
+        else:
+            ended = outcome_from_journal(journal, self._queue.began(claim))
         self._clock.used(ended.bench_s)
         if ended.reason:
             self._send("note", level="warning", text=f"run {claim.number}: {ended.reason}")

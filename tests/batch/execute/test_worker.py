@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import signal
+import sqlite3
 from collections.abc import Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
+import recorded_run
 
 from rig.batch.execute import worker as working
 from rig.batch.execute.worker import Worker
@@ -18,6 +20,7 @@ from rig.batch.plan.read import parse_batch
 from rig.batch.queue import Queue
 from rig.batch.queue_records import AttemptResult, RunEstimate
 from rig.core.errors import RigError
+from rig.files.journal.writer import JournalWriter
 from rig.run.stopping import NOTHING_CONNECTED, StopRequestedError
 
 BATCH = """
@@ -75,3 +78,25 @@ def test_an_attempt_that_is_over_before_it_has_a_bench_leaves_the_points_of_the_
         worker._take(queue.upcoming(), at_the_end)
     (row,) = queue.rows()
     assert (row.points_done, row.points_planned) == (8, 13)
+
+
+def test_the_night_between_two_attempts_is_not_time_on_a_real_bench(queue: Queue) -> None:
+    """A batch with `stop_when.bench_hours` would end because of it."""
+    claim = queue.claim(1)
+    with closing(sqlite3.connect(queue.path)) as sql:
+        sql.execute("UPDATE attempt SET began = '2026-11-22T10:00:00+01:00' WHERE attempt = 2")
+        sql.commit()
+    worker = worker_of(queue)
+    journal = worker._folder.journal(1, "sweep")
+    journal.parent.mkdir()
+    twelve_h = 43_200.0
+    with JournalWriter.create(journal, recorded_run.header()) as writer:  # begins at 22:00
+        writer.event(recorded_run.event(100.0))
+        writer.event(recorded_run.event(twelve_h + 300.0))
+        writer.sync()
+    ended: list[AttemptResult] = []
+    worker._terms = SimpleNamespace(bench=Path("bench.toml"))
+    worker._conclude = lambda _, result: ended.append(result)
+    worker._recover()
+    assert claim.attempt == 2
+    assert [one.bench_s for one in ended] == [300.0]
