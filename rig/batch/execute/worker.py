@@ -48,7 +48,7 @@ from rig.batch.plan.policy import after_failure, kind_of, reason_to_end
 from rig.batch.plan.procedures import installed, procedure_of
 from rig.batch.queue import Queue, give_up
 from rig.batch.queue_file import QueueWriteError
-from rig.batch.queue_records import AttemptResult, Claim, valid_of
+from rig.batch.queue_records import AttemptResult, Claim, RunState, valid_of
 from rig.core.errors import ExitCode, RigError
 from rig.core.threads import thread_remains
 from rig.core.units import counted
@@ -220,11 +220,16 @@ class Worker:
         if claim.attempt > 1 and (ended := self._completed_elsewhere(claim)) is not None:
             self._conclude(claim, ended)
             return
+        self._commands.run, self._commands.in_run = claim.number, True
         try:
             outcome = self._perform(claim, at_the_end)
         except StopRequestedError as stopped:  # nothing was connected yet
             ended = AttemptResult("stopped", code=int(stopped.code))
-            self._queue.finish(claim, self._with_earlier_points(claim, ended), "queued")
+            ended = self._with_earlier_points(claim, ended)
+            if self._commands.take_given_up():
+                self._give_up(claim, ended)
+                return
+            self._queue.finish(claim, ended, "queued")
             raise
         except RigError as error:
             kind = kind_of(error.code, error.parts())
@@ -232,6 +237,8 @@ class Worker:
             ended = self._with_earlier_points(claim, ended)
         else:
             ended = _ended(outcome)
+        finally:
+            self._commands.in_run = False
         self._clock.used(ended.bench_s)
         self._conclude(claim, ended)
 
@@ -255,7 +262,7 @@ class Worker:
         given_up = self._commands.take_given_up()
         if ended.ending == "complete":
             self._queue.finish(claim, ended, "done")
-            self._finished(claim, ended)
+            self._finished(claim, ended, "done")
             if self._mounted is not None and (
                 found := self._watch.after(claim, ended, self._mounted)
             ):
@@ -263,12 +270,11 @@ class Worker:
                 self._watch.accept(claim)
             return
         if ended.ending == "stopped" and given_up:
-            self._queue.finish(claim, replace(ended, reason=GIVEN_UP), "failed")
-            self._finished(claim, ended)
+            self._give_up(claim, ended)
             return
         if ended.ending == "stopped":
             self._queue.finish(claim, ended, "queued")
-            self._finished(claim, ended)
+            self._finished(claim, ended, "queued")
             self._stop.check()
             if ended.code == ExitCode.STOPPED_BY_CONDITION:
                 raise self._between.time_over(ended.reason)
@@ -283,9 +289,9 @@ class Worker:
             self._queue.failed_in_a_row(self._batch.hold_when.consecutive_failures),
             ended.reason,
         )
-        state = "queued" if verdict.run == "again" else "failed"
-        self._queue.finish(claim, ended, state)  # type: ignore[arg-type]
-        self._finished(claim, ended, again=state == "queued")
+        state: RunState = "queued" if verdict.run == "again" else "failed"
+        self._queue.finish(claim, ended, state)
+        self._finished(claim, ended, state)
         if verdict.set_aside and not claim.condition.reference:
             self._set_aside(claim)
         if verdict.batch == "end":
@@ -298,6 +304,11 @@ class Worker:
             bench = BENCH_IN_USE if ended.kind == "in-use" else BENCH_SAFE
             self._between.hold(verdict.why, over, bench)
 
+    def _give_up(self, claim: Claim, ended: AttemptResult) -> None:
+        """Record that a person has ended this run and let the batch continue."""
+        self._queue.finish(claim, replace(ended, reason=GIVEN_UP), "failed")
+        self._finished(claim, ended, "failed")
+
     def _set_aside(self, claim: Claim) -> None:
         name = claim.condition.id
         failed = self._queue.failures_of(name)
@@ -307,7 +318,8 @@ class Worker:
         self._queue.add_event("warning", text)
         self._send("note", level="warning", text=text)
 
-    def _finished(self, claim: Claim, ended: AttemptResult, again: bool = False) -> None:
+    def _finished(self, claim: Claim, ended: AttemptResult, state: RunState) -> None:
+        """Report how an attempt ended, and the state of its run since then."""
         journal = self._folder.journal(claim.number, claim.condition.procedure)
         noun = ("point", "points")
         with contextlib.suppress(RigError):  # it may be gone since, which has failed the run
@@ -322,7 +334,7 @@ class Worker:
             condition=claim.condition.id,
             procedure=claim.condition.procedure,
             ending=ended.ending,
-            again=again,
+            state=state,
             code=ended.code,
             reason=ended.reason,
             bench_s=ended.bench_s,
@@ -370,12 +382,10 @@ class Worker:
                 job.resume = None
         if self._terms.bench is None and (upcoming := self._queue.upcoming()) is not None:
             self._benches.boot(upcoming)
-        self._commands.run, self._commands.in_run = claim.number, True
         self._stop.time_limit = self._between.time_limit(bench.clock)
         try:
             outcome = execute(job, bench.plan, bench.clock, self._stop, Reporter(self._send))
         finally:
-            self._commands.in_run = False
             self._stop.time_limit = None
             if bench.started is not None:
                 bench.started.wait()

@@ -38,6 +38,7 @@ class CommandListener:
             self.paused.set()
         self.stop_after_run = False
         self.in_run = False
+        """True from the claim of a run to its end."""
         self.run: int | None = None
         """Number of the run under way, or of the latest."""
         self.ending = False

@@ -210,15 +210,16 @@ class WorkerReports:
         text = f"run {event['number']}: {event['ending']}, {event['points']}"
         if event["reason"]:
             text += f": {event['reason']}"
-        if event["again"]:
+        over = event["state"] != "queued"
+        if not over and event["ending"] != "stopped":
             text += "; it stays queued for another attempt"
         self._people.say(text)
         if event["ending"] != "complete" or event["code"]:
             self._record(self._queue.add_event, "warning", text)
-        if event["ending"] != "stopped" and not event["again"]:
+        if over:
             self._files.add(event["number"], event["procedure"])
-            if event["ending"] != "complete":
-                self._people.notify("failure", text)
+        if over and event["ending"] not in ("complete", "stopped"):
+            self._people.notify("failure", text)
 
     def _on_end(self, event: Mapping[str, Any]) -> None:
         self.end = dict(event)

@@ -126,7 +126,7 @@ def test_a_run_whose_package_is_gone_fails_alone(tmp_path: Path) -> None:
     worker = Worker.__new__(Worker)
     worker._folder = BatchFolder(tmp_path)
     worker._send = lambda _, **fields: sent.append(fields["points"])
-    worker._finished(lost, AttemptResult("failed", "usage", 2, "'lab-sweep' is unknown"))
+    worker._finished(lost, AttemptResult("failed", "usage", 2, "'lab-sweep' is unknown"), "failed")
     assert sent == ["0 of 0 points"]
 
 

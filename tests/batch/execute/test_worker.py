@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import sqlite3
 from collections.abc import Iterator
@@ -14,6 +15,7 @@ import pytest
 import recorded_run
 
 from rig.batch.execute import worker as working
+from rig.batch.execute import worker_link
 from rig.batch.execute.worker import Worker
 from rig.batch.folder import BatchFolder
 from rig.batch.plan.read import parse_batch
@@ -21,7 +23,7 @@ from rig.batch.queue import Queue
 from rig.batch.queue_records import AttemptResult, RunEstimate
 from rig.core.errors import RigError
 from rig.files.journal.writer import JournalWriter
-from rig.run.stopping import NOTHING_CONNECTED, StopRequestedError
+from rig.run.stopping import NOTHING_CONNECTED, StopFlag, StopRequestedError
 
 BATCH = """
 [batch]
@@ -48,6 +50,7 @@ def worker_of(queue: Queue) -> Any:
     worker._folder, worker._queue = BatchFolder(queue.path.parent), queue
     worker._send = lambda *_, **__: None
     worker._clock = SimpleNamespace(used=lambda bench_s: None)
+    worker._commands = SimpleNamespace(take_given_up=lambda: False)
     worker._completed_elsewhere = lambda claim: None
     return worker
 
@@ -78,6 +81,31 @@ def test_an_attempt_that_is_over_before_it_has_a_bench_leaves_the_points_of_the_
         worker._take(queue.upcoming(), at_the_end)
     (row,) = queue.rows()
     assert (row.points_done, row.points_planned) == (8, 13)
+
+
+def test_a_run_can_be_ended_alone_while_its_bench_is_started(
+    queue: Queue, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Seen on the simulated bench: `rig batch stop --this-run` did nothing then, and said that it
+    had."""
+    monkeypatch.setattr(os, "kill", lambda pid, number: None)
+    nothing = SimpleNamespace(start=lambda: None)
+    monkeypatch.setattr(worker_link.threading, "Thread", lambda **_: nothing)  # type: ignore[attr-defined]
+    worker, sent = worker_of(queue), list[dict[str, Any]]()
+    worker._send = lambda event, **fields: sent.append(fields)
+    worker._commands = worker_link.CommandListener(StopFlag(), worker._send)
+
+    def perform(*_: object) -> None:
+        worker._commands._handle("stop-run 1")
+        raise StopRequestedError(signal.SIGTERM, NOTHING_CONNECTED)
+
+    worker._perform = perform
+    with ExitStack() as at_the_end:
+        worker._take(queue.upcoming(), at_the_end)
+    (row,) = queue.rows()
+    assert (row.state, row.reason) == ("failed", working.GIVEN_UP)
+    assert (sent[-1]["ending"], sent[-1]["state"]) == ("stopped", "failed")
+    assert not worker._commands.in_run
 
 
 def test_the_night_between_two_attempts_is_not_time_on_a_real_bench(queue: Queue) -> None:

@@ -101,13 +101,26 @@ def test_a_run_that_failed_is_reported_and_its_files_are_made(night: Night) -> N
     night.report("run", number=1, attempt=1, condition="sweep", estimate_s=18.0)
     ended = {"number": 1, "points": "3 of 175", "reason": "generator: no answer", "code": 3}
     bench = {"bench": "Bench is safe.", "holds": 0, "presses": 1, "procedure": "sweep"}
-    night.report("finished", ending="failed", again=True, **ended, **bench)
+    night.report("finished", ending="failed", state="queued", **ended, **bench)
     assert night.said[-1].endswith("it stays queued for another attempt")
     assert not night.files, "its journal is continued"
-    night.report("finished", ending="failed", again=False, **ended, **bench)
+    night.report("finished", ending="failed", state="failed", **ended, **bench)
     assert night.files == [1]
     assert night.notified == [("failure", "run 1: failed, 3 of 175: generator: no answer")]
     assert night.reports.bench == "Bench is safe."
+
+
+@pytest.mark.parametrize(("state", "files"), [("failed", [1]), ("queued", [])])
+def test_the_files_of_a_run_that_a_person_has_ended_alone_are_made(
+    night: Night, state: str, files: list[int]
+) -> None:
+    """It is not taken again, as one is that was stopped with the batch."""
+    night.report("run", number=1, attempt=1, condition="sweep", estimate_s=18.0)
+    ended = {"number": 1, "points": "3 of 175", "reason": "", "code": 143, "procedure": "sweep"}
+    bench = {"bench": "Bench is safe.", "holds": 0, "presses": 1}
+    night.report("finished", ending="stopped", state=state, **ended, **bench)
+    assert night.said[-1] == "run 1: stopped, 3 of 175"
+    assert (night.files, night.notified) == (files, [])
 
 
 @pytest.mark.parametrize("line", [b"warning: something printed", b"{}", b'{"event": ["a"]}', b"7"])
