@@ -7,10 +7,11 @@ run that is done; it is not taken again. Any other is continued where it was int
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import logging
+from collections.abc import Mapping, Sequence
 from datetime import datetime, timedelta
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from rig.batch.plan.procedures import installed
 from rig.batch.queue_records import AttemptResult
@@ -21,10 +22,14 @@ from rig.files.journal.reader import JournalContents, read_journal
 from rig.files.naming import RUN_SUFFIX
 from rig.files.runfile.reader import RunFile
 from rig.files.runfile.recover import interrupted
+from rig.run.results import results_of
 
 if TYPE_CHECKING:
     from rig.files.journal.values import RunHeader
     from rig.run.points import Reading
+    from rig.run.procedure import Procedure
+
+log = logging.getLogger("rig")
 
 
 def outcome_from_journal(journal: Path, began: datetime | None = None) -> AttemptResult:
@@ -117,5 +122,15 @@ def _ended(
         bench_s=bench_s,
         points_done=len(readings),
         points_planned=max(len(readings), len(header.points)),
-        summary=procedure(settings).summarise(readings),
+        summary=_summary(procedure(settings), readings),
     )
+
+
+def _summary(procedure: Procedure, readings: Sequence[Reading]) -> Mapping[str, Any]:
+    """Return what was computed from the readings at the end of the run, or would have been. A bug
+    in it costs the results and nothing else, as it does there (`rig.run.saving`)."""
+    try:
+        return results_of(procedure, readings, simulated=False).values
+    except Exception as error:
+        log.warning("no results of the run", exc_info=error)
+        return {}
