@@ -176,7 +176,7 @@ class ZaberAxis:
         """Do what `start_turn` does, and return the ticket of the turn."""
         ticket = self._interlock.ticket()
         self._require_reach(angle_deg, speed_deg_s, acceleration_deg_s2)
-        self._require_undisturbed("turn")
+        self._require_undisturbed()
         fresh = self._motion is None
         if fresh:
             self._poll()
@@ -206,7 +206,7 @@ class ZaberAxis:
         ended elsewhere."""
         busy = self._poll()
         self._interlock.require_armed("turn")
-        self._require_undisturbed("turn")
+        self._require_undisturbed()
         motion = self._motion  # another thread may stop the stage
         if motion is None:
             return busy
@@ -412,9 +412,9 @@ class ZaberAxis:
         self._motion = None
         return True
 
-    def _require_undisturbed(self, command: str) -> None:
+    def _require_undisturbed(self) -> None:
         if self._disturbed:
-            raise self._dialogue.flagged(command, self._disturbed)
+            raise self._dialogue.flagged("turn", self._disturbed)
 
     # --- one exchange -------------------------------------------------------------------------
 

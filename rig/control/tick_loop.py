@@ -58,19 +58,12 @@ class LoopStatistics:
 
     ticks: int
     """Number of ticks due until the end of the loop."""
-    planned: int
-    """Number of ticks that would have been due if no tick had ended the loop."""
     missed: int
     """Number of ticks that were missed."""
     late: int
     """Number of ticks that began later than half a period after they were due; a missed tick is as
     late as the one that replaced it."""
     largest_lateness_s: float
-    mean_lateness_s: float
-    duration_s: float
-    """Time from the first tick's due time to the end of the last tick."""
-    ended: bool
-    """True if a tick ended the loop."""
 
 
 class TooSlowError(RigError):
@@ -148,7 +141,7 @@ class _Ticks:
         self._start_s = self._clock.now()
         self._due = self._missed = self._late = 0
         """Numbers of ticks due, missed and late so far."""
-        self._largest_s = self._total_s = 0.0
+        self._largest_s = 0.0
         self._behind_since_s: float | None = None
         self._continues = True
 
@@ -187,17 +180,7 @@ class _Ticks:
 
     def statistics(self) -> LoopStatistics:
         """Return the statistics of the ticks so far."""
-        mean_s = self._total_s / self._due if self._due else 0.0
-        return LoopStatistics(
-            self._due,
-            self._planned,
-            self._missed,
-            self._late,
-            self._largest_s,
-            mean_s,
-            self._clock.now() - self._start_s,
-            not self._continues,
-        )
+        return LoopStatistics(self._due, self._missed, self._late, self._largest_s)
 
     def _count(self, tick: Tick) -> None:
         """Count a tick. Raises TooSlowError if ticks have been missed for too long."""
@@ -206,7 +189,6 @@ class _Ticks:
             late_s = max(0.0, now_s - (self._start_s + due / rate_Hz))
             self._late += late_s > LATE / rate_Hz
             self._largest_s = max(self._largest_s, late_s)
-            self._total_s += late_s
         self._missed += tick.missed
         if not tick.missed:
             self._behind_since_s = None

@@ -45,7 +45,6 @@ class HangWatch:
         self._inform, self._warn = inform, warn
         self._ident = 0
         self._ending = threading.Event()
-        self._thread: threading.Thread | None = None
         self._warned: set[str] = set()
 
     def __enter__(self) -> Self:
@@ -53,7 +52,6 @@ class HangWatch:
         if self._packages:
             thread = threading.Thread(target=self._run, name="hang watch", daemon=True)
             start_thread(thread)
-            self._thread = thread
         return self
 
     def __exit__(

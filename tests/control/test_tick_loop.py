@@ -66,8 +66,7 @@ def test_ticks_lie_on_the_grid_from_the_first_on(run: HandRun) -> None:
     statistics = tick_loop(run, 100.0, 0.5, on_tick)
     assert [tick.number for tick in ticks] == list(range(50))
     assert [tick.due_s for tick in ticks] == pytest.approx([3.7 + k / 100 for k in range(50)])
-    assert (statistics.ticks, statistics.planned, statistics.late) == (50, 50, 0)
-    assert not statistics.ended
+    assert (statistics.ticks, statistics.late) == (50, 0)
     assert run.looked == 50
 
 
@@ -106,7 +105,6 @@ def test_of_what_fell_due_while_a_tick_overran_the_latest_is_taken(run: HandRun)
     assert (statistics.ticks, statistics.missed) == (8, 1)
     assert statistics.late == 2  # 16 ms until the other was taken, and 6 ms
     assert statistics.largest_lateness_s == pytest.approx(0.016)
-    assert statistics.mean_lateness_s == pytest.approx(0.022 / 8)
 
 
 def test_the_first_tick_and_the_last_are_never_left_out(run: HandRun) -> None:
@@ -126,7 +124,7 @@ def test_the_first_tick_and_the_last_are_never_left_out(run: HandRun) -> None:
 
 def test_a_tick_may_end_the_loop(run: HandRun) -> None:
     statistics = tick_loop(run, 100.0, 1.0, lambda tick: tick.number < 4)
-    assert (statistics.ticks, statistics.planned, statistics.ended) == (5, 100, True)
+    assert statistics.ticks == 5
 
 
 def test_a_watcher_ends_it_before_the_tick(run: HandRun) -> None:
@@ -193,12 +191,12 @@ def test_a_stall_of_the_computer_is_followed_by_a_loop_on_time(run: HandRun) -> 
     assert [tick.number for tick in taken if tick.missed] == [153]
     assert statistics.missed == statistics.late == 149
     assert [tick.late_s for tick in taken[5:]] == pytest.approx([0.0] * (len(taken) - 5))
-    assert statistics.duration_s == pytest.approx(4.993)
+    assert run.clock.now() == pytest.approx(3.7 + 4.993)
 
 
 def test_nothing_is_asked_of_a_loop_of_no_duration(run: HandRun) -> None:
     statistics = tick_loop(run, 100.0, 0.0, lambda tick: False)
-    assert (statistics.ticks, statistics.planned, statistics.ended) == (0, 0, False)
+    assert statistics.ticks == 0
 
 
 @pytest.mark.parametrize(("rate", "duration"), [(0.0, 1.0), (501.0, 1.0), (100.0, -1.0)])
@@ -223,7 +221,7 @@ def test_in_real_time_every_tick_runs_once_and_none_before_its_time() -> None:
     began = [tick.began_s for tick in ticks]
     assert began == sorted(began)
     assert statistics.ticks == 40
-    assert statistics.duration_s >= 39 / 200
+    assert clock.now() >= 39 / 200
 
 
 def test_a_stop_request_is_seen_between_ticks_that_are_far_apart() -> None:

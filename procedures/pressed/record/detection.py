@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from rig.analysis.trial.decimation import DECIMATED_Hz
+from rig.core.threads import start_thread
 from rig.core.units import counted
 from rig.detector.notices import CutOff
 from rig.detector.registered import chosen_detector, is_own
@@ -172,7 +173,7 @@ def start_detection(run: Run) -> LiveDetection:
 def _with_signs_of_life(work: Callable[[], None], beat: Callable[[], None]) -> None:
     """Do the work in a thread of its own, and call `beat` until it is done."""
     thread = threading.Thread(target=work, name="start of the detector", daemon=True)
-    thread.start()
+    start_thread(thread)
     while thread.is_alive():
         thread.join(JOIN_S)
         beat()

@@ -74,7 +74,7 @@ class Supervisor:
     the supervisor passes stop requests on, and the worker waits for its signs of life."""
 
     def __init__(self, folder: BatchFolder, stop: StopFlag, say: Callable[[str], None]):
-        self._folder, self._stop, self._say = folder, stop, say
+        self._folder, self._say = folder, say
         self._terminal = TerminalStop(stop)
         self.bench = ""
         """How the latest run left its bench, as a sentence, once `run` has returned; empty where

@@ -37,7 +37,7 @@ def rolled(rest_s: float, scale: float = 1.0, noise_mV: np.ndarray | float = 0.0
     found.force = [np.tile([4.0, 0.0, 0.0], (len(t), 1))]
     found.rows, found.frames = 10 * len(t), len(t)
     found.rotation = [(float(s), 0.0, 0.0) for s in t[::10]]
-    found.loops = [LoopStatistics(200, 200, 0, 0, 0.0, 0.0, 2.0, False)]
+    found.loops = [LoopStatistics(200, 0, 0, 0.0)]
     run: Any = SimpleNamespace(
         settings=settings,
         event=lambda *said: None,

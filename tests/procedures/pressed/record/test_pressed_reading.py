@@ -24,7 +24,7 @@ def record(held_back: int) -> TrialRecord:
     found.rows, found.frames = 20_000, 2000
     found.motion_from_s, found.motion_to_s = 1.0, 1.9
     found.held_back = held_back
-    found.loops = [LoopStatistics(TICKS, TICKS, 0, 0, 0.0, 0.0, 2.0, False)]
+    found.loops = [LoopStatistics(TICKS, 0, 0, 0.0)]
     return found
 
 
