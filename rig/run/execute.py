@@ -6,11 +6,11 @@
     _Execution   around the loop: at every exit safe first, data second, report third
     RunSaving    the data (`rig.run.saving`)
 
-The procedure is called from the thread that calls `execute`. Three kinds of threads work in the
-background: the recorder writes the journal, a reader takes in each stream, and a shutdown action
-runs in a thread of its own so that one that hangs holds up no other. Their failures, stop requests,
-trips and holds surface in the procedure's next wait; `rig.run.phases` says which of them in which
-phase. A procedure may run its control ticks in further threads while its own waits for them.
+The procedure is called from the thread that calls `execute`, and so are its ticks. Other threads
+write the journal, read the force sensor and the contacts, talk on each link and run each shutdown
+action, so that one that hangs holds up no other (docs/architecture.md has all of them). Their
+failures, stop requests, trips and holds surface in the procedure's next wait; `rig.run.phases` says
+which of them in which phase.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """The force sensor's reader and its watchers, which act even while the procedure is blocked.
 
-The reader's thread owns the sensor's link. Every batch of frames goes to the watchers first: for a
-force over the limit, that thread runs the registered emergency actions at once. The trip is raised
-in the procedure's thread at its next check.
+The reader's thread judges every batch of frames as it comes: for a force over the limit, it has the
+registered emergency actions run at once. The trip is raised in the procedure's thread at its next
+check.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 """Read a running acquisition, and notice a converter that falls silent.
 
-The procedure's thread reads about a block a tick; the unit's buffer bridges late reads. A unit that
-has no data for longer than a block and a stall of the computer can explain has stopped, and data
-that it sent later could not be placed in time. A link that transfers less than is sampled is
-noticed as well, before the contact has to wait for the rest of the data.
+A block is asked for when it is due; the unit's buffer bridges late reads. A unit that has no data
+for longer than a block and a stall of the computer can explain has stopped, and data that it sent
+later could not be placed in time. A link that transfers less than is sampled is noticed as well,
+before the contact has to wait for the rest of the data.
 """
 
 from __future__ import annotations
