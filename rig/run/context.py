@@ -49,6 +49,8 @@ class Run:
         self.inform: Callable[[str], None] = lambda message: None
         """Shows a message to the operator, for the observers of the run. It may have to wait for a
         terminal: never call it while a force is held."""
+        self.on_press: Callable[[int], None] = lambda presses: None
+        """Takes note of a press, with the number of presses so far; it waits for nothing."""
         self.ending = Ending(self.event, self.warnings)
         """How the bench is made safe and left, for the shutdown actions."""
         self.streams = RecordedStreams(recorder, streams, self.elapsed_s)
@@ -203,6 +205,7 @@ class Run:
         """Note that z goes down to press the object now. A run reports how often, since each time
         wears film and skin."""
         self.disturbances.presses += 1
+        self.on_press(self.disturbances.presses)
 
     def event(self, level: str, code: str, message: str, at_s: float | None = None) -> None:
         """Record that something happened; warnings are repeated at the end of the run. `at_s` is

@@ -178,6 +178,7 @@ class _Execution:
             job.results, bench.plan, job.sample, job.accept, begun
         )
         self.run.inform = lambda message: self.observers.event("info", message)
+        self.run.on_press = self.observers.pressed
         self.run.ending.warn_at_once = self.observers.warn_at_once
         self.phases = Phases()
         parts = RunParts(

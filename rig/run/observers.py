@@ -64,6 +64,9 @@ class RunObserver:
         """Take note of a hold that is not a pause by the operator, once the bench is safe: its
         reason, and how many holds and presses the run has had so far."""
 
+    def pressed(self, presses: int) -> None:
+        """Take note that z goes down to press the object, for so many times in the run so far."""
+
     def saving(self) -> None:
         """Take note that the bench is safe and the run file is about to be written. Not called for
         a run without a point, nor if the journal is compiled later."""
@@ -122,6 +125,10 @@ class Observers(RunObserver):
     def hold_begun(self, reason: str, holds: int, presses: int) -> None:
         """See `RunObserver`."""
         self._each(lambda one: one.hold_begun(reason, holds, presses))
+
+    def pressed(self, presses: int) -> None:
+        """See `RunObserver`. The observers are not waited for."""
+        self._announce(lambda one: one.pressed(presses))
 
     def making_safe(self) -> None:
         """Report the state ``making safe`` without waiting for the observers: one that blocks must

@@ -86,7 +86,7 @@ def test_an_observer_sees_a_run_from_its_plan_to_its_file(
     "error", [KeyError("my_figure"), SystemExit(3), RuntimeError("line 1\nline 2")], ids=repr
 )
 @pytest.mark.parametrize(
-    "method", [name for name in METHODS if name not in ("event", "hold_begun")]
+    "method", [name for name in METHODS if name not in ("event", "hold_begun", "pressed")]
 )
 def test_an_observer_that_raises_disturbs_neither_safety_nor_data_nor_other_observers(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, method: str, error: BaseException

@@ -128,6 +128,11 @@ class Reporter(RunObserver):
         """See `rig.run.observers.RunObserver`."""
         self._send("disturbed", reason=reason, holds=holds, presses=presses)
 
+    def pressed(self, presses: int) -> None:
+        """See `rig.run.observers.RunObserver`. Nothing else counts the presses of a worker that
+        dies."""
+        self._send("pressed", presses=presses)
+
     def state(self, name: str) -> None:
         """See `rig.run.observers.RunObserver`. That it runs again is said when it is asked for."""
         if name == PAUSED:

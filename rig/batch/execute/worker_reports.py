@@ -97,6 +97,7 @@ class WorkerReports:
             "planned": self._on_planned,
             "point": self._on_point,
             "note": self._on_note,
+            "pressed": self._count,
             "disturbed": self._on_disturbed,
             "state": self._on_state,
             "hold": self._on_hold,
@@ -158,10 +159,11 @@ class WorkerReports:
             self._people.say(f"{event['level']}: {event['text']}")
 
     def _count(self, event: Mapping[str, Any]) -> None:
-        """Take over the numbers of holds and presses of the attempt under way."""
+        """Take over the numbers of holds and presses of the attempt under way, as far as they are
+        reported."""
         for count in (self.holds, self.presses):
-            if count.now != event[count.name]:
-                count.now = event[count.name]
+            if count.now != (number := event.get(count.name, count.now)):
+                count.now = number
                 self._record(self._queue.set_meta, count.name, str(count.total))
 
     def _on_disturbed(self, event: Mapping[str, Any]) -> None:

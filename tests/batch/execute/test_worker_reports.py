@@ -15,7 +15,7 @@ from rig.batch.execute.worker_reports import WorkerReports
 from rig.batch.folder import BatchFolder
 from rig.batch.plan.read import parse_batch
 from rig.batch.queue import Queue
-from rig.batch.queue_records import HOLDS, WAITS_FOR_A_PERSON, RunEstimate
+from rig.batch.queue_records import HOLDS, PRESSES, WAITS_FOR_A_PERSON, RunEstimate
 
 BATCH = """
 [batch]
@@ -95,6 +95,20 @@ def test_holds_of_all_attempts_are_added_up(night: Night) -> None:
     night.report("disturbed", holds=1, presses=1, reason="the door is open")
     assert night.queue.meta(HOLDS) == "3"
     assert night.reports.presses.total == 3
+
+
+def test_the_presses_of_a_worker_that_dies_are_not_forgotten(night: Night) -> None:
+    """Seen on the simulated bench: each wears the film, and the batch had made one less."""
+    night.report("run", number=1, attempt=1, condition="sweep", estimate_s=18.0)
+    night.report("pressed", presses=1)
+    assert night.queue.meta(PRESSES) == "1"
+    night.reports.close_attempt()
+    ended = {"number": 1, "points": "1 of 13", "reason": "it died", "code": 0, "bench": ""}
+    died = {"ending": "died", "state": "queued", "holds": 0, "presses": 0, "procedure": "sweep"}
+    night.report("finished", **ended, **died)
+    night.report("run", number=1, attempt=2, condition="sweep", estimate_s=18.0)
+    night.report("pressed", presses=1)
+    assert (night.reports.presses.total, night.queue.meta(PRESSES)) == (2, "2")
 
 
 def test_a_run_that_failed_is_reported_and_its_files_are_made(night: Night) -> None:
