@@ -51,7 +51,7 @@ class Run:
         terminal: never call it while a force is held."""
         self.on_press: Callable[[int], None] = lambda presses: None
         """Takes note of a press, with the number of presses so far; it waits for nothing."""
-        self.ending = Ending(self.event, self.warnings)
+        self.ending = Ending(self.event)
         """How the bench is made safe and left, for the shutdown actions."""
         self.streams = RecordedStreams(recorder, streams, self.elapsed_s)
         """The procedure's streams, which record its samples."""

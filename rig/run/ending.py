@@ -6,7 +6,6 @@ import contextlib
 from collections.abc import Callable, Iterator
 
 from rig.core.errors import InstrumentTimeoutError, RigError
-from rig.files.errors import JournalMovedError
 
 
 class Ending:
@@ -16,10 +15,9 @@ class Ending:
     come before the bench is safe.
     """
 
-    def __init__(self, record: Callable[[str, str, str], None], warnings: list[str]):
-        """Record with `record`, which takes the level, the code and the text of an event.
-        `warnings` are the run's, repeated at its end."""
-        self._record, self._warnings = record, warnings
+    def __init__(self, record: Callable[[str, str, str], None]):
+        """Record with `record`, which takes the level, the code and the text of an event."""
+        self._record = record
         self.warn_at_once: Callable[[str], None] = lambda message: None
         """Shows a warning to the operator without waiting for anything, from any thread."""
         self.failures: list[RigError] = []
@@ -99,13 +97,8 @@ class Ending:
 
     def try_to_record(self, put: Callable[[], None]) -> None:
         """Call `put`, which records something; whatever it raises is not raised."""
-        # A failed recorder is reported when it is closed.
-        with contextlib.suppress(Exception):
-            try:
-                put()
-            except JournalMovedError as moved:  # said to the first that puts something, only once
-                self._warnings.append(moved.one_line())
-                put()
+        with contextlib.suppress(Exception):  # a failed recorder is reported when it is closed
+            put()
 
     def _note(self, level: str, code: str, text: str) -> None:
         self.try_to_record(lambda: self._record(level, code, text))

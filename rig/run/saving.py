@@ -48,7 +48,7 @@ class RunSaving:
         outcome.warnings = self._run.warnings + outcome.warnings
         late: DiskLateError | None = None
         with self._saving():
-            self._recorder.check()  # what it reports once would cost the record that is put next
+            self._recorder.check()  # before the end: a journal that has moved is a failure of it
         with self._saving():
             for failure in outcome.failures:
                 if failure in self._run.ending.failures:

@@ -87,7 +87,7 @@ def test_a_run_does_not_call_a_bench_safe_of_which_it_does_not_know_what_is_pres
 
 
 def test_a_doubt_ends_where_the_bench_is_made_safe_again() -> None:
-    ending = Ending(lambda level, code, text: None, [])
+    ending = Ending(lambda level, code, text: None)
     ending.doubt("it is not known whether the film is still pressed", "no frames")
     with ending.making_safe():
         assert ending.left == ()

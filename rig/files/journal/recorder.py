@@ -31,7 +31,8 @@ class Recorder:
     """Owns a journal and the thread that writes it. Puts keep their order, from any thread.
 
     Every method raises the thread's first error: RecordingError for the disk, which names path,
-    cause and remedy.
+    cause and remedy. That the journal has moved to another path is raised once, and not by a put:
+    what is put is recorded all the same.
     """
 
     def __init__(self, journal: JournalWriter, max_queued_bytes: int = MAX_QUEUED_BYTES) -> None:
@@ -112,13 +113,15 @@ class Recorder:
         self._put_records(lambda: [self._journal.encoder.results(fields)])
 
     def check(self) -> None:
-        """Raise the thread's first error, if there is one; JournalMovedError once only, since what
-        is put afterwards is recorded all the same."""
-        if self._failure is not None:
-            raise self._failure
+        """Raise the thread's first error, if there is one; JournalMovedError once only."""
+        self._check_failure()
         if self._moved is not None:
             moved, self._moved = self._moved, None
             raise moved
+
+    def _check_failure(self) -> None:
+        if self._failure is not None:
+            raise self._failure
 
     def barrier(self, timeout_s: float = 60.0) -> None:
         """Block until everything that was put before is on the disk. Raises DiskLateError if that
@@ -168,7 +171,7 @@ class Recorder:
 
     def _put_records(self, encode: Callable[[], list[bytes]]) -> None:
         with self._lock:
-            self.check()
+            self._check_failure()
             if self._closing:
                 raise RecordingError(self._journal.path, "the recorder is closed")
             records = encode_or_raise(self._journal.path, encode)

@@ -239,6 +239,22 @@ def test_a_journal_that_loses_its_name_continues_at_another_path(
     assert read_journal(journal.path).kept_ids() == list(run.POINTS[:3])
 
 
+def test_what_is_put_when_the_journal_has_moved_is_recorded_before_that_is_raised(
+    journal: JournalWriter,
+) -> None:
+    recorder = Recorder(journal)
+    _move(journal.path)
+    recorder.put_event(run.event(message="first"))
+    while recorder._moved is None:
+        time.sleep(0.01)
+    recorder.put_event(run.event(message="second"))
+    with pytest.raises(JournalMovedError):
+        recorder.check()
+    recorder.check()
+    recorder.close()
+    assert [one.message for one in read_journal(journal.path).events] == ["first", "second"]
+
+
 def test_a_journal_that_finds_no_other_place_is_the_runs_failure(
     journal: JournalWriter, monkeypatch: pytest.MonkeyPatch
 ) -> None:

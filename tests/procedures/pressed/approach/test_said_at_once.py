@@ -38,7 +38,7 @@ class Stage:
 def unloaded(stage: Stage, force_N: float | None, lost: tuple[Any, ...]) -> tuple[list[str], str]:
     """What is said while z is stopped in vain at bench time 10, and the error of that."""
     said: list[str] = []
-    ending = Ending(lambda level, code, text: None, [])
+    ending = Ending(lambda level, code, text: None)
     ending.warn_at_once = lambda text: said.append(f"{stage.stops} stops: {text}")
     ending.lost, ending.silent = lost, frozenset(error.device for error in lost)
     run: Any = SimpleNamespace(
