@@ -12,14 +12,13 @@ from rig.detector.detector import IncipientSlipDetector, NETWORK_RATE_Hz
 from rig.detector.settings import (
     DetectorSettings,
     ImpulseSettings,
-    Logic,
     RigSettings,
     named_detectors,
 )
 
 
 class _OwnDetector(IncipientSlipDetector):
-    name: ClassVar[Logic]
+    name: ClassVar[str]
 
     @classmethod
     def default_settings(cls) -> DetectorSettings:
@@ -48,12 +47,18 @@ class Rig(_OwnDetector):
         """Return the parameters with the odds of a slip multiplied by the square of `factor`."""
         own = cast(RigSettings, settings)
         changed = {}
-        for name in ("fire_probability", "fire_probability_with_x"):
+        for name in ("fire_probability", "fire_probability_with_x", "first_probability"):
             probability = getattr(own, name)
             if probability is not None:
                 odds = factor**2 * probability / (1 - probability)
                 changed[name] = odds / (1 + odds)
         return settings.model_copy(update=changed)
+
+
+class RigForGrips(Rig):
+    """The detector rig, which has to be surer of the first slip of a motion: for --regrip."""
+
+    name = "rig-grip"
 
 
 class _Published(_OwnDetector):

@@ -284,6 +284,7 @@ def _constants(settings: DetectorSettings, rate_Hz: float, low_pass: LowPass) ->
     if isinstance(settings, RigSettings):
         if settings.fire_probability_with_x is not None:
             c["fire_probability"][0, 1] = settings.fire_probability_with_x
+        c["first_probability"] = settings.first_probability or 0.0
         c["over_probability"] = settings.over_probability or 0.0
         if settings.again_s is not None:
             again_ms = 1e3 * settings.again_s

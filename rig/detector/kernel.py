@@ -161,6 +161,7 @@ STATE = np.dtype(
         ("calm_rows", "i8"),
         ("moving_rows", "i8"),  # rows for which v_d has shown a motion under load, without a break
         ("roll_reported", "i8"),
+        ("slip_reported", "i8"),  # in this motion
         ("roll_rows", "i8"),
         ("look_rows", "i8"),
         ("silent_rows", "i8"),
@@ -216,6 +217,7 @@ CONSTANTS = np.dtype(
         ("look_rows", "i8"),
         ("idle_rows", "i8"),
         ("fire_probability", "f8", (2,)),  # without and with the commands of x
+        ("first_probability", "f8"),  # of the first slip of a motion; 0: no other one
         ("roll_probability", "f8"),
         ("silent_rows", "i8"),
         ("least_silent_rows", "i8"),
@@ -898,6 +900,7 @@ def _arm(s: Any, c: Any, events: Any, reported: int) -> int:
         s.calm_rows = 0 if level > threshold / 2.0 else s.calm_rows + 1
         if s.calm_rows > c.armed_rows:
             s.armed = 0
+            s.slip_reported = 0
             s.roll_reported = 0
             s.roll_rows = 0
     elif level > threshold:
@@ -1126,10 +1129,14 @@ def _decide(looks: bool, s: Any, c: Any, events: Any, reported: int) -> int:
     silent_for = c.silent_rows - s.silent_rows
     if looks and s.slip < c.over_probability and silent_for >= c.least_silent_rows:
         s.silent_rows = 0
-    if looks and s.slip > c.fire_probability[s.x_known]:
+    enough = c.fire_probability[s.x_known]
+    if not s.slip_reported:
+        enough = max(enough, c.first_probability)
+    if looks and s.slip > enough:
         s.suspect_rows = 0
         if s.silent_rows == 0:
             s.silent_rows = c.silent_rows
+            s.slip_reported = 1
             return _report(SLIP, s.slip, NO_REASON, s.peak[0], threshold, s, events, reported)
         return reported
     if s.suspect_rows > 0:

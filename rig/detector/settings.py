@@ -91,6 +91,10 @@ class RigSettings(DetectorSettings):
     fire_probability_with_x: float | None = Field(None, gt=0, lt=1)
     """The same as `fire_probability` in trials in which the commands of x are known: they explain
     what a stop or a turn does to v_d (decision 0121). None: no other one."""
+    first_probability: float | None = Field(None, gt=0, lt=1)
+    """Probability above which the first slip of a motion is reported, where it is larger than that
+    of further ones. A motion lasts from when the detector was armed until it is disarmed. None: the
+    same as for further ones."""
     over_probability: float | None = Field(None, gt=0, lt=1)
     """A slip is over once its probability has fallen below this. A further one may then be reported
     before `silence_s` has passed: an alarm at a partial slip must not hide the slip of the whole
@@ -106,7 +110,9 @@ class RigSettings(DetectorSettings):
         Their fingerprint, which is in processed files and their names, thus remains the same.
         """
         plain: dict[str, Any] = serialize(self)
-        for later in ("fire_probability_with_x", "over_probability", "again_s"):
+        for later in (
+            "fire_probability_with_x", "first_probability", "over_probability", "again_s",
+        ):  # fmt: skip
             if plain[later] is None:
                 del plain[later]
         return plain
@@ -156,14 +162,16 @@ def named_detectors() -> dict[str, DetectorSettings]:
 
     `rig.detector.DEFAULT_DETECTOR` is the name of the default.
     """
+    rig = RigSettings(
+        network=trained_network(),
+        fire_probability=0.95,
+        fire_probability_with_x=0.9,
+        over_probability=0.2,
+        again_s=0.02,
+    )
     return {
-        "rig": RigSettings(
-            network=trained_network(),
-            fire_probability=0.95,
-            fire_probability_with_x=0.9,
-            over_probability=0.2,
-            again_s=0.02,
-        ),
+        "rig": rig,
+        "rig-grip": rig.model_copy(update={"first_probability": 0.99}),
         # The lowest threshold that alarms in at most 2 % of simulated rolls (decision 0049). It
         # misses slow slides, the default one by 1.3 mV: `rig detect` says so and why.
         "paper-literal": DetectorSettings(logic="paper-literal", fire_mV=30.0),

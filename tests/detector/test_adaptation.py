@@ -18,7 +18,7 @@ from rig.detector.detector import IncipientSlipDetector
 from rig.detector.events import SlipEvent, unjudged_s
 from rig.detector.network import Network
 from rig.detector.notices import HeldForce, XMove
-from rig.detector.settings import DetectorSettings, RigSettings
+from rig.detector.settings import DetectorSettings, RigSettings, named_detectors
 
 RATE_Hz = 1000.0
 IMPULSE = "peak of v_d 3 ms"
@@ -220,6 +220,36 @@ def test_a_slip_that_follows_another_is_reported_once_the_first_is_over():
     assert found == pytest.approx([1500, 1560], abs=8), "40 ms pass at least"
     sooner = silent.model_copy(update={"over_probability": 0.2, "again_s": 0.018})
     assert samples(reported(volts, sooner)) == pytest.approx([1500, 1560, 1580], abs=8)
+
+
+def test_the_first_slip_of_a_motion_may_have_to_be_surer_than_further_ones():
+    """Impulses at 1.5 s, 1.56 s and 1.62 s, of which the second is the largest by far."""
+    volts, rows = pressed_and_sheared(), np.arange(2200)
+    for later, size_V in ((1560, 0.1), (1620, 0.015)):
+        pulse = size_V * np.exp(-(((rows - later) / 1.2) ** 2))
+        volts += np.column_stack([-pulse, pulse])
+    network = by_hand().network
+    assert network is not None
+    gradual = tuple(0.3 if weight else 0.0 for weight in network.hidden[0][:-1])
+    less_sure = network.model_copy(
+        update={"hidden": ((*gradual, 0.0),), "output": ((8.0, -3.0), (0.0, -50.0))}
+    )
+    chosen = RigSettings(
+        network=less_sure, fire_probability=0.8, over_probability=0.2, again_s=0.018
+    )
+    assert samples(reported(volts, chosen)) == pytest.approx([1500, 1560, 1620], abs=8)
+    surer = chosen.model_copy(update={"first_probability": 0.94})
+    assert samples(reported(volts, surer)) == pytest.approx([1560, 1620], abs=8)
+    never = chosen.model_copy(update={"first_probability": 0.99})
+    assert samples(reported(volts, never)) == []
+
+
+def test_the_detector_for_grips_is_rig_with_a_surer_first_alarm():
+    rig, grip = named_detectors()["rig"], named_detectors()["rig-grip"]
+    assert isinstance(grip, RigSettings)
+    assert grip.first_probability == 0.99
+    assert grip.model_copy(update={"first_probability": None}) == rig
+    assert "first_probability" not in rig.model_dump(), "the fingerprint of rig is as it was"
 
 
 def test_before_the_first_touch_the_gain_is_not_known_and_that_is_an_input():

@@ -62,8 +62,8 @@ Detectors = Annotated[
     list[str] | None,
     typer.Option(
         "--detector",
-        help="Detector to score: impulse, rig, paper-literal, paper-hp, or one of another package "
-        f"(rig detectors); repeatable.  [default: {DEFAULT_DETECTOR}]",
+        help="Detector to score: impulse, rig, rig-grip, paper-literal, paper-hp, or one of "
+        f"another package (rig detectors); repeatable.  [default: {DEFAULT_DETECTOR}]",
         metavar="NAME",
     ),
 ]

@@ -111,11 +111,11 @@ def test_the_list_names_it_with_its_package(rig: Any) -> None:
     shown = rig.run("detectors")
     assert shown.code == 0, shown.stderr
     lines = shown.stdout.splitlines()
-    own = ["impulse", "paper-hp", "paper-literal", "rig"]
+    own = ["impulse", "paper-hp", "paper-literal", "rig", "rig-grip"]
     assert [line.split()[0] for line in lines] == [*own, "lab-level"]
-    assert re.search(r"lab-level +3 +lab-level 1\.0 +Reports a slip where v_d first", lines[4])
+    assert re.search(r"lab-level +3 +lab-level 1\.0 +Reports a slip where v_d first", lines[-1])
     said = json.loads(rig.run("detectors", "--json").stdout)
-    assert said["detectors"][4]["settings"] == {"level_mV": 20.0}
+    assert said["detectors"][-1]["settings"] == {"level_mV": 20.0}
 
 
 BROKEN = {
