@@ -48,12 +48,12 @@ def batch_in(path: Path) -> BatchFolder:
     return folder
 
 
-def supervisor(tmp_path: Path, request: str) -> Supervisor:
+def supervisor(tmp_path: Path, request: str, stop: StopFlag | None = None) -> Supervisor:
     """A supervisor of a batch for which a terminal has left this request."""
     folder = batch_in(tmp_path)
     with Queue.open(folder.queue) as queue:
         queue.add_request(request)
-    return Supervisor(folder, StopFlag(), lambda _: None)
+    return Supervisor(folder, stop or StopFlag(), lambda _: None)
 
 
 @contextlib.contextmanager
@@ -530,7 +530,8 @@ def test_a_stop_reaches_the_worker_while_the_disk_keeps_the_supervisor_waiting(
 ) -> None:
     """The disk of the batch's folder, such as a network share, does not answer: whatever writes to
     it waits, and no signal ends that."""
-    stopping = supervisor(tmp_path, "go")
+    stop = StopFlag()
+    stopping = supervisor(tmp_path, "go", stop)
     stalled, passed_on = threading.Event(), threading.Event()
     sent: list[str] = []
 
@@ -563,7 +564,7 @@ def test_a_stop_reaches_the_worker_while_the_disk_keeps_the_supervisor_waiting(
     monkeypatch.setattr("rig.batch.execute.supervisor.WorkerProcess", Worker)
     monkeypatch.setattr(_Supervision, "to_the_end", to_the_end)
     monkeypatch.setattr(_Supervision, "_poll", lambda _: write_to_a_stalled_disk())
-    with stopping._stop:
+    with stop:
         assert stopping.run() == ExitCode.SIGINT
     assert sent == ["signal 2"]
 
