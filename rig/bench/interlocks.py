@@ -12,6 +12,7 @@ from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
+from rig.core.name_patterns import NAME_WITH_BLANKS
 from rig.core.settings import Settings
 from rig.instruments.roles import DriverModule
 
@@ -19,7 +20,7 @@ from rig.instruments.roles import DriverModule
 class InterlockSettings(Settings):
     """Settings of one interlock contact."""
 
-    name: str = Field(min_length=1, max_length=40, pattern=r"^[A-Za-z0-9][A-Za-z0-9 _-]*$")
+    name: str = Field(min_length=1, max_length=40, pattern=NAME_WITH_BLANKS)
     """Name as people at the bench say it, such as ``door``, ``e-stop`` or ``light curtain``."""
     input: str = Field(pattern=r"^[a-z_]+\..+$")
     """Instrument and its input, such as ``daq.501.0`` or ``stage_z.DIN3``."""

@@ -7,6 +7,7 @@ from typing import Any, Literal, Self
 from pydantic import Field, model_validator
 
 from rig.bench.interlocks import Interlocks
+from rig.core.name_patterns import NAME
 from rig.core.settings import Settings
 from rig.instruments.calibration import (
     CalibrationFiles,
@@ -138,7 +139,7 @@ class FixtureSettings(Settings):
 class BenchSettings(Interlocks):
     """Settings of the bench itself; the instruments' tables belong to their drivers."""
 
-    name: str = Field(min_length=1, pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")
+    name: str = Field(min_length=1, pattern=NAME)
     """Name of the bench, used in messages and file names."""
     simulation: dict[str, Any] | None = None
     """Seed and World of a simulated bench; None on a real one. A run with any simulated instrument

@@ -207,19 +207,12 @@ _WORDS = {
     "union_tag_not_found": "{discriminator} is missing",
 }
 """Messages for pydantic's kinds of findings; the others are shown in pydantic's own words."""
-_PATTERNS = {
-    r"^[A-Za-z0-9][A-Za-z0-9_.-]*$": "has to consist of letters without accents, digits, '_', '.' "
-    "and '-', and to begin with a letter or digit",
-    r"^[A-Za-z0-9_.-]*$": "has to consist of letters without accents, digits, '_', '.' and '-'",
-    r"^[A-Za-z0-9][A-Za-z0-9 _-]*$": "has to consist of letters without accents, digits, blanks, "
-    "'_' and '-', and to begin with a letter or digit",
-}
-"""Patterns of names in bench and batch files, in words; any other is shown as it is."""
 
 
 def finding(item: Any) -> str:
     """Return one of pydantic's findings (an entry of `ValidationError.errors`) in words: key, value
     with unit, and the limit."""
+    from rig.core.name_patterns import IN_WORDS
     from rig.core.settings import unit_of
 
     key = ".".join(shortened(str(part)) for part in item["loc"])
@@ -232,7 +225,7 @@ def finding(item: Any) -> str:
             for name, part in item.get("ctx", {}).items()
         }
         message = _WORDS[kind].format(**context, unit=unit)
-        message = _PATTERNS.get(context.get("pattern", ""), message)
+        message = IN_WORDS.get(context.get("pattern", ""), message)
     else:
         message = shortened(str(item["msg"]).removeprefix("Value error, "), LONGEST_REASON)
     if not key:

@@ -161,7 +161,7 @@ STATE = np.dtype(
         ("calm_rows", "i8"),
         ("moving_rows", "i8"),  # rows for which v_d has shown a motion under load, without a break
         ("roll_reported", "i8"),
-        ("slip_reported", "i8"),  # in this motion
+        ("slip_reported", "i8"),  # since it was last disarmed
         ("roll_rows", "i8"),
         ("look_rows", "i8"),
         ("silent_rows", "i8"),
@@ -217,7 +217,7 @@ CONSTANTS = np.dtype(
         ("look_rows", "i8"),
         ("idle_rows", "i8"),
         ("fire_probability", "f8", (2,)),  # without and with the commands of x
-        ("first_probability", "f8"),  # of the first slip of a motion; 0: no other one
+        ("first_probability", "f8"),  # of the first slip since it was disarmed; 0: no other one
         ("roll_probability", "f8"),
         ("silent_rows", "i8"),
         ("least_silent_rows", "i8"),

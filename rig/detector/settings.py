@@ -92,9 +92,9 @@ class RigSettings(DetectorSettings):
     """The same as `fire_probability` in trials in which the commands of x are known: they explain
     what a stop or a turn does to v_d (decision 0121). None: no other one."""
     first_probability: float | None = Field(None, gt=0, lt=1)
-    """Probability above which the first slip of a motion is reported, where it is larger than that
-    of further ones. A motion lasts from when the detector was armed until it is disarmed. None: the
-    same as for further ones."""
+    """Probability above which the first slip since the detector was last disarmed is reported, if
+    it is larger than that of further ones: it is disarmed when a motion under load has been over
+    for `armed_s` (decision 0147). None: the same as for further ones."""
     over_probability: float | None = Field(None, gt=0, lt=1)
     """A slip is over once its probability has fallen below this. A further one may then be reported
     before `silence_s` has passed: an alarm at a partial slip must not hide the slip of the whole

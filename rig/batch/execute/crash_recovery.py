@@ -130,6 +130,7 @@ def _summary(procedure: Procedure, readings: Sequence[Reading]) -> Mapping[str, 
     """Return what was computed from the readings at the end of the run, or would have been. A bug
     in it costs the results and nothing else, as it does there (`rig.run.saving`)."""
     try:
+        # False: the summary is without the true values of a simulated bench.
         return results_of(procedure, readings, simulated=False).values
     except Exception as error:
         log.warning("no results of the run", exc_info=error)

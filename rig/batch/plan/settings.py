@@ -25,6 +25,7 @@ from pydantic import (
     model_validator,
 )
 
+from rig.core.name_patterns import NAME, OPTIONAL_NAME
 from rig.core.settings import Settings, unit_of
 from rig.core.units import quantity
 from rig.files.journal.layout import Short
@@ -133,7 +134,7 @@ class NotifySettings(Settings):
 class BatchSettings(Settings):
     """Table ``[batch]``."""
 
-    name: str = Field(min_length=1, max_length=60, pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")
+    name: str = Field(min_length=1, max_length=60, pattern=NAME)
     """Names its folder and its files."""
     results: str = "results"
     """Folder in which the batch's folder is made; relative to where the command is given."""
@@ -216,7 +217,7 @@ class Experiment(Settings):
     """One entry ``[[experiment]]``: a procedure over many conditions."""
 
     procedure: str
-    name: str = Field(default="", pattern=r"^[A-Za-z0-9_.-]*$")
+    name: str = Field(default="", pattern=OPTIONAL_NAME)
     """Names its conditions; left out, the procedure's name."""
     settings: dict[str, Any] = Field(default_factory=dict)
     """Settings that all its runs share."""
