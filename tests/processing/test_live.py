@@ -252,12 +252,15 @@ def test_one_that_fails_is_dropped_and_nobody_waits_for_it(
 ) -> None:
     old, new, reason = DROPPED[fault]
     lab((old, new))
-    one = started(longest_lag_s=0.3 if "behind" in reason else PATIENCE_S)
+    falls_behind = reason.startswith("fell behind")
+    one = started(longest_lag_s=0.3 if falls_behind else PATIENCE_S)
     one.begin()
     begun_s = time.monotonic()
     for part, first in blocks(np.tile(crossing(), (40, 1))):  # 10 000 blocks: more than fit
         one.add(part, first)
-        if first < 1000 and one.in_use:
+        if not falls_behind:
+            one.settle(PATIENCE_S)  # on a busy computer a full socket would drop it as late
+        elif first < 1000 and one.in_use:
             time.sleep(0.001)
     assert time.monotonic() - begun_s < PATIENCE_S
     said = until(one.dropped)
