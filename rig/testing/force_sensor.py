@@ -72,7 +72,9 @@ def _check_frames(pieces: list[ForceFrames], service: Any, first: int, since_s: 
         begun = (rise_s - middles[:, None]).ravel()
         assert np.abs(begun - np.median(begun)).max() < 0.9 * period, (
             f"forces {piece.force_N[:, there]} N do not rise from frame to frame as the true force "
-            "does: unit, sign, axis or order is wrong"
+            f"does: unit, sign, axis or order is wrong, or the `matrix` of the simulator's core, "
+            f"{np.array(service.truth('matrix')).tolist()}, with which the contract calibrates the "
+            "driver (without one it is the identity, for a sensor that sends N)"
         )
         assert since_s - 0.5 * period <= np.median(begun) <= service.now_s() + 0.5 * period, (
             "frames of another time"
@@ -81,10 +83,14 @@ def _check_frames(pieces: list[ForceFrames], service: Any, first: int, since_s: 
     return first
 
 
-def _begin(sensor: Any, service: Any, rate_S_s: float | None = None) -> float:
-    """Start a stream of calibrated forces; return when it began."""
+def _begin(
+    sensor: Any, service: Any, rate_S_s: float | None = None, calibrate: bool = True
+) -> float:
+    """Start a stream of forces, calibrated with the true matrix unless the driver's own is to be
+    used; return when it began."""
     sensor.stop()
-    sensor.calibrate(service.truth("matrix"))
+    if calibrate:
+        sensor.calibrate(service.truth("matrix"))
     sensor.tare(service.truth("zero"))
     since: float = service.now_s()
     asked = _usual_rate(sensor) if rate_S_s is None else rate_S_s
@@ -106,6 +112,26 @@ def _stated_axes(sensor: Any, service: Any) -> None:
         f"{axes_of(sensor)!r}: write axes = {there!r} in the class of the driver, so that no run "
         "that needs another axis takes its zeros for a force"
     )
+
+
+def _own_scale(sensor: Any, service: Any) -> None:
+    """Check that forces are in N with the matrix that the driver begins with: a bench file without
+    a calibration record changes nothing about it, and z presses by what it gives."""
+    matrix, zero = np.array(service.truth("matrix")), np.array(service.truth("zero"))
+    there, _ = _columns(service)
+    _begin(sensor, service, calibrate=False)
+    service.sleep(_slice_s(service))
+    pieces = _collected(sensor, service)
+    assert pieces, "read() returns no frames although some are due"
+    for piece in pieces:
+        true_N = (piece.raw - zero) @ matrix.T
+        assert np.allclose(piece.force_N[:, there], true_N[:, there], rtol=1e-3, atol=1e-6), (
+            f"before calibrate(), raw {piece.raw[-1, there]} gives "
+            f"{piece.force_N[-1, there]} N, and {true_N[-1, there]} N with the `matrix` of the "
+            "simulator's core: the driver's unit and that matrix have to agree (a core without a "
+            "`matrix` sends N)"
+        )
+    sensor.stop()
 
 
 def _force_stream(sensor: Any, service: Any) -> None:
@@ -204,5 +230,8 @@ FORCE_SENSOR = Role(
         Step("make_safe() of a stream", _undisturbed),
     ),
     excite=_excite_sensor,
-    apart=(Step("stop() with frames unread", _dropped),),
+    apart=(
+        Step("force_N before calibrate()", _own_scale),
+        Step("stop() with frames unread", _dropped),
+    ),
 )

@@ -39,6 +39,35 @@ def site(tmp_path: Path) -> Path:
     return packages.install(tmp_path / "site", "triple-force", REGISTERED, modules)
 
 
+WRONG_SCALES = {
+    "a unit of the driver": ("driver.py", '"xyz", "mN"', '"xyz", "N"'),
+    "a core without a matrix": ("simulator.py", "    matrix = ", "    other = "),
+}
+
+
+@pytest.mark.parametrize("mistake", WRONG_SCALES)
+def test_forces_that_are_not_in_newtons_before_a_calibration_are_found(
+    site: Path, mistake: str
+) -> None:
+    """A bench file without a calibration record uses the scale that the driver begins with."""
+    name, right, wrong = WRONG_SCALES[mistake]
+    module = site / "triple_force" / name
+    text = module.read_text()
+    assert right in text
+    module.write_text(text.replace(right, wrong))
+    start = [sys.executable, "-m", "pytest", "-q", "-c", os.devnull, "-p", "no:cacheprovider"]
+    ended = subprocess.run(
+        [*start, "-k", "without_faults", str(site / "test_tf_3.py")],
+        env={**os.environ, "PYTHONPATH": str(site), "PYTHONDONTWRITEBYTECODE": "1"},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert ended.returncode == 1, ended.stdout + ended.stderr
+    assert "before calibrate(), raw [" in ended.stdout
+    assert "the driver's unit and that matrix have to agree" in ended.stdout
+
+
 @pytest.mark.thorough
 @pytest.mark.parametrize("link", ["serial", "tcp"])
 def test_three_axes_and_acknowledged_commands_fulfil_the_contract(site: Path, link: str) -> None:
