@@ -117,7 +117,7 @@ class ForceHold:
         force is lost: the next `step` would press on.
         """
         self._refuse_silent()
-        self._watch.refuse_lost(force_N)
+        self._watch.refuse_lost(force_N, may_relax=True)
 
     def _refuse_silent(self) -> None:
         """Raise InstrumentError where z has not answered for too long."""

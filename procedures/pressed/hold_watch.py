@@ -21,6 +21,8 @@ LOST_SHARE, LOST_STEPS = 0.5, 3
 """Where the force sensor reads less than this share of the held force in so many steps, one after
 the other, the force is lost: no motion of a trial changes it so much. The servo would press on at
 its full rate if the sensor were at fault."""
+RELAXED = "if the force can relax by more than half, hold the place for a shorter time; "
+"""Begins the hint while a place is held, where the skin itself may lower the force."""
 
 FOLLOW_FROM = 0.05
 """Rise of the set point, as a share of it, from which the force has to follow: the largest
@@ -74,8 +76,9 @@ class HeldForceWatch:
             self._followed = _Followed(force_N, self._followed.position_mm - way_mm)
         self._reached_N = min(self._reached_N, force_N)
 
-    def refuse_lost(self, force_N: float) -> None:
-        """Raise InstrumentError where the force has been lost."""
+    def refuse_lost(self, force_N: float, may_relax: bool = False) -> None:
+        """Raise InstrumentError where the force has been lost. `may_relax` is for a place that is
+        held: the hint then names that cause as well."""
         self._reached_N = min(max(self._reached_N, force_N), self._servo.target_N)
         self._lost = self._lost + 1 if force_N < LOST_SHARE * self._reached_N else 0
         if self._lost >= LOST_STEPS:
@@ -84,7 +87,8 @@ class HeldForceWatch:
                 "force_sensor",
                 "hold the force",
                 f"it reads {force_N:.2g} N where z held {self._reached_N:.3g} N",
-                f"check whether the object has given way; otherwise {SUSPECT}",
+                f"{RELAXED if may_relax else ''}check whether the object has given way; otherwise "
+                f"{SUSPECT}",
             )
 
     def refuse_unfollowed(self, force_N: float) -> None:

@@ -101,9 +101,10 @@ class PressedProcedure(TrialProcedure):
         """Check the class where it is defined, and derive its layout and summary.
 
         Raises TypeError for a method with the wrong arguments, and ValueError for columns that
-        cannot be.
+        cannot be and for a fixture without skin.
         """
         super().__init_subclass__(**keywords)
+        _require_skin(cls)
         _require_columns(cls)
         for hook in HOOKS:
             arguments = tuple(inspect.signature(getattr(PressedProcedure, hook)).parameters)
@@ -380,6 +381,17 @@ def _error_behind(given_up: RetakeError) -> RigError | None:
             found = error
         error = error.__cause__ or error.__context__
     return found
+
+
+def _require_skin(procedure: type[PressedProcedure]) -> None:
+    """Raise ValueError for a fixture that has a film and no skin: there are no strips to record."""
+    fixtures: Any = getattr(procedure, "fixtures", ())
+    if isinstance(fixtures, (tuple, list)) and "film-clamp" in fixtures:
+        raise ValueError(
+            f"{procedure.__name__}.fixtures has 'film-clamp', and a PressedProcedure presses the "
+            "skin on 'plate' or 'semi-spherical-object'; to press a film derive from "
+            "rig.run.procedure.Procedure and press with procedures.sweep.preload.press"
+        )
 
 
 def _require_columns(procedure: type[PressedProcedure]) -> None:

@@ -99,7 +99,14 @@ def test_a_force_that_is_gone_while_z_holds_its_place_ends_the_run(relaxation: A
     assert failed.code == 3, failed.stderr
     assert "hold the force: it reads" in failed.stderr
     assert "where z held 3 N" in failed.stderr
+    assert "if the force can relax by more than half, hold the place for a shorter" in failed.stderr
     assert "normal force released" in failed.stderr
+
+
+def test_a_film_in_its_clamp_is_refused_where_the_class_is_defined() -> None:
+    """Its bench has no strips, and the run asked for strip_1 in the bench file."""
+    with pytest.raises(ValueError, match="'film-clamp', and a PressedProcedure presses the skin"):
+        type("OnFilm", (Forces,), {"fixtures": ("plate", "film-clamp")})
 
 
 class Forces(PressedProcedure):
