@@ -105,7 +105,7 @@ class EarlierPress:
                 "N/mm"
             )
         if shift_N > ZERO_REPORTED_N:
-            found.append(f"the force sensor's zero differs by {shift_N:.2g} N")
+            found.append(f"the force sensor's zero is {shift_N:.2g} N away from where it was")
         if not found:
             return
         differs = (

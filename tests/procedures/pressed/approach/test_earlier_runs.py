@@ -138,7 +138,7 @@ def test_what_fits_badly_is_a_warning(tmp_path: Path) -> None:
     ((level, said),) = run.said
     assert level == "warning"
     assert "had 142 N/mm" in said
-    assert "the force sensor's zero differs by 1.5 N" in said
+    assert "the force sensor's zero is 1.5 N away from where it was in earlier runs" in said
 
 
 @pytest.mark.parametrize(("way_mm", "force_N"), [(0.045, 1.2), (0.11, 3.0)])
