@@ -93,6 +93,8 @@ def test_the_stress_relaxation_that_the_page_shows_runs(rig: Any) -> None:
     with RunFile.open(rig.only("*.h5")) as run:
         assert run.column("set_normal_force").tolist() == [2.0, 3.0]
         assert all(abs(run.column("creep")) < 0.5), "z stays where it is"
+    assert "  2 N: 0.00 um\n" in done.stderr
+    assert "  creep: " not in done.stderr, "no mean over both forces"
 
 
 READING = "    def reading(self, record):"
