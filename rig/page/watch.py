@@ -91,6 +91,8 @@ class BenchWatch:
         self.behind = True
         """True while a long journal is still read up to its end."""
         self._tail: JournalTail | None = None
+        self._shown_ns = 0
+        """Latest change of the journal that is shown, as of the latest look that found it."""
         self._problem = ""
         self._unsound: str | None = None
         """The problem that viewers were warned of: bytes of the journal that are not a record."""
@@ -115,6 +117,7 @@ class BenchWatch:
         journals = self._folder.find(JOURNAL_SUFFIX)
         if self.path is None:
             self._latest.look(self._folder)
+        self._note_change(journals)
         written = [one for one in journals if one.inode in locked]
         # Of two runs at once the one that is shown stays, and with it what STOP is for.
         written.sort(key=lambda one: one.path != self.path)
@@ -129,6 +132,7 @@ class BenchWatch:
             chosen = journals[0]
         if chosen is not None and chosen.path != self.path:
             self._follow(chosen.path, found)
+            self._note_change(journals)
         with self.lock:
             if self.stop is not None and found is not None and chosen is not None:
                 another = found.pid != self.stop.holder.pid
@@ -143,15 +147,17 @@ class BenchWatch:
                 self._guarded = guard_of(self.holder.pid) is not None
         self._look_at_bench(locked)
 
+    def _note_change(self, journals: list[FoundFile]) -> None:
+        for one in journals:
+            if one.path == self.path:
+                self._shown_ns = one.mtime_ns
+
     def _is_news(self, journal: FoundFile) -> bool:
         """Return whether a journal that no one writes is to be shown: it is another one than that
         which is shown, and newer than the latest run file."""
-        if self.path is not None and self._tail is not None and not self._tail.deleted:
-            try:
-                shown = self.path.lstat().st_mtime_ns
-            except OSError:
-                shown = 0
-            return journal.path != self.path and journal.mtime_ns > shown
+        if self.path is not None:
+            # Its journal may have been compiled: one that is left over is that of an earlier run.
+            return journal.path != self.path and journal.mtime_ns > self._shown_ns
         latest = self._latest.file
         if latest is None:
             return True

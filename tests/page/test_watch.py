@@ -126,6 +126,24 @@ def test_a_guards_report_of_an_earlier_attempt_says_nothing_of_this_one(results:
     assert words(BenchWatch(results))[0] == "UNSAFE"
 
 
+def test_the_journal_of_an_earlier_run_that_is_left_over_is_not_the_latest(results: Path) -> None:
+    earlier = journal_in(results, "earlier")
+    watch = BenchWatch(results)
+    words(watch)
+    latest = journal_in(results, "latest")
+    with held(latest):
+        words(watch)
+        assert watch.path == latest
+    compile_run(latest, retire=True)
+    assert not latest.exists()
+    words(watch)
+    assert watch.path == latest, "the earlier run is shown as the latest"
+    newest = journal_in(results, "newest")  # a run that was too short to be seen at work
+    words(watch)
+    assert watch.path == newest
+    assert earlier.exists()
+
+
 def test_run_files_alone_make_no_bench_green_without_a_look_at_its_marks_and_locks(
     results: Path,
 ) -> None:
