@@ -13,6 +13,7 @@ notches that it shows.
 from __future__ import annotations
 
 import itertools
+import math
 import random
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
@@ -48,8 +49,11 @@ QUIET_S_Hz2 = 9.0
 """Time at 1 Hz in which noise allows `QUIET_dB` at 1 N; it falls with the square of frequency and
 load, because the film's signal rises with both."""
 QUIET_dB = 0.05
-RINGS_BELOW_Hz, RINGS_S = 600.0, 0.03
-"""Frequency below which a point waits for ringing to decay, and the time of that wait."""
+RINGS_S = ((200.0, 0.09), (600.0, 0.03), (math.inf, 0.015))
+"""Time for which a point waits for ringing to decay, by the frequency below which it does."""
+LOADS_BELOW_Hz, LOADS_S = 60.0, 0.25
+"""Frequency below which a change of load rings for longer than that, and the time for each point of
+a sweep with several loads."""
 KNOWN_WITHIN = 1.3
 """Ratio of two successive frequencies beyond which the drive is not predicted well."""
 LEVELLING_RECORDS, LEVELLING_S = 2.5, 0.03
@@ -125,6 +129,17 @@ class Sweep(Procedure):
             return _points_at(settings, refine_Hz(_grid(settings), curve_of(scanned)))
         except CurveError:  # A grid that is too short or too narrow shows no notch.
             return ()
+
+    def refining_s(self) -> float:
+        """Return the expected bench time of the second plan in s, for a film with the notches of
+        the paper's."""
+        settings = self.settings
+        if settings.frequencies_Hz or not settings.points_per_half_width:
+            return 0.0
+        from rig.analysis.film.frequency_plan import expected_refinement_Hz
+
+        further = _points_at(settings, expected_refinement_Hz(_grid(settings)))
+        return math.fsum(point.duration_s for point in further)
 
     def overhead_s(self, fixture: FixtureSettings, homed: bool) -> float:
         """Return the expected bench time of preloading, listening and parking, in s."""
@@ -310,8 +325,9 @@ def _expected_s(
     quieter = QUIET_dB / (settings.target_error_dB * condition.load_N * condition.frequency_Hz)
     level_s = record_s if record_s >= LONG_RECORD_S else 2 * record_s
     expected_s = max(level_s, QUIET_S_Hz2 * quieter**2)
-    if condition.frequency_Hz < RINGS_BELOW_Hz:
-        expected_s += RINGS_S
+    expected_s += next(rings_s for below, rings_s in RINGS_S if condition.frequency_Hz < below)
+    if condition.frequency_Hz < LOADS_BELOW_Hz and len(settings.loads_N) > 1:
+        expected_s += LOADS_S
     ratio = KNOWN_WITHIN if last is None else condition.frequency_Hz / last.frequency_Hz
     if not 1 / KNOWN_WITHIN < ratio < KNOWN_WITHIN:
         expected_s += LEVELLING_RECORDS * record_s + LEVELLING_S

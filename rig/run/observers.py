@@ -46,7 +46,7 @@ class RunObserver:
         measured, and again when the procedure has added further points.
 
         `recorded` are the ids of points that are in the journal already; `overhead_s` is the bench
-        time that arming and making safe will take.
+        time that arming and making safe will take, and further points that the procedure adds.
         """
 
     def point_recorded(self, number: int, total: int, point: Point, reading: Reading) -> None:

@@ -72,7 +72,7 @@ class PointLoop:
         self._outcome.points_done = len(self._readings)
         for point_id, reading in self._readings.items():  # an earlier attempt's warnings are gone
             self._note_invalid(point_id, reading)
-        self._record_plan()
+        self._record_plan(self._procedure.refining_s())
         further = self._procedure.refine(self.readings())
         if further:
             check_points(further, self._run.bench, [p.id for p in self._points], self._settings)
@@ -85,14 +85,15 @@ class PointLoop:
         """Return the readings so far, in the order of the plan."""
         return [self._readings[p.id] for p in self._points if p.id in self._readings]
 
-    def _record_plan(self) -> None:
+    def _record_plan(self, refining_s: float = 0.0) -> None:
+        """Measure the points that are planned; `refining_s` is what further ones will take."""
         remaining = [point for point in self._points if point.id not in self._readings]
         if not remaining:
             return
         armed = bool(self._run.arming.names)
-        overhead_s = 0.0
+        overhead_s = refining_s
         if not armed:
-            overhead_s = self._procedure.overhead_s(self._run.bench.settings.fixture, False)
+            overhead_s += self._procedure.overhead_s(self._run.bench.settings.fixture, False)
         self._observers.planned(self._points, set(self._readings), overhead_s)
         if not armed:
             self._observers.state(RUNNING)

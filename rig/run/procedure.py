@@ -14,6 +14,7 @@ Hooks are called in this order:
     points()                          the plan, checked against every limit of the bench
     check(bench)                      connected, nothing armed yet
     overhead_s(fixture, homed)        for the estimate of the time that is left
+    refining_s()                      for the same
     arm(run)                          before the first point, and again after every hold and trip
     take(run, point)                  each point in turn
     retries_of_invalid()              before each point
@@ -148,6 +149,13 @@ class Procedure(ABC):
 
         The durations of the points leave it out. `homed`: the stages know where they are and are
         parked already. Only estimates of time depend on it.
+        """
+        return 0.0
+
+    def refining_s(self) -> float:
+        """Return the bench time in s that the points of `refine` are expected to take.
+
+        Only estimates of time depend on it.
         """
         return 0.0
 

@@ -10,6 +10,7 @@ machine.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from typing import Self
 
 import numpy as np
@@ -22,6 +23,10 @@ from rig.core.settings import Settings
 
 MAINS_LINES = 5
 """Number of mains harmonics that the scan avoids."""
+
+PAPER_NOTCHES = ((500.0, 10.0), (2400.0, 10.0), (9000.0, 10.0))
+"""Notches that are expected of a film before its scan: frequencies in Hz as the paper reports them
+(3.2), and Q in the middle of its assumed range."""
 
 _SAME_FREQUENCY = 1e-6
 
@@ -85,16 +90,32 @@ def refine_Hz(settings: FrequencyPlanSettings, scanned: ResponseCurve) -> tuple[
 
     Raises CurveError, as ``fit_with_drops`` does, if the scan is too short or too narrow.
     """
+    notches = [(one.frequency_Hz, one.pole_Q) for one in fit_with_drops(scanned).model.notches]
+    return _in_notches(settings, notches, scanned.frequencies)
+
+
+def expected_refinement_Hz(settings: FrequencyPlanSettings) -> tuple[float, ...]:  # noqa: N802
+    """Return what `refine_Hz` finds after the scan of a film with the notches of the paper's, for
+    estimates of time."""
+    scan = np.array(scan_frequencies_Hz(settings))
+    inside = [one for one in PAPER_NOTCHES if scan[0] < one[0] < scan[-1]]
+    return _in_notches(settings, inside, scan)
+
+
+def _in_notches(
+    settings: FrequencyPlanSettings, notches: Iterable[tuple[float, float]], scanned_Hz: Reals
+) -> tuple[float, ...]:
+    """Return the further frequencies in notches of these frequencies in Hz and Qs."""
     per_side = settings.points_per_half_width
     detuning = np.arange(-per_side, per_side + 1) / per_side
-    taken: Reals = np.log(scanned.frequencies)
+    taken: Reals = np.log(scanned_Hz)
     chosen: list[float] = []
-    for notch in fit_with_drops(scanned).model.notches:
-        steps = np.arcsinh(detuning / (2 * notch.pole_Q))
+    for centre_Hz, pole_Q in notches:
+        steps = np.arcsinh(detuning / (2 * pole_Q))
         near = 0.25 * float(steps[-1] - steps[-2])
         for step in steps:
-            frequency = _rounded(notch.frequency_Hz * math.exp(step))
-            inside = scanned.frequencies[0] <= frequency <= scanned.frequencies[-1]
+            frequency = _rounded(centre_Hz * math.exp(step))
+            inside = scanned_Hz[0] <= frequency <= scanned_Hz[-1]
             if inside and np.abs(math.log(frequency) - taken).min() > near:
                 chosen.append(frequency)
                 taken = np.append(taken, math.log(frequency))

@@ -167,7 +167,8 @@ def forecast(
 
 def _expected(condition: BatchCondition, fixture: FixtureSettings, real: bool) -> ExpectedRun:
     points = _planned(condition).points()
-    taking_s = math.fsum(point.duration_s for point in points)
+    further_s = _planned(condition).refining_s()
+    taking_s = math.fsum(point.duration_s for point in points) + further_s
     duration_s = taking_s + _overhead_s(condition, fixture, real) + (CONNECTING_S if real else 0.0)
     earliest, latest = (_overhead_s(condition, place, real) for place in _ends_of_contact(fixture))
     common_s = math.hypot((latest - earliest) / UNIFORM, RELATIVE * duration_s)

@@ -6,6 +6,7 @@ from pydantic import ValidationError
 
 from rig.analysis.film.frequency_plan import (
     FrequencyPlanSettings,
+    expected_refinement_Hz,
     refine_Hz,
     scan_frequencies_Hz,
 )
@@ -92,3 +93,12 @@ def test_a_scan_too_narrow_for_a_trend_is_refused():
     plan = FrequencyPlanSettings(lowest_Hz=300, highest_Hz=900)
     with pytest.raises(CurveError, match="a decade is needed"):
         refine_Hz(plan, scanned(FilmModel(-78.0, 1 / 2000), plan))
+
+
+def test_as_many_further_points_are_expected_as_the_papers_notches_need():
+    assert len(expected_refinement_Hz(PLAN)) == pytest.approx(34, abs=2)
+    of_one = FrequencyPlanSettings(lowest_Hz=1000.0, highest_Hz=4000.0)
+    assert all(1000 < f < 4000 for f in expected_refinement_Hz(of_one))
+    assert expected_refinement_Hz(of_one)
+    none = FrequencyPlanSettings(lowest_Hz=10.0, highest_Hz=100.0)
+    assert expected_refinement_Hz(none) == ()

@@ -59,7 +59,11 @@ TAKEN_S = [
     ("roll-trial", {"trials": 3}, 36.1),
     ("sweep", {"frequencies_Hz": "200,300,500,1000"}, 18.4),
     ("sweep", {"frequencies_Hz": "2,5,20,100,2000,10000"}, 22.8),
-    ("sweep", {}, 28.5),
+    ("sweep", {}, 31.7),
+    ("sweep", {"loads_N": "1,2"}, 48.9),
+    ("sweep", {"loads_N": "1,2,5"}, 65.3),
+    ("sweep", {"lowest_Hz": 100.0, "highest_Hz": 3000.0}, 22.1),
+    ("sweep", {"points_per_half_width": 0}, 30.5),
 ]
 """Bench time of runs on the simulated bench, all of which begin unhomed."""
 
