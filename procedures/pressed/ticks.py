@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from procedures.pressed.record.recorder import LEAST_WAIT_S
-from rig.control.tick_loop import tick_loop
+from rig.control.tick_loop import TooSlowError, tick_loop
 
 if TYPE_CHECKING:
     from procedures.pressed.links import TrialLinks
@@ -14,6 +14,12 @@ if TYPE_CHECKING:
     from rig.control.tick_loop import LoopStatistics, Tick
     from rig.files.journal.detections import Detection
     from rig.run.context import Run
+
+OWN_RATE = (
+    "end other programs, or ask for fewer samples (--rate) a second, or for a --tick below {0:g} "
+    "Hz: an approach runs at {0:g} Hz with every higher --tick"
+)
+"""Remedy where a loop with a rate of its own, which is slower than the servo's, is too slow."""
 
 
 class TrialTicks:
@@ -54,7 +60,12 @@ class TrialTicks:
         self.wait()
         begin_s, tick_Hz = self._run.clock.now(), 1 / (tick_s or self._tick_s)
         with self._links.working(), self._recorder.loop(tick_Hz):
-            done = tick_loop(self._run, tick_Hz, longest_s, whole, self._between)
+            try:
+                done = tick_loop(self._run, tick_Hz, longest_s, whole, self._between)
+            except TooSlowError as late:
+                if tick_s is not None and tick_s > self._tick_s:
+                    late.hint = OWN_RATE.format(tick_Hz)
+                raise
         self._next_tick_s = begin_s + done.ticks / tick_Hz
         self._loops.append(done)
 

@@ -267,6 +267,13 @@ def _last_place(module: str, calls: Iterable[tuple[FrameType, int]]) -> str:
     if not places:
         return ""
     path, line = places[-1]
+    return place_of_line(module, path, line)
+
+
+def place_of_line(module: str, file: str | Path, line: int) -> str:
+    """Return a line of a file of a module, or of a package with its modules, in the words of
+    `place_in`."""
+    path = Path(file)
     top = getattr(sys.modules.get(module.split(".")[0]), "__file__", None)
     base = Path(top).parent if top else path.parent
     base = base.parent if top and Path(top).name == "__init__.py" else base

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import difflib
+import inspect
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from numbers import Real
@@ -20,6 +21,7 @@ from rig.core.entry_points import (
     find,
     package,
     place_in,
+    place_of_line,
     place_of_this_call,
 )
 from rig.core.errors import (
@@ -90,6 +92,11 @@ class CheckedProcedure:
         """Return the bench time in s that arming and making safe take."""
         with self._blamed():
             return float(self._procedure.overhead_s(fixture, homed))
+
+    def refining_s(self) -> float:
+        """Return the bench time in s that the points of `refine` are expected to take."""
+        with self._blamed():
+            return float(self._procedure.refining_s())
 
     def check(self, bench: Bench) -> None:
         """Refuse a bench that the run cannot work on."""
@@ -231,7 +238,8 @@ class CheckedProcedure:
         moves: Any = ()
         for point in points:
             if not isinstance(point, Point):
-                raise self._fault(f"{hook}() returned {_kind(point)} in place of points")
+                what = f"{hook}() returned {_kind(point)} in place of points"
+                raise self._fault(f"{self._place_of(hook)}{what}")
             if point.moves is not moves:
                 moves = point.moves
                 self._require_moves(point)
@@ -296,6 +304,16 @@ class CheckedProcedure:
             if is_stop(error):  # a signal before the run
                 raise
             raise _blame(type(self._procedure), error) from error
+
+    def _place_of(self, hook: str) -> str:
+        """Return where the package defines a hook, in the words of `place_in`."""
+        cls = type(self._procedure)
+        function = getattr(cls, hook)
+        top = cls.__module__.split(".")[0]
+        code = getattr(inspect.unwrap(function), "__code__", None)
+        if code is None or function.__module__.split(".")[0] != top:
+            return ""
+        return place_of_line(top, code.co_filename, code.co_firstlineno)
 
     def _fault(self, what: str, hint: str = "") -> ProcedureFaultError:
         cls = type(self._procedure)

@@ -7,6 +7,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from pydantic import ValidationError
+
 from rig.bench.connected import Bench
 from rig.bench.fixture_limits import out_of_reach
 from rig.bench.limits import require
@@ -21,6 +23,8 @@ Reading = dict[str, float | int | bool | str | None]
 _BENCH_FILE_HINT = ", or correct the bench file if the limit is wrong"
 """End of the hint of a LimitError, for a bench that has a bench file."""
 
+RATE = "rate_S_s"
+"""The setting that states the DAQ's sampling rate, in procedures that have it."""
 RANGE_FOUND_LATER_V = 0.0
 """Range of a planned channel of which the procedure finds the range when it measures, among those
 that the DAQ has."""
@@ -130,7 +134,8 @@ def refusals(
                 bench.daq.check(_in_widest_range(acquisition, bench))
             except LimitError as error:
                 message = error.message + _origin(point.acquisitions_given, settings)
-                yield LimitError(f"point {point.id}: {message}", remedy(error, bench))
+                hint = _one_rate(acquisition, bench, settings) or remedy(error, bench)
+                yield LimitError(f"point {point.id}: {message}", hint)
 
 
 def _unknown_quantity(
@@ -159,6 +164,23 @@ def _in_widest_range(acquisition: Acquisition, bench: Bench) -> Acquisition:
         replace(channel, range_V=channel.range_V or widest_V) for channel in acquisition.channels
     )
     return replace(acquisition, channels=channels)
+
+
+def _one_rate(acquisition: Acquisition, bench: Bench, settings: Settings | None) -> str:
+    """Return the remedy where the DAQ has one rate, which is not the one that was asked for; ""
+    where it has several, or where the procedure could not use that one rate."""
+    rate = bench.limits().get("daq.rate")
+    if rate is None or rate.low != rate.high or rate.holds(acquisition.rate_S_s):
+        return ""
+    if settings is None or RATE not in type(settings).model_fields:
+        return ""
+    try:
+        type(settings).model_validate(
+            {**settings.model_dump(exclude_unset=True), RATE: float(rate.low)}
+        )
+    except ValidationError:
+        return ""
+    return f"the {rate.limited_by} has this rate only: give {option_name(RATE)} {rate.low:g}Hz"
 
 
 def remedy(error: LimitError, bench: Bench) -> str | None:

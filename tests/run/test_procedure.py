@@ -249,6 +249,19 @@ MOVES: dict[str, tuple[Any, str]] = {
 }
 
 
+def test_points_that_are_not_points_are_reported_with_file_and_line_of_the_hook() -> None:
+    def points(self: Any) -> None:
+        """Forget to return them."""
+
+    line = points.__code__.co_firstlineno
+    with pytest.raises(ProcedureFaultError) as refused:
+        CheckedProcedure(made(points=points)(Settings())).points()
+    assert refused.value.one_line() == (
+        "procedure example of package test_procedure: "
+        f"test_procedure.py line {line}: points() returned None in place of points"
+    )
+
+
 @pytest.mark.parametrize("case", MOVES)
 def test_a_move_that_cannot_be_checked_is_refused_with_the_plan(case: str) -> None:
     move, reported = MOVES[case]
