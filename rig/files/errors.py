@@ -131,3 +131,14 @@ def in_words(error: Exception) -> str:
     if isinstance(error, OSError | RuntimeError):
         return "it is damaged: some of its bytes cannot be read"
     return "a value in it is not what belongs there"
+
+
+def not_written(target: Path, error: OSError) -> RecordingError:
+    """Return the error that reports results of a run file that could not be written."""
+    elsewhere = "name another folder with --to; the run file is untouched"
+    if error.errno in (errno.ENOSPC, errno.EDQUOT):
+        elsewhere = f"free space there, or {elsewhere}"
+    reason = error.strerror or str(error)
+    if error.errno in (errno.EEXIST, errno.ENOTDIR) and error.filename is not None:
+        reason = f"{error.filename} is not a folder"
+    return RecordingError(target, f"cannot be written: {reason}", elsewhere)

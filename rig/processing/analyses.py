@@ -27,7 +27,7 @@ from rig.core.quiet_stdout import quiet_stdout
 from rig.core.settings import unit_of
 from rig.core.time_limit import time_limit
 from rig.files.checksum import sha256_of
-from rig.files.errors import RecordingError
+from rig.files.errors import not_written
 from rig.files.processed.values import FOLDER
 
 if TYPE_CHECKING:
@@ -127,11 +127,7 @@ def keep(run: RunFile, analyses: Analyses, folder: Path | None = None) -> Path:
         target.parent.mkdir(parents=True, exist_ok=True)
         write_text(target, json.dumps(content, indent=2, allow_nan=False) + "\n", shared=True)
     except OSError as error:
-        raise RecordingError(
-            target,
-            f"cannot be written: {error.strerror or error}",
-            "free space there, or name another folder with --to; the run file is untouched",
-        ) from error
+        raise not_written(target, error) from error
     return target
 
 

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 from rig.core.settings import fingerprint, leaves, unit_of
 from rig.core.units import counted
-from rig.files.errors import RecordingError, RunFileError
+from rig.files.errors import RunFileError, not_written
 from rig.files.hdf5.guarded_file import GuardedFile
 from rig.files.hdf5.nexus import (
     UniqueNames,
@@ -66,11 +66,7 @@ def write_processed(
             _write(part, target.name, source, detector, made_by, trials)
             _read_back(part, target, source, detector, trials)
     except OSError as error:
-        raise RecordingError(
-            target,
-            f"cannot be written: {error.strerror or error}",
-            "free space there, or name another folder with --to; the run file is untouched",
-        ) from error
+        raise not_written(target, error) from error
 
 
 def _read_back(
