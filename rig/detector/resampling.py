@@ -142,6 +142,16 @@ class StreamingResampler:
                 out[number] = window[beyond[-1]]
 
 
+def check_rate(rate_Hz: float) -> None:
+    """Raise ValueError for the rate of a recording that is not resampled."""
+    if not LOWEST_Hz <= rate_Hz <= HIGHEST_Hz:
+        raise ValueError(
+            f"rate {rate_Hz:g} Hz must be between {LOWEST_Hz:g} and {HIGHEST_Hz:g} Hz: the impulse "
+            "of a slip lies between 100 and 400 Hz, and a faster recording has to be thinned out "
+            "behind a low-pass filter before it is imported"
+        )
+
+
 class ResampledDetector(Detector):
     """A detector that judges a recording at another rate, resampled to its own.
 
@@ -156,12 +166,7 @@ class ResampledDetector(Detector):
     def __init__(self, kind: type[Detector], settings: Settings, rate_Hz: float):
         """Raise ValueError for a rate outside `LOWEST_Hz` to `HIGHEST_Hz`, and where `kind` cannot
         be used with these settings."""
-        if not self.accepts(rate_Hz):
-            raise ValueError(
-                f"rate {rate_Hz:g} Hz must be between {LOWEST_Hz:g} and {HIGHEST_Hz:g} Hz: the "
-                "impulse of a slip lies between 100 and 400 Hz, and what is faster is thinned out "
-                "before"
-            )
+        check_rate(rate_Hz)
         wanted_Hz = kind.design_rate_Hz
         self._inner = kind(settings, rate_Hz * ratio_of(rate_Hz, wanted_Hz).factor)
         super().__init__(settings, rate_Hz)

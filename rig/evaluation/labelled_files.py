@@ -25,11 +25,12 @@ from numpy.typing import NDArray
 
 from rig.core.csv_lists import ListRow, read_list
 from rig.core.errors import ConfigurationError, RigError
+from rig.detector.checking import DetectorError
 from rig.detector.notices import Notice, notices_in
 from rig.evaluation import simulated_truth
 from rig.evaluation.scored_trials import judge_one
 from rig.evaluation.scoring.contenders import Contender
-from rig.evaluation.scoring.outcomes import LABELS, SLIPPED, Truth
+from rig.evaluation.scoring.outcomes import LABELS, SLIPPED, Truth, check_slip
 from rig.evaluation.scoring.results import ScoredTrial
 from rig.evaluation.scoring.tables import NAMES
 from rig.files.errors import RunFileError
@@ -43,6 +44,8 @@ TEXTS = ("file", "point", "label", *NAMES)
 """Columns that are not numbers."""
 LIKE = 0.8
 """Similarity, from 0 to 1, from which on the name of a column is taken for a slip of the pen."""
+LIFT_OFF = "lift-off"
+"""Label of a trial in which the ridge may slip as a whole when it is let go."""
 UNITS = ("_mm", "_um", "_deg", "_N", "_V", "_mV", "_Hz")
 """Ends of names that are of no time: ``motion_mm`` is a trait."""
 OF_TRAITS = "leave the column out: one of your own is a trait of the trials and holds numbers"
@@ -124,8 +127,12 @@ def judge_files(
     `sweep` runs the detectors at all thresholds of a ROC. `done` is called after each trial with
     its number and the number of all.
     """
-    for _ in listed_trials(listing):
-        pass  # a line that cannot be used is named before the first trial is judged
+    # A line that cannot be used is named before the first trial is judged.
+    rates_Hz: set[float] = set()
+    for one, _ in listed_trials(listing):
+        if one.rate_Hz not in rates_Hz:
+            _check_rate(one, contenders)
+        rates_Hz.add(one.rate_Hz)
     judged, simulated = [], False
     for number, (one, total) in enumerate(listed_trials(listing), 1):
         simulated |= one.simulated
@@ -140,6 +147,17 @@ def judge_files(
             raise ConfigurationError(f"{one.where}: {one.name}: {error}") from error
         done(number, total)
     return ListedTrials(judged, simulated)
+
+
+def _check_rate(one: ListedTrial, contenders: Sequence[Contender]) -> None:
+    """Raise ConfigurationError for a trial at a rate that a detector does not judge."""
+    for contender in contenders:
+        try:
+            # One that fails is named with the first trial.
+            with contextlib.suppress(DetectorError):
+                contender.reports(np.zeros((math.ceil(one.rate_Hz), 2)), one.rate_Hz, (1.0,))
+        except ValueError as error:
+            raise ConfigurationError(f"{one.where}: {one.name}: {error}") from error
 
 
 def listed_trials(listing: Path) -> Iterator[tuple[ListedTrial, int]]:
@@ -158,6 +176,11 @@ def listed_trials(listing: Path) -> Iterator[tuple[ListedTrial, int]]:
                 "remove one of them",
             )
         truth = _truth(row, recorded, where)
+        name = f"{path.name} {recorded.point}"
+        try:
+            check_slip(truth)
+        except ValueError as error:
+            raise ConfigurationError(f"{where}: {name}: {error}") from error
         slips_s, ends_known = recorded.slips_s, True
         # Where the list states the truth itself, the bench's account may contradict it.
         if not slips_s or set(TIMES) & set(row) or "label" in row:
@@ -165,7 +188,7 @@ def listed_trials(listing: Path) -> Iterator[tuple[ListedTrial, int]]:
             ends_known = False
         yield (
             ListedTrial(
-                name=f"{path.name} {recorded.point}",
+                name=name,
                 where=where,
                 volts=recorded.volts,
                 rate_Hz=recorded.rate_Hz,
@@ -278,6 +301,12 @@ def _truth(row: dict[str, str], recorded: _Recorded, where: str) -> Truth:
             f"{where}: label {label!r} is not one of {', '.join(LABELS)}",
             "only files from the simulated bench and roll trials have one of their own; state it "
             "in the list's column 'label'",
+        )
+    if row.get("ridge_slip_s") and label not in (*SLIPPED, LIFT_OFF):
+        raise ConfigurationError(
+            f"{where}: label {label!r} with ridge_slip_s {row['ridge_slip_s']} s, the time at "
+            "which the whole ridge slipped",
+            f"correct one of them: the label of a slip is {', '.join(SLIPPED)}",
         )
     times = {}
     for name in TIMES:

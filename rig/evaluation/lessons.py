@@ -24,7 +24,7 @@ from rig.detector.kernel import INPUTS
 from rig.detector.network import OUTPUTS, Network
 from rig.detector.notices import Notice
 from rig.detector.registered import ChosenDetector
-from rig.detector.resampling import Ratio, StreamingResampler
+from rig.detector.resampling import Ratio, StreamingResampler, check_rate
 from rig.detector.settings import named_detectors
 from rig.evaluation.breaks import between
 from rig.evaluation.front_ends import recorded
@@ -215,6 +215,7 @@ class Teacher:
         refuses."""
         volts, ratio, notices = lesson.volts, Ratio(1, 1), lesson.notices
         if not Rig.accepts(lesson.rate_Hz):
+            check_rate(lesson.rate_Hz)
             resampler = StreamingResampler(lesson.rate_Hz, NETWORK_RATE_Hz, 2)
             volts, ratio = resampler.add(volts), resampler.ratio
             notices = tuple(one.at_rows(ratio.outputs_before) for one in notices)

@@ -7,14 +7,16 @@ Modules that are slow to import are imported inside. stdout carries the tables, 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import typer
 
 from rig.cli.commands.model_errors import model_errors
-from rig.cli.commands.score_report import report, write
+from rig.cli.commands.score_report import check_no_score, report, reserved, write
 from rig.cli.options import scoring
+from rig.cli.options.new_file import check_new_file
 from rig.cli.options.settings_file import read_settings
 from rig.cli.options.shared import AsJson, Debug, Jobs
 from rig.cli.outcome import reported, say
@@ -60,7 +62,7 @@ def score(
     debug: Debug = False,
 ) -> None:
     """Score detectors on trials whose truth is known: slips found, false alarms, delays."""
-    with reported(debug, as_json), model_errors("omit its seed"):
+    with reported(debug, as_json), model_errors("omit its seed"), ExitStack() as stack:
         from rig.evaluation.labelled_files import judge_files
         from rig.evaluation.scored_trials import judge_trials
         from rig.evaluation.scoring.contenders import BaselineContender
@@ -83,7 +85,7 @@ def score(
         if show_population or show_front_end:
             typer.echo((ranges if show_population else front).model_dump_json(indent=2))
             return
-        _check_new(out)
+        check_no_score(out)
         of_the_model = {
             "--population": population, "--front-end": front_end, "--skin": skin,
             "--elements": elements, "--ridge": ridge, "--youngs-modulus": youngs_modulus,
@@ -109,6 +111,7 @@ def score(
                     "leave it out: the trials of the list are scored as they are",
                 )
             contenders += map(BaselineContender, beside)
+            stack.enter_context(reserved(out))
             listed = judge_files(
                 files, contenders, sweep=roc, done=TenthsProgress("score", "files")
             )
@@ -121,6 +124,7 @@ def score(
         if not tuning:
             for one in [*contenders, *map(BaselineContender, beside)]:
                 check_unseen(one.name, one.tuned_on, drawn)
+        stack.enter_context(reserved(out))
         use = f"{'TUNING' if tuning else 'reporting'} seeds {drawn}"
         if wire:
             contenders += map(BaselineContender, beside)
@@ -154,7 +158,7 @@ def score(
 
 def _check_tuning(tune: Path | None, tuning: bool, wire: bool) -> None:
     """Raise ConfigurationError where thresholds would be chosen on other trials than those of the
-    skin model at seeds for tuning."""
+    skin model at seeds for tuning, or could not be written."""
     from rig.evaluation.scoring.seeds import FIRST_REPORTING_SEED
 
     if tune is not None and wire:
@@ -166,6 +170,8 @@ def _check_tuning(tune: Path | None, tuning: bool, wire: bool) -> None:
             f"--tune {tune}: thresholds are chosen on tuning seeds only",
             f"add --tuning and seeds below {FIRST_REPORTING_SEED}",
         )
+    if tune is not None:
+        check_new_file("--tune", tune)
 
 
 def _population(
@@ -237,12 +243,3 @@ def _tuned(
     chosen = Baselines(baselines=tuple(one for one, _ in found))
     write(file, chosen.model_dump_json(indent=2) + "\n")
     return list(chosen.baselines)
-
-
-def _check_new(out: Path) -> None:
-    """Raise ConfigurationError for a folder that contains a score, before anything is computed."""
-    if (out / "score.json").exists():
-        raise ConfigurationError(
-            f"--out {out}: contains a score already",
-            "choose a new folder; scores are not overwritten",
-        )

@@ -1,6 +1,6 @@
 """The report of ``rig score``: its files, its figures, and what it prints.
 
-Nothing is written before everything has been computed.
+Nothing is written before everything has been computed, but its folder is made and kept for it.
 """
 
 from __future__ import annotations
@@ -8,8 +8,10 @@ from __future__ import annotations
 import csv
 import json
 import math
+import os
+import tempfile
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,7 +19,13 @@ import typer
 
 from rig.cli.commands.score_tables import score_tables
 from rig.cli.outcome import print_json, say
-from rig.core.errors import ExitCode, OutputError, RigError, SeveralFailuresError
+from rig.core.errors import (
+    ConfigurationError,
+    ExitCode,
+    OutputError,
+    RigError,
+    SeveralFailuresError,
+)
 
 if TYPE_CHECKING:
     from rig.evaluation.scoring.contenders import Contender, Named
@@ -73,7 +81,6 @@ def report(
         ],
         "results": [dict(zip(ROW, map(_plain, row), strict=True)) for row in rows(scored, use)],
     }
-    _make(out)
     drawn = _draw(scored, use, simulated, out)
     _write_csv(out / "trials.csv", _TRIAL, _trials(named, judged))
     _write_csv(out / "score.csv", ROW, rows(scored, use))
@@ -186,9 +193,47 @@ def write(file: Path, text: str) -> None:
         file.write_text(text, encoding="utf-8")
 
 
-def _make(folder: Path) -> None:
-    with _writing(folder):
-        folder.mkdir(parents=True, exist_ok=True)
+def check_no_score(out: Path) -> None:
+    """Raise ConfigurationError for a folder that contains a score."""
+    if (out / "score.json").exists():
+        raise ConfigurationError(
+            f"--out {out}: contains a score already",
+            "choose a new folder; scores are not overwritten",
+        )
+
+
+@contextmanager
+def reserved(out: Path) -> Iterator[None]:
+    """Keep a folder for the score of this command while it is computed; it is made where it does
+    not exist, and deleted where nothing has been written to it.
+
+    Raises ConfigurationError where it contains a score or is kept for that of another command, and
+    OutputError where it cannot be written to.
+    """
+    from rig.run.locks.lock import try_lock
+
+    made = not out.exists()
+    with _writing(out):
+        out.mkdir(parents=True, exist_ok=True)
+        folder = os.open(out, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        free = True
+        with suppress(OSError):  # some file systems have no locks
+            free = try_lock(folder)
+        if not free:
+            raise ConfigurationError(
+                f"--out {out}: another rig score is running that will write there",
+                "choose a different folder, or wait until it has ended",
+            )
+        check_no_score(out)  # that of a command which has ended meanwhile
+        with _writing(out), tempfile.TemporaryFile(dir=out):
+            pass
+        yield
+    finally:
+        os.close(folder)
+        if made:
+            with suppress(OSError):  # it holds the score
+                out.rmdir()
 
 
 @contextmanager

@@ -8,7 +8,6 @@ was trained, and scoring refuses the seeds. A fifth of the trials is held out an
 from __future__ import annotations
 
 import json
-import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -17,6 +16,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from rig.cli.commands.model_errors import model_errors
+from rig.cli.options.new_file import check_new_file
 from rig.cli.options.numbers import LARGEST_SEED, whole_number
 from rig.cli.options.settings_file import read_settings
 from rig.cli.options.shared import Debug, Jobs
@@ -126,20 +126,7 @@ def train(
     with reported(debug), model_errors("omit its seed"):
         from rig.evaluation.lessons import LESSON_FRONT_END, LESSON_POPULATION
 
-        if out.exists():
-            raise ConfigurationError(f"{out}: exists already", "choose another file")
-        if not out.parent.is_dir():
-            raise ConfigurationError(
-                f"{out.parent}: no such folder", "create it, or choose another folder"
-            )
-        try:  # now, not after hours of training
-            with tempfile.TemporaryFile(dir=out.parent):
-                pass
-        except OSError as error:
-            raise ConfigurationError(
-                f"--out {out}: its folder cannot be written to: {error.strerror or error}",
-                "choose another folder",
-            ) from error
+        check_new_file("--out", out)  # now, not after hours of training
         if seeds is None and wire is None and files is None:
             seeds = MODEL_SEEDS
         if seeds is None and (population or front_end):
@@ -157,9 +144,21 @@ def train(
             everything=everything,
             jobs=jobs,
         )
+        sources.check_files()
         numbers = f"--members {members} --units {units} --epochs {epochs} --seed {seed}"
         command = " ".join(["rig train", *sources.words(population, front_end), numbers])
-        network, held_out = _trained(out.stem, sources, members, units, epochs, seed, command)
+        try:
+            network, held_out = _trained(out.stem, sources, members, units, epochs, seed, command)
+        except (KeyboardInterrupt, SystemExit):
+            say(
+                "train: interrupted, and no network is saved; trials that were computed are "
+                "stored, so that the same command repeats only the training"
+            )
+            raise
+        wanted, out = out, _free(out)
+        if out != wanted:  # as by a second training, which ended before this one
+            say(f"train: {wanted} has been written meanwhile; this network is saved as {out}")
+            network = network.model_copy(update={"name": out.stem})
         text = json.dumps(network.model_dump(mode="json"), indent=1) + "\n"
         try:
             write_text(out, text)
@@ -169,10 +168,19 @@ def train(
                 f"the network cannot be written: {error.strerror or error}",
                 "free space there and repeat the command, which gives the same network",
             ) from error
-        if held_out:
-            _judge(network, held_out)
         size = f"{len(network.hidden)} units"
         typer.echo(f"saved {out}: network of {size}, trained on {network.trained_on}")
+        if held_out:  # after it, as this takes a while and may be interrupted
+            _judge(network, held_out)
+
+
+def _free(file: Path) -> Path:
+    """Return the file, or where it exists, the first of ``NAME-2``, ``NAME-3`` that does not."""
+    number, free = 1, file
+    while free.exists():
+        number += 1
+        free = file.with_stem(f"{file.stem}-{number}")
+    return free
 
 
 @dataclass(frozen=True)
@@ -212,6 +220,27 @@ class Sources:
         """Return how many trials of each source are not held out, in words."""
         numbers = {of: number - self.held.get(of, 0) for of, number in self.counted.items()}
         return ", ".join(f"{counted(n, 'trial')} {of}" for of, n in numbers.items() if n)
+
+    def check_files(self) -> None:
+        """Raise RigError for a list of run files that cannot be used, before trials of the other
+        sources are made."""
+        from rig.detector.built_in import Rig
+        from rig.detector.resampling import check_rate
+        from rig.evaluation.labelled_files import listed_trials
+        from rig.evaluation.lessons import sides_of
+
+        if self.files is None:
+            return
+        groups = []
+        for one, _ in listed_trials(self.files):
+            try:
+                if not Rig.accepts(one.rate_Hz):
+                    check_rate(one.rate_Hz)
+            except ValueError as error:
+                raise ConfigurationError(f"{one.where}: {one.name}: {error}") from error
+            groups.append((one.sample, one.day))
+        if not self.everything:
+            sides_of(groups)
 
     def lessons(self) -> Iterator[Lesson]:
         """Yield all lessons, source by source. Raises ConfigurationError for a file that cannot
@@ -344,7 +373,8 @@ def _trained(
         raise ConfigurationError(
             f"{sources.said()}: those to learn from have no slip of the whole ridge, so the "
             "network would never alarm",
-            "add trials with slips (label, ridge_slip_s), or hold none out with --all",
+            "add trials with slips (label, ridge_slip_s)"
+            + ("" if sources.everything else ", or hold none out with --all"),
         )
     if not any((one.right[:, 1] > 0).any() for one in learnt):
         say("train: no trial to learn from is a roll, so the network does not report rolls")

@@ -163,29 +163,34 @@ class TrialOutcome:
     false; empty without a servo, or where a tick has too few samples (`LEAST_TICK_S`)."""
 
 
-def judge(truth: Truth, report: DetectorReport, traits: Mapping[str, float | str]) -> TrialOutcome:
-    """Return the outcome of a trial, given the truth, the report of a detector and the conditions.
-
-    Raises ValueError for a trial labelled as a slip without the time at which the ridge slipped, or
-    with one before its first node's.
-
-    >>> truth = Truth("slip", motion_s=1.0, node_slip_s=1.10, ridge_slip_s=1.12)
-    >>> outcome = judge(truth, DetectorReport(alarms_s=np.array([1.125])), {})
-    >>> outcome.found, round(outcome.after_ridge_s, 4)
-    (True, 0.005)
-    """
+def check_slip(truth: Truth) -> None:
+    """Raise ValueError for a trial labelled as a slip without the time at which the ridge slipped,
+    or with one before its first node's."""
     if truth.slipped and not math.isfinite(truth.ridge_slip_s):
         raise ValueError(
             f"a trial labelled {truth.label!r} needs ridge_slip_s, the time at which the whole "
             "ridge slipped, in s of the record"
         )
     if truth.slipped and not (
-        math.isfinite(truth.node_slip_s) and truth.node_slip_s <= (truth.ridge_slip_s)
+        math.isfinite(truth.node_slip_s) and truth.node_slip_s <= truth.ridge_slip_s
     ):
         raise ValueError(
             f"a trial labelled {truth.label!r} has node_slip_s {truth.node_slip_s:g} s and "
             f"ridge_slip_s {truth.ridge_slip_s:g} s: both must be times, the node's not the later"
         )
+
+
+def judge(truth: Truth, report: DetectorReport, traits: Mapping[str, float | str]) -> TrialOutcome:
+    """Return the outcome of a trial, given the truth, the report of a detector and the conditions.
+
+    Raises ValueError as `check_slip`.
+
+    >>> truth = Truth("slip", motion_s=1.0, node_slip_s=1.10, ridge_slip_s=1.12)
+    >>> outcome = judge(truth, DetectorReport(alarms_s=np.array([1.125])), {})
+    >>> outcome.found, round(outcome.after_ridge_s, 4)
+    (True, 0.005)
+    """
+    check_slip(truth)
     alarms, armings = report.alarms_s, report.armings_s
     moved = alarms[alarms >= truth.motion_s]
     finds = late = early = _NOTHING

@@ -92,7 +92,7 @@ class MatlabTable:
         if kind not in NUMERIC and kind != LOGICAL:
             raise self._not_numeric(variable)
         if len(shape) != 2 or 0 in shape:
-            size = " x ".join(map(str, shape))
+            size = " x ".join(map(str, shape)) or "a single number"
             raise ForeignFileError(
                 self._file,
                 f"variable {variable} is {size}, not a vector or matrix",

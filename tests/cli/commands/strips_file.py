@@ -19,9 +19,10 @@ def slip_file(
     day: str = "2026-11-21",
     simulated: bool = True,
     gain: float = 1.0,
+    rate_Hz: float = 1000.0,
 ) -> Path:
-    """A run file of one trial at 1 kHz: a hump from 1.0 s on, a burst at 1.5 s. It has a truth
-    where it is simulated, and else when its motion began."""
+    """A run file of one trial of 3000 rows, at 1 kHz a hump from 1.0 s on and a burst at 1.5 s. It
+    has a truth where it is simulated, and else when its motion began."""
     layout = Layout(
         definition="NXrig_slip_trial",
         version="1",
@@ -52,7 +53,7 @@ def slip_file(
             "dtype": "<f8", "row_shape": [3], "units": "V", "long_name": "signals",
         }],
     }  # fmt: skip
-    state = {"stream": 0, "rate_Hz": 1000.0, "scale": [1.0] * 3, "offset": [0.0] * 3,
+    state = {"stream": 0, "rate_Hz": rate_Hz, "scale": [1.0] * 3, "offset": [0.0] * 3,
              "units": "V", "delay_s": [0.0] * 3, "range": [10.0] * 3}  # fmt: skip
     end = {"status": "complete", "reason": "", "attempt": 1, "duration_s": 3.0, "points_done": 1,
            "end_time": "2026-11-21T22:00:07+01:00", "warnings": [], "exit": 0}  # fmt: skip

@@ -130,6 +130,13 @@ def test_what_is_not_a_number_in_an_npz_is_refused_with_a_remedy_for_numpy(tmp_p
     assert refused.value.hint == "save it as an array of numbers, such as float64"
 
 
+def test_a_single_number_is_not_a_channel(tmp_path: Path) -> None:
+    path = tmp_path / "a.npz"
+    np.savez(path, left=TABLE[:, 1], right=3.0)
+    with pytest.raises(ForeignFileError, match="variable right is a single number, not a vector"):
+        read(path, {"v_1": "left", "v_2": "right"})
+
+
 def test_a_matrix_with_a_row_for_each_channel_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "a.npz"
     np.savez(path, strips=np.arange(600.0).reshape(2, 300))

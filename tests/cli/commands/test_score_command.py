@@ -12,6 +12,8 @@ from strips_file import slip_file
 from typer.testing import CliRunner
 
 from rig.cli.commands.score import score
+from rig.cli.commands.score_report import reserved
+from rig.core.errors import ConfigurationError
 from rig.evaluation.scoring.outcomes import Truth
 from rig.evaluation.wire import judging
 from rig.evaluation.wire.kinds import drawn
@@ -255,6 +257,10 @@ def test_labelled_files_are_scored_by_their_list_or_by_what_a_simulated_bench_kn
         ("file,motion_s\nslip.h5,\n", "line 2: motion_s is missing"),
         ("file,motion_s\nslip.h5,soon\n", "line 2: motion_s 'soon' is not a number"),
         ("file,label,ridge_slip_s\nslip.h5,slip,\n", "a trial labelled 'slip' needs ridge_slip_s"),
+        (
+            "file,label,motion_s,ridge_slip_s\nslip.h5,tap,1.1,1.5\n",
+            "line 2: label 'tap' with ridge_slip_s 1.5 s, the time at which the whole ridge",
+        ),
         ("file,noise_mV\nslip.h5,much\n", "line 2: noise_mV 'much' is not a number"),
         ("file,remark\nslip.h5,good\n", "remark 'good' is not a number; leave the column out"),
         ("file,lable\nslip.h5,slip\n", "the column 'lable' is not known: did you mean 'label'?"),
@@ -267,7 +273,7 @@ def test_labelled_files_are_scored_by_their_list_or_by_what_a_simulated_bench_kn
         ),
         ("file\nslip.h5\nslip.h5\n", "line 3: the trial of line 2, which would be judged twice"),
         (
-            "file,label,motion_s,ridge_slip_s\nslip.h5,slip,0.5,1\n./slip.h5,hold,0.5,\n",
+            "file,label,motion_s,ridge_slip_s\nslip.h5,slip,0.5,1.5\n./slip.h5,hold,0.5,\n",
             "line 3: the trial of line 2, which would be judged twice",
         ),
         ("file\nslip.h5\ngone.h5\n", "line 3: "),
@@ -289,6 +295,60 @@ def test_a_line_that_cannot_be_used_is_named_before_the_first_trial_is_judged(tm
     result = CliRunner().invoke(app, [str(each) for each in given])
     (line,) = result.stderr.splitlines()
     assert "line 3: motion_s 900 s: the record is from 0 to 3 s" in line
+
+
+def test_two_scores_into_one_folder_do_not_mix(tmp_path):
+    """The later one replaced the tables of the other, in which there were hours of work."""
+    slip_file(tmp_path)
+    (tmp_path / "list.csv").write_text("file\nslip.h5\n")
+    out = tmp_path / "out"
+    given = ("--files", tmp_path / "list.csv", "--out", out, "--no-roc")
+    with reserved(out):
+        assert f"--out {out}: another rig score is running that will write there" in refused(*given)
+    assert not out.exists(), "it was not used"
+    run(*given)
+    before = (out / "score.json").read_bytes()
+    assert "contains a score already" in refused(*given)
+    with pytest.raises(ConfigurationError, match="contains a score already"), reserved(out):
+        pass  # as one that was not there when the command began
+    assert (out / "score.json").read_bytes() == before
+
+
+def test_a_folder_that_cannot_be_written_to_is_named_before_the_first_trial_is_judged(tmp_path):
+    slip_file(tmp_path)
+    (tmp_path / "list.csv").write_text("file\nslip.h5\n")
+    given = ("--files", tmp_path / "list.csv", "--out", "/proc/out")
+    result = CliRunner().invoke(app, [str(each) for each in given])
+    assert result.exit_code == 1
+    (line,) = result.stderr.splitlines()
+    assert "/proc/out cannot be written: " in line
+
+
+def test_the_file_of_thresholds_is_checked_before_they_are_chosen(tmp_path):
+    given = ("--tuning", "--seeds", "0:900000", "--out", tmp_path / "out")
+    (tmp_path / "mine.json").write_text("mine")
+    assert "mine.json: exists already" in refused(*given, "--tune", tmp_path / "mine.json")
+    assert "no such folder" in refused(*given, "--tune", tmp_path / "none" / "x.json")
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_rate_that_is_not_judged_is_named_before_the_first_trial_is_judged(tmp_path):
+    """It was named after all trials above it had been judged, and these scores were lost."""
+    slip_file(tmp_path)
+    slip_file(tmp_path, "slow", rate_Hz=100.0)
+    (tmp_path / "list.csv").write_text("file,motion_s\nslip.h5,1.1\nslow.h5,11\n")
+    line = refused("--files", tmp_path / "list.csv", "--out", tmp_path / "out")
+    assert "list.csv, line 3: slow.h5 trial-001: rate 100 Hz must be between 500 and" in line
+
+
+def test_a_slip_without_its_time_is_named_before_the_first_trial_is_judged(tmp_path):
+    slip_file(tmp_path)
+    slip_file(tmp_path, "other", simulated=False)
+    (tmp_path / "list.csv").write_text(
+        "file,label,motion_s,ridge_slip_s\nslip.h5,slip,1.1,1.5\nother.h5,slip,1.1,\n"
+    )
+    line = refused("--files", tmp_path / "list.csv", "--out", tmp_path / "out")
+    assert "line 3: other.h5 trial-001: a trial labelled 'slip' needs ridge_slip_s" in line
 
 
 def test_a_table_of_the_simulated_bench_says_what_it_leaves_out_and_its_judging_how_far_it_is(

@@ -161,6 +161,91 @@ def test_a_network_that_the_disk_does_not_take_is_named(tmp_path: Path, monkeypa
     assert "net.json: the network cannot be written: No space left on device; free space" in said
 
 
+SMALL = ("--all", "--epochs", "1", "--units", "2", "--members", "1")
+
+
+@pytest.mark.parametrize(
+    ("listing", "words"),
+    [
+        (
+            "file,motion_s\nt0.h5,1.1\nslow.h5,11\n",
+            "list.csv, line 3: slow.h5 trial-001: rate 100 Hz must be between 500 and 50000 Hz",
+        ),
+        (
+            "file,label,motion_s,ridge_slip_s\nt0.h5,slip,1.1,1.5\nslow.h5,slip,11,\n",
+            "line 3: slow.h5 trial-001: a trial labelled 'slip' needs ridge_slip_s",
+        ),
+        (
+            "file,label,motion_s,ridge_slip_s\nt0.h5,slip,1.1,1.5\nslow.h5,hold,11,15\n",
+            "line 3: label 'hold' with ridge_slip_s 15 s",
+        ),
+    ],
+)
+def test_a_file_that_would_teach_something_wrong_is_refused_before_other_trials_are_made(
+    tmp_path: Path, listing: str, words: str
+):
+    """A recording at 100 Hz was learnt from, and a slip without its time taught as none."""
+    slip_file(tmp_path, "t0")
+    slip_file(tmp_path, "slow", rate_Hz=100.0)
+    (tmp_path / "list.csv").write_text(listing)
+    given = ("--out", tmp_path / "net.json", "--files", tmp_path / "list.csv", *SMALL)
+    result = CliRunner().invoke(app, [str(each) for each in (*given, "--seeds", "0:900000")])
+    assert result.exit_code == 2
+    (line,) = result.stderr.splitlines()
+    assert words in line
+
+
+def test_all_is_not_the_remedy_where_it_is_given(tmp_path: Path):
+    slip_file(tmp_path, "t0", procedure="roll-trial", simulated=False)
+    (tmp_path / "list.csv").write_text("file\nt0.h5\n")
+    given = ("--out", tmp_path / "net.json", "--files", tmp_path / "list.csv")
+    assert refused(*given, *SMALL).endswith("add trials with slips (label, ridge_slip_s)")
+
+
+def test_two_trainings_into_one_file_both_leave_their_networks(tmp_path: Path, monkeypatch):
+    """The second one to end replaced the network of the first."""
+    slip_file(tmp_path, "t0")
+    (tmp_path / "list.csv").write_text("file\nt0.h5\n")
+    trained = train_module._trained
+
+    def meanwhile(*arguments: object) -> object:
+        found = trained(*arguments)
+        (tmp_path / "net.json").write_text("the other's")
+        return found
+
+    monkeypatch.setattr(train_module, "_trained", meanwhile)
+    given = ("--out", tmp_path / "net.json", "--files", tmp_path / "list.csv", *SMALL)
+    said = run(*given)
+    assert (tmp_path / "net.json").read_text() == "the other's"
+    assert f"saved {tmp_path / 'net-2.json'}: " in said
+    second = Network.model_validate_json((tmp_path / "net-2.json").read_bytes())
+    assert second.name == "net-2", "as the file"
+
+
+def test_an_interrupted_training_says_what_the_same_command_repeats(tmp_path: Path, monkeypatch):
+    def stopped(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(train_module, "_trained", stopped)
+    slip_file(tmp_path, "t0")
+    (tmp_path / "list.csv").write_text("file\nt0.h5\n")
+    given = ("--out", tmp_path / "net.json", "--files", tmp_path / "list.csv", *SMALL)
+    result = CliRunner().invoke(app, [str(each) for each in given])
+    assert "train: interrupted, and no network is saved; trials" in result.stderr
+
+
+def test_a_network_is_saved_before_it_is_judged(tmp_path: Path, listing: Path, monkeypatch):
+    """What holds out many trials is judged for minutes, in which it may be interrupted."""
+
+    def stopped(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(train_module, "_judge", stopped)
+    given = ("--out", tmp_path / "net.json", "--files", listing, "--epochs", "1", "--units", "2")
+    result = CliRunner().invoke(app, [str(each) for each in given])
+    assert f"saved {tmp_path / 'net.json'}: network of 4 units" in result.stdout
+
+
 def test_one_trial_cannot_be_held_out(tmp_path: Path):
     slip_file(tmp_path, "t0")
     (tmp_path / "list.csv").write_text("file\nt0.h5\n")
