@@ -33,7 +33,8 @@ PREDICTIVE, SLIP, ROLL, REJECTED, CANNOT_JUDGE, JUDGES_AGAIN = range(6)
     HUM,
     TOO_NOISY,
     CUT_OFF,
-) = range(13)
+    NOT_SURE,
+) = range(14)
 REASONS = (
     "",
     "not armed: no motion under load preceded it",
@@ -48,6 +49,7 @@ REASONS = (
     "mains hum: thresholds rise with it",
     "too noisy: a slip would not stand out from the noise",
     "cut off: a strip's voltage left the range of the DAQ",
+    "like a slip, but less probable than the first one of a motion has to be",
 )
 """Reasons of events that reject or cannot judge, in the order of the constants above."""
 RIG, LITERAL, HIGH_PASSED, IMPULSE = range(4)
@@ -168,7 +170,7 @@ STATE = np.dtype(
         ("suppressed_rows", "i8"),
         ("suspect_rows", "i8"),
         ("mute_rows", "i8"),
-        ("suspect", "f8", (3,)),  # impulse, its threshold, common part
+        ("suspect", "f8", (4,)),  # impulse, its threshold, common part, probability of a slip
         ("slip", "f8"),
         ("roll", "f8"),
         ("unjudged", "i8"),  # reason for which nothing is judged, or NO_REASON
@@ -1126,10 +1128,11 @@ def _decide(looks: bool, s: Any, c: Any, events: Any, reported: int) -> int:
         if s.suspect_rows == 0:
             s.suspect_rows = round(25.0 * c.ms)
             s.suspect[0], s.suspect[1], s.suspect[2] = level, threshold, s.peak[3]
+            s.suspect[3] = 0.0
     silent_for = c.silent_rows - s.silent_rows
     if looks and s.slip < c.over_probability and silent_for >= c.least_silent_rows:
         s.silent_rows = 0
-    enough = c.fire_probability[s.x_known]
+    enough = of_further_ones = c.fire_probability[s.x_known]
     if not s.slip_reported:
         enough = max(enough, c.first_probability)
     if looks and s.slip > enough:
@@ -1142,15 +1145,20 @@ def _decide(looks: bool, s: Any, c: Any, events: Any, reported: int) -> int:
     if s.suspect_rows > 0:
         s.suspect[0] = max(s.suspect[0], level)
         s.suspect[2] = max(s.suspect[2], s.peak[3])
+        if looks:
+            s.suspect[3] = max(s.suspect[3], s.slip)
         s.suspect_rows -= 1
         if s.suspect_rows == 0:
             s.mute_rows = c.silent_rows
             reason = UNLIKE
-            if s.roll > 0.5:
+            confidence = 1.0 - s.slip
+            if not s.slip_reported and s.suspect[3] > of_further_ones:
+                reason = NOT_SURE
+                confidence = 1.0 - s.suspect[3]
+            elif s.roll > 0.5:
                 reason = IS_ROLL
             elif s.suspect[2] > s.suspect[0]:
                 reason = COMMON
-            confidence = 1.0 - s.slip
             return _report(
                 REJECTED, confidence, reason, s.suspect[0], s.suspect[1], s, events, reported
             )

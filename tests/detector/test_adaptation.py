@@ -244,6 +244,30 @@ def test_the_first_slip_of_a_motion_may_have_to_be_surer_than_further_ones():
     assert samples(reported(volts, never)) == []
 
 
+def test_a_first_slip_that_is_not_sure_enough_is_not_said_to_be_unlike_a_slip():
+    """It was "unlike a slip", as what the network finds improbable."""
+    volts = pressed_and_sheared()
+    network = by_hand().network
+    assert network is not None
+    gradual = tuple(0.3 if weight else 0.0 for weight in network.hidden[0][:-1])
+    less_sure = network.model_copy(
+        update={"hidden": ((*gradual, 0.0),), "output": ((8.0, -3.0), (0.0, -50.0))}
+    )
+    chosen = RigSettings(network=less_sure, fire_probability=0.8, first_probability=0.99)
+    events = reported(volts, chosen)
+    (withheld,) = [one for one in events if one.kind == "rejected"]
+    assert withheld.reason == (
+        "like a slip, but less probable than the first one of a motion has to be"
+    )
+    assert 0.01 < withheld.confidence < 0.2, "that it is not a slip"
+    (other,) = [
+        one
+        for one in reported(volts, chosen.model_copy(update={"fire_probability": 0.98}))
+        if one.kind == "rejected"
+    ]
+    assert other.reason == "unlike a slip"
+
+
 def test_the_detector_for_grips_is_rig_with_a_surer_first_alarm():
     rig, grip = named_detectors()["rig"], named_detectors()["rig-grip"]
     assert isinstance(grip, RigSettings)
