@@ -26,7 +26,9 @@ class _OwnDetector(IncipientSlipDetector):
         return named_detectors()[cls.name]
 
     @classmethod
-    def seeds_seen(cls, settings: core_settings.Settings) -> tuple[int, int] | None:
+    def seeds_seen(
+        cls, settings: core_settings.Settings
+    ) -> tuple[int, int] | list[tuple[int, int]] | None:
         """Return the first and last seed on which the network was trained, if it has one."""
         network = cast(DetectorSettings, settings).network
         return None if network is None else (network.first_seed, network.last_seed)
@@ -59,6 +61,14 @@ class RigForGrips(Rig):
     """The detector rig, which has to be surer of the first slip of a motion: for --regrip."""
 
     name = "rig-grip"
+
+    @classmethod
+    def seeds_seen(cls, settings: core_settings.Settings) -> list[tuple[int, int]]:
+        """Return the seeds of the network, and those on which `first_probability` was chosen
+        (decision 0147): reporting seeds, which are not reported of it."""
+        network = cast(DetectorSettings, settings).network
+        assert network is not None, "the logic rig has one"
+        return [(network.first_seed, network.last_seed), (1_006_446, 1_006_560)]
 
 
 class _Published(_OwnDetector):

@@ -92,9 +92,12 @@ class Detector(ABC):
         return cls.Settings()
 
     @classmethod
-    def seeds_seen(cls, settings: core_settings.Settings) -> tuple[int, int] | None:
+    def seeds_seen(
+        cls, settings: core_settings.Settings
+    ) -> tuple[int, int] | list[tuple[int, int]] | None:
         """Return the first and the last seed of the simulated trials on which these parameters
-        were chosen, which scoring refuses; None where there are none."""
+        were chosen, which scoring refuses, or a list of several such pairs; None where there are
+        none."""
         return None
 
     @classmethod

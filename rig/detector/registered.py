@@ -83,17 +83,18 @@ class ChosenDetector:
         """SHA-256 of the code of another package's detector; empty for one of this project."""
         return "" if self.is_own else _digest_of(self.kind)
 
-    def seeds_seen(self) -> tuple[int, int] | None:
-        """Return the first and last seed of the simulated trials on which its parameters were
-        chosen; None where there are none. Raises DetectorError where its package fails."""
+    def seeds_seen(self) -> list[tuple[int, int]]:
+        """Return the first and last seed of each range of simulated trials on which its parameters
+        were chosen; an empty list where there are none. Raises DetectorError where its package
+        fails."""
         found = asked(self.name, self.package, "seeds_seen", self.kind.seeds_seen, self.settings)
-        if found is None:
-            return None
-        if not (
-            isinstance(found, tuple) and len(found) == 2 and all(type(n) is int for n in found)
+        ranges = [] if found is None else found if isinstance(found, list) else [found]
+        if not all(
+            isinstance(one, tuple) and len(one) == 2 and all(type(n) is int for n in one)
+            for one in ranges
         ):
             raise DetectorError(self.name, self.package, f"has seen the seeds {found!r}, no range")
-        return found
+        return ranges
 
     def at_threshold(self, factor: float) -> ChosenDetector:
         """Return it with `factor` times its threshold, or as it is where it has none. Raises

@@ -69,7 +69,7 @@ def report(
                 "name": one.name,
                 **_identity(one),
                 "parameters": fingerprint(one.settings),
-                "tuned_on": None if one.tuned_on is None else str(one.tuned_on),
+                "tuned_on": ", ".join(map(str, one.tuned_on)) or None,
             }
             for one in contenders
         ],

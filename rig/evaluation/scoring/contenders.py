@@ -39,8 +39,8 @@ class Named(Protocol):
         ...
 
     @property
-    def tuned_on(self) -> SeedRange | None:
-        """Seeds of the trials on which its parameters were chosen; None if unknown."""
+    def tuned_on(self) -> tuple[SeedRange, ...]:
+        """Seeds of the trials on which its parameters were chosen; empty if unknown."""
         ...
 
 
@@ -75,10 +75,11 @@ class DetectorContender:
         return self.detector.settings
 
     @property
-    def tuned_on(self) -> SeedRange | None:
-        """Seeds of the trials on which its parameters were chosen; None where it names none."""
-        seeds = self.detector.seeds_seen()
-        return None if seeds is None else SeedRange(first=seeds[0], end=seeds[1] + 1)
+    def tuned_on(self) -> tuple[SeedRange, ...]:
+        """Seeds of the trials on which its parameters were chosen; empty where it names none."""
+        return tuple(
+            SeedRange(first=first, end=last + 1) for first, last in self.detector.seeds_seen()
+        )
 
     def reports(
         self,
@@ -126,9 +127,9 @@ class BaselineContender:
         return self.settings.statistic
 
     @property
-    def tuned_on(self) -> SeedRange | None:
+    def tuned_on(self) -> tuple[SeedRange, ...]:
         """Seeds of the trials on which its thresholds were chosen."""
-        return self.settings.tuned_on
+        return () if self.settings.tuned_on is None else (self.settings.tuned_on,)
 
     def reports(
         self,

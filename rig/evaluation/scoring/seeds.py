@@ -8,6 +8,7 @@ million are for tuning, the others for reporting, and no score mixes them.
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from typing import Self
 
 from pydantic import Field, model_validator
@@ -98,12 +99,13 @@ def check_use(seeds: SeedRange, *, tuning: bool) -> None:
         )
 
 
-def check_unseen(name: str, tuned_on: SeedRange | None, seeds: SeedRange) -> None:
+def check_unseen(name: str, tuned_on: Sequence[SeedRange], seeds: SeedRange) -> None:
     """Raise ConfigurationError if a detector was tuned on some of the trials on which it is to be
     scored."""
-    if tuned_on is not None and tuned_on.overlaps(seeds):
-        raise ConfigurationError(
-            f"{name} was tuned on seeds {tuned_on} and is to be scored on {seeds}: it has seen "
-            "some of these trials",
-            "choose seeds that it has not seen, or use --tuning, which marks the tables",
-        )
+    for seen in tuned_on:
+        if seen.overlaps(seeds):
+            raise ConfigurationError(
+                f"{name} was tuned on seeds {seen} and is to be scored on {seeds}: it has seen "
+                "some of these trials",
+                "choose seeds that it has not seen",
+            )

@@ -59,10 +59,10 @@ class TrivialAnswer:
     """Its parameters."""
 
     @property
-    def tuned_on(self) -> SeedRange | None:
-        """Return None: it was tuned on no trials, or on those that are scored, as its name then
+    def tuned_on(self) -> tuple[SeedRange, ...]:
+        """Return nothing: it was tuned on no trials, or on those that are scored, as its name then
         says."""
-        return None
+        return ()
 
     def report(self, trial: ScoredTrial) -> DetectorReport:
         """Return its alarms in a trial."""

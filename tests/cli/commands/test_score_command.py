@@ -122,6 +122,16 @@ def test_a_detector_is_not_scored_on_trials_that_it_has_seen(tmp_path):
     assert "wavelet was tuned on seeds 1000005:1000006 and is to be scored on" in line
 
 
+@pytest.mark.parametrize("more", [(), ("--wire",)])
+def test_rig_grip_is_not_scored_on_the_reporting_seeds_of_its_threshold(more, tmp_path):
+    """They were scored without a mark (decision 0147)."""
+    for seeds in ("1006000:1006447", "1006560:1006561"):
+        given = ("--seeds", seeds, "--detector", "rig-grip", "--out", tmp_path / "out", *more)
+        line = refused(*given)
+        assert "rig-grip was tuned on seeds 1006446:1006561 and is to be scored on" in line
+        assert line.endswith("choose seeds that it has not seen"), "these need no --tuning"
+
+
 def test_parameters_that_differ_are_those_of_one_detector_and_named_in_the_table(tmp_path):
     slip_file(tmp_path)
     (tmp_path / "list.csv").write_text("file\nslip.h5\n")

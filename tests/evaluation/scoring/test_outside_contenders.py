@@ -87,7 +87,7 @@ def test_one_without_a_threshold_is_run_once(
     installed: Callable[[type[Detector]], DetectorContender],
 ) -> None:
     contender = installed(Never)
-    assert contender.tuned_on is None
+    assert contender.tuned_on == ()
     Never.made = 0
     reports = contender.reports(np.zeros((500, 2)), 1000.0, FACTORS)
     assert len(reports) == len(FACTORS)

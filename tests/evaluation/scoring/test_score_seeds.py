@@ -36,6 +36,6 @@ def test_a_range_on_both_sides_is_refused_for_either_use(tuning):
 def test_what_has_seen_one_of_the_trials_is_not_scored_on_them():
     seen = SeedRange(first=1_000_009, end=1_000_012)
     with pytest.raises(ConfigurationError, match="net was tuned on seeds 1000009:1000012"):
-        check_unseen("net", seen, REPORTING)
-    check_unseen("net", SeedRange(first=1_000_010, end=1_000_012), REPORTING)
-    check_unseen("net", None, REPORTING)
+        check_unseen("net", [SeedRange(first=0, end=9), seen], REPORTING)
+    check_unseen("net", [SeedRange(first=1_000_010, end=1_000_012)], REPORTING)
+    check_unseen("net", [], REPORTING)

@@ -162,7 +162,7 @@ def test_seeds_of_the_other_purpose_are_refused(
 def test_seeds_that_a_detector_was_tuned_on_are_refused(
     made: list[WireTrial], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(ChosenDetector, "seeds_seen", lambda self: (1_000_000, 1_000_004))
+    monkeypatch.setattr(ChosenDetector, "seeds_seen", lambda self: [(1_000_000, 1_000_004)])
     done = study("--seeds", "1000003:1000005")
     assert done.exit_code == 2, done.output
     assert "rig was tuned on seeds 1000000:1000005" in done.stderr
