@@ -9,9 +9,10 @@ so.
 from __future__ import annotations
 
 import math
+from typing import Self
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, field_validator, model_validator
 
 from rig.core.settings import Settings
 from rig.physics.skin.settings import SkinSettings
@@ -26,6 +27,17 @@ class Range(Settings):
     """Highest value."""
     logarithmic: bool = False
     """True if the logarithm of the number is drawn evenly."""
+
+    @model_validator(mode="after")
+    def _can_be_drawn_from(self) -> Self:
+        if self.high < self.low:
+            raise ValueError(f"low {self.low:g} is above high {self.high:g}: exchange them")
+        if self.logarithmic and self.low <= 0:
+            raise ValueError(
+                f"low {self.low:g} of a logarithmic range: has to be above 0; or set logarithmic "
+                "to false"
+            )
+        return self
 
     def draw(self, chance: np.random.Generator) -> float:
         """Return a number of the range, evenly distributed in itself or in its logarithm."""
@@ -131,6 +143,13 @@ class PopulationSettings(Settings):
     """Duration of that rise."""
     quiet_s: float = Field(0.3, ge=0)
     """Time before a trial in which nothing touches."""
+
+    @field_validator("normal_force_N", "speed_mm_s")
+    @classmethod
+    def _is_positive(cls, value: Range) -> Range:
+        if value.low <= 0:
+            raise ValueError(f"low {value.low:g}: has to be above 0")
+        return value
 
 
 class StripFrontEndSettings(Settings):

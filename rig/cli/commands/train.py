@@ -135,11 +135,18 @@ def train(
                 f"{option} changes trials of the skin model, and none are asked for",
                 f"add --seeds FIRST:END, or leave out {option}",
             )
+        ranges = read_settings(LESSON_POPULATION, population)
+        if ranges.ridge > ranges.skin.ridges:
+            raise ConfigurationError(
+                f"{population}: ridge {ranges.ridge}: the skin has only {ranges.skin.ridges} "
+                "ridges",
+                f"choose 1 to {ranges.skin.ridges}",
+            )
         sources = Sources(
             seeds=_tuning_seeds("--seeds", seeds),
             wire=_tuning_seeds("--wire", wire),
             files=files,
-            population=read_settings(LESSON_POPULATION, population),
+            population=ranges,
             front_end=read_settings(LESSON_FRONT_END, front_end),
             everything=everything,
             jobs=jobs,

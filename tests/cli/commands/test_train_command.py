@@ -124,6 +124,34 @@ def test_what_cannot_be_learnt_from_is_refused_in_one_line(tmp_path: Path, argum
     assert not (tmp_path / "net.json").exists()
 
 
+@pytest.mark.parametrize(
+    ("option", "settings", "words"),
+    [
+        ("--population", {"ridge": 12}, "ranges.json: ridge 12: the skin has only 9 ridges"),
+        (
+            "--population",
+            {"speed_mm_s": {"low": 0, "high": 1}},
+            "ranges.json: speed_mm_s: low 0: has to be above 0",
+        ),
+        (
+            "--population",
+            {"tap_s": {"low": 0, "high": 1, "logarithmic": True}},
+            "ranges.json: tap_s: low 0 of a logarithmic range: has to be above 0; or set",
+        ),
+        (
+            "--front-end",
+            {"noise_mV": {"low": 5, "high": 1}},
+            "ranges.json: noise_mV: low 5 is above high 1: exchange them",
+        ),
+    ],
+)
+def test_a_range_from_which_nothing_can_be_drawn_is_named(tmp_path: Path, option, settings, words):
+    """It was "math domain error" or "high - low < 0", in the first trial."""
+    file = tmp_path / "ranges.json"
+    file.write_text(json.dumps(settings))
+    assert words in refused("--out", tmp_path / "net.json", "--seeds", "0:5", option, file)
+
+
 def test_files_in_which_nothing_is_touched_are_refused(tmp_path: Path):
     for number, sample in enumerate("ab"):
         slip_file(tmp_path, f"t{number}", sample=sample, day=f"2026-11-0{number + 1}", gain=1e-4)
