@@ -98,11 +98,13 @@ class DetectionResult:
 
 
 def prepare(detector: ChosenDetector) -> None:
-    """Import and compile the detector now, so that processes forked afterwards need not."""
+    """Import and compile the detector now, so that processes forked afterwards need not. One of
+    another package judges in these only, as it may end its process."""
     import h5py  # noqa: F401
     import numpy as np
 
-    detector.make(detector.kind.design_rate_Hz).add(np.zeros((1, 2)))
+    if detector.is_own:
+        detector.make(detector.kind.design_rate_Hz).add(np.zeros((1, 2)))
 
 
 def detect_file(job: DetectionJob) -> DetectionResult | DetectionFailure:

@@ -293,6 +293,15 @@ def test_one_that_ends_its_process_is_named(rig: Any) -> None:
         assert "died while detector 'lab-level' of the package lab-level judged" in line
 
 
+def test_one_that_ends_its_process_at_the_first_row_is_named(rig: Any) -> None:
+    """The command tried it on a row first and ended without a word, with the code 3 that is one of
+    an instrument."""
+    installed(rig, LEVEL.replace("above =", "import os; os._exit(3); above ="))
+    done = rig.run("detect", "--detector", "lab-level", recorded(rig).name)
+    assert done.code == 1, done.stderr
+    assert "died while detector 'lab-level' of the package lab-level judged" in done.errors[-1]
+
+
 def test_one_that_ends_its_process_does_not_end_the_command_as_if_all_were_done(rig: Any) -> None:
     installed(rig, LEVEL.replace("above =", "import os; self.rows > 100 and os._exit(0); above ="))
     done = rig.run("detect", "--detector", "lab-level", recorded(rig).name)
