@@ -9,7 +9,7 @@ import typer
 
 from rig.cli.options.shared import AsJson, Debug
 from rig.cli.outcome import print_json, reported, say
-from rig.core.errors import ConfigurationError
+from rig.core.errors import ConfigurationError, ExitCode, RigError
 from rig.core.units import counted
 from rig.detector import DEFAULT_DETECTOR
 
@@ -79,6 +79,13 @@ def regrip_study(
                 f"interrupted after {counted(progress.number, 'trial')}; the same command continues"
             )
             raise
+        if not any(weight.outcome for weight in weights):
+            missing = counted(len(weights), "weight")
+            raise RigError(
+                f"none of the {missing} could be tried, so there is no table",
+                "choose other seeds, or repeat the command if the reasons are the computer's",
+                ExitCode.FINISHED_WITH_FAILURES,
+            )
         if as_json:
             drawn_as = {"seeds": str(drawn), "tuning": tuning, "speed_mm_s": speed_mm_s}
             said = drawn_as | as_object(weights)

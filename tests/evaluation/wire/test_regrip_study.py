@@ -169,6 +169,19 @@ def test_seeds_that_a_detector_was_tuned_on_are_refused(
     assert not made
 
 
+def test_a_study_in_which_nothing_could_be_made_is_not_a_success(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It printed a table of dashes and ended with the exit code 0."""
+    monkeypatch.setenv("RIG_CACHE", str(tmp_path))
+    monkeypatch.setattr(regrip_study, "make_one", lambda *_: (None, "exit code 3: stuck", False))
+    done = study("--seeds", "1900000:1900001", "--shares", "1.1", "--strategies", "none,always")
+    assert done.exit_code == 5, done.output
+    assert "seed 1900000, 1.1, none: exit code 3: stuck" in done.stderr
+    assert "none of the 2 weights could be tried, so there is no table" in done.stderr
+    assert not done.stdout
+
+
 def test_weights_slip_at_the_speed_that_is_asked_for(
     made: list[WireTrial], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
