@@ -9,7 +9,7 @@ from typing import Any
 from rig.core.errors import RigError
 from rig.files.journal.reader import DAMAGED, NEVER_CLOSED
 from rig.files.journal.values import RunHeader
-from rig.files.naming import RUN_SUFFIX
+from rig.files.naming import JOURNAL_SUFFIX, RUN_SUFFIX
 from rig.files.runfile.reader import RunFile
 from rig.page.folder import FoundFile, ResultsFolder
 
@@ -31,7 +31,7 @@ class LatestFile:
 
     def look(self, folder: ResultsFolder) -> None:
         """Find it again, where another one has come."""
-        files = folder.find(RUN_SUFFIX)
+        files = _latest_run_first(folder)
         self._unusable &= set(files)
         for file in files[:FILES_TRIED]:
             if self.file == file:
@@ -42,6 +42,20 @@ class LatestFile:
                     self.ending, self.header = found
                 return
             self._unusable.add(file)
+
+
+def _latest_run_first(folder: ResultsFolder) -> list[FoundFile]:
+    """Return the run files of a folder in the order of their runs, the latest first.
+
+    A run that is complete has left its file alone, written at its end. Of any other run the journal
+    is there as well, and its last record is the run's: `rig recover` may write the file much later.
+    """
+    recorded_ns = {one.path: one.mtime_ns for one in folder.find(JOURNAL_SUFFIX)}
+
+    def ended_ns(file: FoundFile) -> int:
+        return recorded_ns.get(file.path.with_suffix(JOURNAL_SUFFIX), file.mtime_ns)
+
+    return sorted(folder.find(RUN_SUFFIX), key=ended_ns, reverse=True)
 
 
 def _ending_in(path: Path) -> tuple[dict[str, Any], RunHeader] | None:

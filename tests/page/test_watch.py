@@ -144,6 +144,20 @@ def test_the_journal_of_an_earlier_run_that_is_left_over_is_not_the_latest(resul
     assert earlier.exists()
 
 
+def test_the_file_of_an_earlier_run_that_is_compiled_later_is_not_the_latest(results: Path) -> None:
+    earlier = journal_in(results, "earlier", ended=False)
+    latest = compile_run(journal_in(results, "latest"), retire=True)
+    watch = BenchWatch(results)
+    words(watch)
+    assert watch._latest.file.path == latest
+    recovered = compile_run(earlier)
+    assert recovered.stat().st_mtime_ns > latest.stat().st_mtime_ns
+    for one in (watch, BenchWatch(results)):
+        words(one)
+        assert one._latest.file.path == latest
+        assert one.path is None
+
+
 def test_run_files_alone_make_no_bench_green_without_a_look_at_its_marks_and_locks(
     results: Path,
 ) -> None:
