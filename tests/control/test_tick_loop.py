@@ -6,30 +6,11 @@ import threading
 import time
 
 import pytest
+from hand_clock import HandClock
 
 from rig.control.tick_loop import BEHIND_FOR_S, Tick, TooSlowError, tick_loop
 from rig.core.clock import WAIT_SLICE_S, Clock, WallClock
 from rig.core.errors import ExitCode
-
-
-class HandClock(Clock):
-    """Time passes where it is waited for and where a test says so."""
-
-    is_virtual = True
-
-    def __init__(self) -> None:
-        super().__init__()
-        self._now = 0.0
-        self.woken_late_s = 0.0
-
-    def now(self) -> float:
-        return self._now
-
-    def spend(self, seconds: float) -> None:
-        self._now += seconds
-
-    def _pass(self, seconds: float) -> None:
-        self._now += seconds + self.woken_late_s
 
 
 class HandRun:

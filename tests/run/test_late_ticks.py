@@ -7,11 +7,11 @@ import signal
 from pathlib import Path
 
 import pytest
+from hand_clock import HandClock
 from made_up import Example, run_of
 
 from rig.bench.connected import Bench
 from rig.control.tick_loop import BEHIND_FOR_S, Tick, tick_loop
-from rig.core.clock import Clock
 from rig.core.errors import ExitCode
 from rig.core.settings import Settings
 from rig.files.runfile.reader import RunFile
@@ -23,27 +23,11 @@ TICK_S = 0.024
 """Time that each tick takes, of a loop that asks for one every 10 ms."""
 
 
-class VirtualClock(Clock):
-    """Time passes where it is waited for and where a tick takes it."""
-
-    is_virtual = True
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.now_s = 0.0
-
-    def now(self) -> float:
-        return self.now_s
-
-    def _pass(self, seconds: float) -> None:
-        self.now_s += seconds
-
-
 class Late(Example):
     """Its ticks come so late that its loop ends. A person asks for a stop between the loop's last
     look for one and the count of the late ticks."""
 
-    def __init__(self, clock: VirtualClock, stop: StopFlag, asks: bool, off_fails: bool = False):
+    def __init__(self, clock: HandClock, stop: StopFlag, asks: bool, off_fails: bool = False):
         super().__init__(Settings())
         self.clock, self._stop, self._asks, self._off_fails = clock, stop, asks, off_fails
 
@@ -53,12 +37,12 @@ class Late(Example):
             run.arm("heater", lambda: 1 / 0)  # type: ignore[arg-type,return-value]
 
     def take(self, run: Run, point: Point) -> Reading:
-        self._run, self._begun_s = run, self.clock.now_s
+        self._run, self._begun_s = run, self.clock.now()
         tick_loop(self, 100.0, 10.0, self._late)
         raise AssertionError("the loop keeps its rate")
 
     def _late(self, tick: Tick) -> bool:
-        self.clock.now_s += TICK_S
+        self.clock.spend(TICK_S)
         return True
 
     def check_stop(self) -> None:
@@ -66,19 +50,19 @@ class Late(Example):
 
     def check_watchers(self) -> None:
         self._run.check_watchers()
-        if self._asks and self.clock.now_s - self._begun_s > TICK_S + BEHIND_FOR_S:
+        if self._asks and self.clock.now() - self._begun_s > TICK_S + BEHIND_FOR_S:
             self._stop._remember(signal.SIGINT, None)
 
 
-class RealClock(VirtualClock):
+class RealClock(HandClock):
     """The same, for real time."""
 
     is_virtual = False
 
 
-@pytest.mark.parametrize("clock", [VirtualClock, RealClock])
+@pytest.mark.parametrize("clock", [HandClock, RealClock])
 def test_who_simulates_in_real_time_on_a_slow_computer_learns_of_virtual_time(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, clock: type[VirtualClock]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, clock: type[HandClock]
 ) -> None:
     monkeypatch.setattr(Bench, "simulated", True)
     procedure = Late(made := clock(), StopFlag(), asks=False)
@@ -105,7 +89,7 @@ def test_a_stop_wins_over_late_ticks_and_an_unsafe_bench_over_both(
     code: ExitCode,
     status: str,
 ) -> None:
-    clock, stop = VirtualClock(), StopFlag()
+    clock, stop = HandClock(), StopFlag()
     procedure = Late(clock, stop, asks, off_fails)
     outcome = run_of(procedure, tmp_path, monkeypatch, stop=stop, clock=clock)
     assert (outcome.code, outcome.status) == (code, status)

@@ -82,7 +82,7 @@ def regrip_study(
         if not any(weight.outcome for weight in weights):
             missing = counted(len(weights), "weight")
             raise RigError(
-                f"none of the {missing} could be tried, so there is no table",
+                f"none of the {missing} could be tried, so the table would be empty",
                 "choose other seeds, or repeat the command if the reasons are the computer's",
                 ExitCode.FINISHED_WITH_FAILURES,
             )

@@ -7,26 +7,10 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from hand_clock import HandClock
 
 from procedures.pressed.ticks import TrialTicks
 from rig.control.tick_loop import TooSlowError
-from rig.core.clock import Clock
-
-
-class HandClock(Clock):
-    """Time passes where it is waited for and where a test says so."""
-
-    is_virtual = True
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.now_s = 0.0
-
-    def now(self) -> float:
-        return self.now_s
-
-    def _pass(self, seconds: float) -> None:
-        self.now_s += seconds
 
 
 @pytest.mark.parametrize(
@@ -49,7 +33,7 @@ def test_the_remedy_for_a_slow_loop_changes_its_rate(
     )
 
     def late(tick: object) -> bool:
-        clock.now_s += 0.1
+        clock.spend(0.1)
         return True
 
     with pytest.raises(TooSlowError) as raised:
