@@ -53,7 +53,10 @@ RINGS_S = ((200.0, 0.09), (600.0, 0.03), (math.inf, 0.015))
 """Time for which a point waits for ringing to decay, by the frequency below which it does."""
 LOADS_BELOW_Hz, LOADS_S = 60.0, 0.25
 """Frequency below which a change of load rings for longer than that, and the time for each point of
-a sweep with several loads."""
+a sweep with several loads.
+
+These and `RINGS_S` are from the times of eight sweeps of the simulated bench (seed 0, one to three
+loads). Only estimates of time depend on them."""
 KNOWN_WITHIN = 1.3
 """Ratio of two successive frequencies beyond which the drive is not predicted well."""
 LEVELLING_RECORDS, LEVELLING_S = 2.5, 0.03
