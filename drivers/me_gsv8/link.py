@@ -70,6 +70,11 @@ class GsvLink:
         with self._failing(STOP_TRANSMISSION), self._asking:
             self._open_port()
             self._write(STOP_TRANSMISSION, b"")
+            first = self._synchronise()
+            # A connection before this one may have left a stop and this same query unanswered,
+            # and their late answers look like those of this one. A second query, whose answer has
+            # another length, is answered after all of them.
+            self._unanswered.add(first.answer_bytes)
             self._synchronise()
         self.discard()
 
@@ -125,8 +130,9 @@ class GsvLink:
             raise self._refused(command, parameters, response.code)
         return response.data
 
-    def _synchronise(self) -> None:
-        """Make sure that the next answer belongs to the next request.
+    def _synchronise(self) -> GsvCommand:
+        """Make sure that the next answer belongs to the next request; return the query that was
+        answered for that.
 
         What came late is dropped until a query is answered whose answer cannot be taken for one
         of those that are missing.
@@ -143,7 +149,7 @@ class GsvLink:
             with self._reading:
                 self._decoder.take_rejected()
             self._unanswered.clear()
-            return
+            return command
         self._unanswered.clear()
         raise self._error(
             "synchronise", "too many answers are missing", "switch the amplifier off and on"

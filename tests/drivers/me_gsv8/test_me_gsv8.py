@@ -83,7 +83,8 @@ def checked(wire: str) -> str:
 OK = "AA 50 00 85"
 STOP, START = "AA 90 23 85", "AA 90 24 85"
 SERIAL = ("AA 90 1F 85", "AA 58 00 32 31 30 33 34 34 31 35 85")
-HELLO = ((STOP, OK), SERIAL, SERIAL)
+MAPPING = ("AA 91 49 00 85", "AA 52 00 00 03 85")  # three values a frame
+HELLO = ((STOP, OK), SERIAL, MAPPING, SERIAL)
 VALUES = (
     ("AA 92 A2 01 FF 85", "AA 55 00 00 0000015E 85"),  # channel 1: 3.50 mV/V
     ("AA 91 14 01 85", "AA 54 00 40 60 00 00 85"),  # user scale 3.5
@@ -93,18 +94,14 @@ VALUES = (
     ("AA 91 14 03 85", "AA 54 00 40 60 00 00 85"),
     ("AA 90 26 85", "AA 54 00 00 00 00 02 85"),  # mode: automatic filter
     ("AA 91 80 01 85", "AA 52 00 00 03 85"),  # floats
-    ("AA 91 49 00 85", "AA 52 00 00 03 85"),  # three values a frame
+    MAPPING,
     ("AA 91 63 00 85", "AA 54 00 46 3B 80 00 85"),  # to 12000 frames/s
     ("AA 91 63 01 85", "AA 54 00 3F 80 00 00 85"),  # from 1 frame/s
 )
 RATE_IS_1000 = ("AA 90 8A 85", "AA 54 00 44 7A 00 00 85")
-OLD = (
-    *HELLO,
-    ("AA 90 2B 85", "AA 54 00 0001 002A 85"),  # firmware 1.42: no CRC
-    ("AA 90 01 85", "AA 54 00 08 23 00 00 85"),
-    RATE_IS_1000,
-    *VALUES,
-)
+FIRMWARE_1_42 = ("AA 90 2B 85", "AA 54 00 0001 002A 85")  # no CRC
+MODEL = ("AA 90 01 85", "AA 54 00 08 23 00 00 85")
+OLD = (*HELLO, FIRMWARE_1_42, MODEL, RATE_IS_1000, *VALUES)
 
 
 def settings(port: str, **more: object) -> Settings:
@@ -142,6 +139,15 @@ def test_connecting_to_old_firmware_stops_identifies_and_only_reads_what_is_righ
         amplifier.close()
 
 
+def test_answers_to_the_connection_before_are_not_taken_for_those_of_this_one() -> None:
+    late = OK + SERIAL[1]  # to the stop and the query of a connection that was lost
+    opening = ((STOP, ""), (SERIAL[0], late), (MAPPING[0], OK + SERIAL[1] + MAPPING[1]))
+    with playing(*opening, SERIAL, *OLD[len(HELLO) :]) as port:
+        amplifier = connected(port)
+        assert amplifier.identity.serial_number == "21034415"
+        amplifier.close()
+
+
 def test_frames_that_came_while_connecting_belong_to_no_stream() -> None:
     eight = "AA 17 B0" + 8 * " 3F 80 00 00" + " 85"
     (stop, stopped), *others = OLD
@@ -164,13 +170,16 @@ def test_firmware_1_56_gets_the_crc_switched_on_and_on_every_frame() -> None:
 
 def test_a_setting_that_differs_is_written_once_and_read_back() -> None:
     changed = [
-        *OLD[:5],
+        *HELLO,
+        FIRMWARE_1_42,
+        MODEL,
         ("AA 90 8A 85", "AA 54 00 41 20 00 00 85"),  # 10 frames/s
         ("AA 94 8B 44 7A 00 00 85", OK),
-        *OLD[5:-3],
+        RATE_IS_1000,
+        *VALUES[:-3],
         ("AA 91 49 00 85", "AA 52 00 00 08 85"),  # eight values
         ("AA 93 4A 00 00 03 85", OK),
-        *OLD[-3:],
+        *VALUES[-3:],
     ]
     with playing(*changed) as port:
         connected(port).close()
@@ -189,7 +198,7 @@ def test_a_setting_that_does_not_stick_is_an_error() -> None:
 
 
 def test_another_model_is_refused_by_name_and_nothing_is_written_to_it() -> None:
-    exchanges = (*OLD[:4], ("AA 90 01 85", "AA 54 00 06 23 00 00 85"))
+    exchanges = (*HELLO, FIRMWARE_1_42, ("AA 90 01 85", "AA 54 00 06 23 00 00 85"))
     with playing(*exchanges) as port:
         with pytest.raises(InstrumentError, match="model number 06, serial 21034415") as caught:
             connected(port)
