@@ -33,13 +33,32 @@ def chromium(
     options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
     browser = webdriver.Chrome(options=options, service=Service(DRIVER))
     try:
-        size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": width < 600}
-        browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
-        scheme = {"name": "prefers-color-scheme", "value": "dark" if dark else "light"}
-        browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": [scheme]})
+        _show_as(browser, width, height, dark)
         yield browser
     finally:
         browser.quit()
+
+
+@contextmanager
+def tab_of(browser: Any) -> Iterator[Any]:
+    """Give the browser with a tab of its own, 1280 by 900, and close that tab. Other tests' pages
+    have other ports, so that none sees what another has stored."""
+    first = browser.current_window_handle
+    browser.switch_to.new_window("tab")
+    try:
+        _show_as(browser, 1280, 900, dark=False)
+        browser.get_log("browser")
+        yield browser
+    finally:
+        browser.close()
+        browser.switch_to.window(first)
+
+
+def _show_as(browser: Any, width: int, height: int, dark: bool) -> None:
+    size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": width < 600}
+    browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+    scheme = {"name": "prefers-color-scheme", "value": "dark" if dark else "light"}
+    browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": [scheme]})
 
 
 SHOWN_TEXT = """

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 import recorded_run
-from chromium import DRIVER, chromium, wait_for
+from chromium import DRIVER, chromium, tab_of, wait_for
 from nights import ask, await_answer, folder_of
 from selenium.webdriver.common.keys import Keys
 from stops import WORLD, State, plan, read_stop
@@ -55,9 +55,16 @@ def page(rig) -> Iterator[Page]:
     process.wait(60)
 
 
+@pytest.fixture(scope="module")
+def chrome(tmp_path_factory) -> Iterator[Any]:
+    """One browser for all tests: its start takes as long as many of them."""
+    with chromium(tmp_path_factory.mktemp("profile")) as started:
+        yield started
+
+
 @pytest.fixture
-def browser(page, tmp_path) -> Iterator[Any]:
-    with chromium(tmp_path / "profile") as opened:
+def browser(page, chrome) -> Iterator[Any]:
+    with tab_of(chrome) as opened:
         opened.get(f"http://127.0.0.1:{page.port}/#token={page.stop_token}")
         wait_for(opened, "#word", lambda text: "no run in this folder" in text)
         yield opened
