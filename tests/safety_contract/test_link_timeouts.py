@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from tiers import mostly_thorough
+from tiers import mostly_nightly, mostly_thorough
 
 pytestmark = pytest.mark.usefixtures("quick_ways")
 
@@ -141,8 +141,7 @@ UNREACHABLE = {
 """While something is pressed."""
 
 
-@pytest.mark.thorough
-@pytest.mark.parametrize("procedure", mostly_thorough(UNREACHABLE, ["sweep"]))
+@pytest.mark.parametrize("procedure", mostly_nightly(UNREACHABLE, ["sweep"]))
 def test_a_stage_that_is_not_reached_while_it_is_made_safe_is_lifted_once_it_is(rig, procedure):
     """Every connection to z breaks, more often than the run tries; the guard, which has every link
     for itself, tries on and lifts what is pressed."""

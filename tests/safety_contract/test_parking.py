@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from tiers import mostly_thorough
+from tiers import mostly_nightly, mostly_thorough
 
 INSIDE = """
 name = "real"
@@ -54,8 +54,7 @@ def violations(rig):
     return [entry["value"] for entry in rig.log() if entry["what"] == "violation"]
 
 
-@pytest.mark.thorough
-@pytest.mark.parametrize("what", OBJECTS)
+@pytest.mark.parametrize("what", mostly_nightly(OBJECTS, ["skin"]))
 def test_an_object_on_the_way_to_the_parking_place_is_felt_and_z_goes_back_not_deeper(rig, what):
     """Parking itself presses: the way is slow and watched, and z goes back to where it came from
     long before the force limit is reached."""
@@ -167,8 +166,7 @@ contact_to_mm = 13.0
 """
 
 
-@pytest.mark.thorough
-@pytest.mark.parametrize("what", OBJECTS)
+@pytest.mark.parametrize("what", mostly_nightly(OBJECTS, ["film"]))
 def test_an_object_that_is_taller_than_stated_is_met_slowly_enough_to_stop(rig, what):
     """On the first way down of a run z has not been there yet: a stiff film, or skin."""
     command, mounted, world, _, limit_N, asked = OBJECTS[what]

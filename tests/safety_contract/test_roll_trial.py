@@ -58,7 +58,7 @@ def the_reading(rig):
     ("stages", "speed"),
     [
         pytest.param("festo", "", marks=pytest.mark.nightly),
-        pytest.param("az", "3 deg/s", marks=pytest.mark.thorough),
+        pytest.param("az", "3 deg/s", marks=pytest.mark.nightly),
         pytest.param("festo-az", "5.71 deg/s", marks=pytest.mark.nightly),
         ("az-festo", "5.71 deg/s"),
     ],

@@ -7,7 +7,7 @@ import signal
 
 import h5py
 import pytest
-from tiers import mostly_thorough
+from tiers import mostly_nightly, mostly_thorough
 
 WATCHED = "[watch]\nforce_limit_N = {limit_N}\n"
 PROCEDURES = {  # World settings, options, torque limit as force in N, force limit in N
@@ -45,8 +45,7 @@ def pressed_for_s(rig):
     return 1e-6 * (next(t_us for t_us in lifted if t_us > touched_us) - touched_us)
 
 
-@pytest.mark.thorough
-@pytest.mark.parametrize("procedure", PROCEDURES)
+@pytest.mark.parametrize("procedure", mostly_nightly(PROCEDURES, ["sweep", "slip-trial"]))
 def test_a_dead_sensor_is_named_by_the_torque_before_the_force_limit_is_reached(rig, procedure):
     ended = run(rig, procedure, 'kind = "dead-noisy"')
     assert ended.code == 3, ended.stderr
@@ -79,11 +78,16 @@ def run_with(rig, procedure, plan):
             pytest.param(*case, marks=pytest.mark.thorough)
             for case in (
                 ("sweep", 'shows = "zero"', True),
-                ("slip-trial", 'shows = "zero"', True),
                 ("slip-trial", 'shows = "scaled"\nfactor = 0.1', False),
             )
         ),
-        pytest.param("roll-trial", 'shows = "frozen"\nmove = 1', True, marks=pytest.mark.nightly),
+        *(
+            pytest.param(*case, marks=pytest.mark.nightly)
+            for case in (
+                ("slip-trial", 'shows = "zero"', True),
+                ("roll-trial", 'shows = "frozen"\nmove = 1', True),
+            )
+        ),
     ],
 )
 def test_a_torque_that_does_not_belong_to_the_force_ends_no_run_and_is_said_where_it_never_changes(
@@ -96,7 +100,7 @@ def test_a_torque_that_does_not_belong_to_the_force_ends_no_run_and_is_said_wher
 
 
 @pytest.mark.thorough
-@pytest.mark.parametrize("procedure", ["sweep", "slip-trial"])
+@pytest.mark.parametrize("procedure", mostly_nightly(["sweep", "slip-trial"], ["sweep"]))
 def test_behind_a_dead_sensor_and_a_wrong_torque_the_torque_limit_bounds_the_force(rig, procedure):
     """Two witnesses that are silent at once: the stage is held, and z goes up."""
     plan = WRONG_TORQUE.format(keys='shows = "zero"') + DEAD
@@ -237,7 +241,7 @@ def test_a_zero_that_has_moved_as_if_something_were_pressed_is_the_end_of_an_inv
 
 @pytest.mark.thorough
 @pytest.mark.usefixtures("quick_ways")
-@pytest.mark.parametrize("procedure", mostly_thorough(["sweep", "slip-trial"], ["sweep"]))
+@pytest.mark.parametrize("procedure", mostly_nightly(["sweep", "slip-trial"], [], ["sweep"]))
 def test_a_scale_that_has_become_wrong_is_refused_before_the_force_is_held(rig, procedure):
     usual = run(rig, procedure, 'kind = "wrong-scale"\nfactor = 1.0')
     assert usual.code == 0, usual.stderr

@@ -176,11 +176,13 @@ def test_the_same_seed_gives_the_same_samples(rig):
             assert (values == second[name]).all(), name
 
 
-@pytest.mark.thorough
 @pytest.mark.usefixtures("quick_ways")
 @pytest.mark.parametrize(
     ("number", "code"),
-    [(signal.SIGINT, 130), pytest.param(signal.SIGQUIT, 131, marks=pytest.mark.thorough)],
+    [
+        pytest.param(signal.SIGINT, 130, marks=pytest.mark.thorough),
+        pytest.param(signal.SIGQUIT, 131, marks=pytest.mark.nightly),
+    ],
     ids=["ctrl-c", "ctrl-backslash"],
 )
 def test_a_key_that_ends_it_in_a_slide_lifts_off_and_keeps_what_was_recorded(rig, number, code):

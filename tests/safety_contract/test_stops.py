@@ -19,10 +19,10 @@ CASES = [case for case in itertools.product(STATES, CAUSES) if case != NOTHING_F
 THOROUGH = [
     ("approach", "SIGTERM"),
     *(("homing", "interlock"), ("travel", "force limit"), ("held", "SIGTERM")),
-    *(("slide", "force limit"), ("sweep, recording", "Ctrl-C"), ("paused", "interlock")),
+    *(("slide", "force limit"), ("sweep, recording", "Ctrl-C")),
 ]
 """Each cause, and each state in which z or x moves or presses; the other pairs are nightly. For a
-roll that is stopped see test_roll_trial."""
+roll that is stopped see test_roll_trial, for a paused run test_signals and test_real_time."""
 
 
 @pytest.mark.stages("festo", because="the states' moments are those of these stages")

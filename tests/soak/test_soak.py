@@ -92,9 +92,12 @@ def misread(tmp_path: Path, fault: Fault) -> Ran:
     return ran
 
 
-@pytest.mark.thorough
 @pytest.mark.parametrize(
-    ("acquisition", "frequency"), [(6, 110), pytest.param(10, 410, marks=pytest.mark.thorough)]
+    ("acquisition", "frequency"),
+    [
+        pytest.param(6, 110, marks=pytest.mark.thorough),
+        pytest.param(10, 410, marks=pytest.mark.nightly),
+    ],
 )
 def test_a_record_with_a_flipped_bit_is_taken_again_and_not_kept(
     acquisition: int, frequency: int, tmp_path: Path
@@ -106,8 +109,7 @@ def test_a_record_with_a_flipped_bit_is_taken_again_and_not_kept(
     assert f"1 record at {frequency} Hz repeated" in ran.stderr
 
 
-@pytest.mark.thorough
-@pytest.mark.parametrize("byte", [1, 4])
+@pytest.mark.parametrize("byte", mostly_nightly([1, 4], [4]))
 def test_a_generator_that_reads_back_another_frequency_records_nothing(
     byte: int, tmp_path: Path
 ) -> None:

@@ -56,7 +56,7 @@ def test_an_instrument_of_every_role_fulfils_its_contract(tmp_path: Path) -> Non
     assert passed(contract(installed(tmp_path / "site"))) >= FEWEST * len(CORES)
 
 
-@pytest.mark.thorough
+@pytest.mark.nightly
 def test_instruments_fulfil_their_contract_on_the_other_kind_of_link(tmp_path: Path) -> None:
     site = installed(tmp_path / "site")
     swapped = {'"tcp"': '"serial"', '"serial"': '"tcp"'}

@@ -12,6 +12,7 @@ from typing import Any
 
 import packages
 import pytest
+from tiers import mostly_nightly
 
 REGISTERED = """[rig.drivers]
 tf-3 = triple_force.driver
@@ -68,8 +69,7 @@ def test_forces_that_are_not_in_newtons_before_a_calibration_are_found(
     assert "the driver's unit and that matrix have to agree" in ended.stdout
 
 
-@pytest.mark.thorough
-@pytest.mark.parametrize("link", ["serial", "tcp"])
+@pytest.mark.parametrize("link", mostly_nightly(["serial", "tcp"], ["tcp"]))
 def test_three_axes_and_acknowledged_commands_fulfil_the_contract(site: Path, link: str) -> None:
     simulator = site / "triple_force" / "simulator.py"
     text = simulator.read_text()

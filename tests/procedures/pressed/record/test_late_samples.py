@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from test_pressed_reading import reading_of_record
 from test_pressed_reading import record as a_record
+from tiers import mostly_nightly
 
 from procedures.pressed.grip_summary import grip_summary
 from procedures.pressed.record.block_length import longer_block_s
@@ -141,9 +142,8 @@ def test_weights_of_invalid_trials_are_not_among_the_lost_ones() -> None:
     assert "at least 1.20 by" in force
 
 
-@pytest.mark.thorough
 @pytest.mark.stages("festo", because="what is slow here is the DAQ")
-@pytest.mark.parametrize("rest", ["0.1s", "12s"])
+@pytest.mark.parametrize("rest", mostly_nightly(["0.1s", "12s"], ["0.1s"]))
 def test_a_daq_too_slow_for_short_blocks_is_read_in_longer_ones_before_the_motion(
     rig, rest: str
 ) -> None:
