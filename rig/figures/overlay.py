@@ -69,12 +69,19 @@ def draw_overlay(files: Sequence[Path], folder: Path | None = None, pdf: bool = 
     """Draw several run files of one kind in one figure, beside the first file or in `folder`,
     under a name that is not taken. An overlay of another package that fails is a warning.
 
-    Raises ConfigurationError for fewer than two files, for files of several kinds or of one that
-    has no such figure, for files without a completed point, and if every overlay fails;
-    RunFileError for one that cannot be read; OutputError where the figure cannot be written.
+    Raises ConfigurationError for fewer than two files, for one that is named twice, for files of
+    several kinds or of one that has no such figure, for files without a completed point, and if
+    every overlay fails; RunFileError for one that cannot be read; OutputError where the figure
+    cannot be written.
     """
     if len(files) < 2:
         raise ConfigurationError("--overlay draws several runs in one figure", "name two or more")
+    places = [path.resolve() for path in files]
+    for n, path in enumerate(files):
+        if places[n] in places[:n]:
+            raise ConfigurationError(
+                f"{path} is named twice, and --overlay shows how runs differ", "name each run once"
+            )
     with ExitStack() as stack:
         runs = [_opened(path, stack) for path in files]
         figures, warnings, tracebacks = _figures_of(runs)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import http.client
+import itertools
 import json
 import os
 import re
@@ -102,6 +103,20 @@ def serve(results: Path, *options: str) -> tuple[subprocess.Popen[str], Page]:
         if line.startswith("showing"):
             break
     return process, Page(port, tokens.get("and stop", ""), tokens["only"], results)
+
+
+def test_a_folder_that_did_not_exist_is_named(tmp_path):
+    wrong = tmp_path / "reslts"
+    main = "from rig.cli import main; main()"
+    with subprocess.Popen(
+        [sys.executable, "-c", main, "page", "--port", "0", "--results", str(wrong)],
+        stderr=subprocess.PIPE,
+        text=True,
+    ) as process:
+        assert process.stderr is not None
+        lines = list(itertools.takewhile(lambda line: "showing" not in line, process.stderr))
+        process.send_signal(signal.SIGINT)
+    assert f"{wrong} did not exist; if runs are stored elsewhere" in lines[-1]
 
 
 @pytest.fixture(scope="module")

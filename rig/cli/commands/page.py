@@ -65,11 +65,16 @@ def page(
         chosen = existing_bench_file(bench)
         access = Access(read_only)
         state = PageState(BenchWatch(results, chosen), RunIndex(results), access, rate)
+        existed = results.is_dir()
 
         def ready(address: str) -> None:
             if not read_only:
                 say(f"watch and stop: {address}#token={access.stop_token}")
             say(f"watch only:     {address}#token={access.watch_token}")
+            if not existed:
+                say(
+                    f"{results} did not exist; if runs are stored elsewhere, name it with --results"
+                )
             say(f"showing {results}; Ctrl-C ends the page, not the run")
 
         start_log(results)

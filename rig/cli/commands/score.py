@@ -144,10 +144,14 @@ def score(
         if tune is not None:
             beside = _tuned(trials, beside, tune, jobs)
         contenders += map(BaselineContender, beside)
-        judged = judge_trials(
-            trials, contenders, sweep=roc, jobs=jobs,
-            done=TenthsProgress("score", "trials", len(trials.trials())),
-        )  # fmt: skip
+        try:
+            judged = judge_trials(
+                trials, contenders, sweep=roc, jobs=jobs,
+                done=TenthsProgress("score", "trials", len(trials.trials())),
+            )  # fmt: skip
+        except (KeyboardInterrupt, SystemExit):
+            say("score: interrupted; what was simulated is stored, and the same command continues")
+            raise
         said = {
             "seeds": str(drawn), "kinds": list(trials.kinds), "swapped_gains": swapped_gains,
             "population": ranges.model_dump(mode="json"),

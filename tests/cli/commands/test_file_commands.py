@@ -113,3 +113,7 @@ def test_every_file_of_a_show_as_json_has_its_object_also_one_that_cannot_be_rea
     overlay = rig.run("show", "--json", "--overlay", "run.rigj")
     assert overlay.code == 2
     assert "name two or more" in json.loads(overlay.stdout)["errors"][0]
+
+    twice = rig.run("show", "--overlay", "run.rigj", "./run.rigj")
+    assert twice.code == 2
+    assert "run.rigj is named twice, and --overlay shows how runs differ" in twice.stderr
