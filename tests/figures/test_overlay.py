@@ -149,7 +149,7 @@ def test_files_of_one_name_are_distinguished_by_their_folders(folder: Path, tmp_
 
 @pytest.mark.thorough
 def test_the_picture_has_a_name_of_its_own_each_time(folder: Path, tmp_path: Path) -> None:
-    files = [folder / ROLL, folder / ROLL]
+    files = [folder / ROLL, shutil.copy(folder / ROLL, tmp_path / "another.h5")]
     first = draw_overlay(files, tmp_path).files
     before = first[0].read_bytes()
     second = draw_overlay(files, tmp_path, pdf=True).files
@@ -167,6 +167,7 @@ def test_the_picture_has_a_name_of_its_own_each_time(folder: Path, tmp_path: Pat
     [
         ([ROLL, SWEEP], "is a roll-trial, .* is a sweep"),
         ([ROLL], "several runs in one figure"),
+        ([ROLL, ROLL], "is named twice"),
     ],
 )
 def test_what_cannot_be_laid_over_each_other_is_refused(
@@ -254,7 +255,8 @@ def test_a_packages_overlay_stands_beside_that_of_this_project(
         "sweep = lab_overlays:plain\nsweep.bad = lab_overlays:fails\n"
         "sweep.no = lab_overlays:number\nswep.x = lab_overlays:plain"
     )
-    drawn = draw_overlay([folder / SWEEP, folder / SWEEP], tmp_path)
+    another = shutil.copy(folder / SWEEP, tmp_path / "another.h5")
+    drawn = draw_overlay([folder / SWEEP, another], tmp_path)
     assert [path.name for path in drawn.files] == [
         f"{Path(SWEEP).stem}-overlay.png",
         f"{Path(SWEEP).stem}-overlay.svg",
