@@ -89,12 +89,16 @@ class Page:
             connection.close()
 
 
-def serve(results: Path, *options: str) -> tuple[subprocess.Popen[str], Page]:
+def start(results: Path, *options: str) -> subprocess.Popen[str]:
     main = "from rig.cli import main; main()"
     command = [sys.executable, "-c", main, "page", "--port", "0", "--results", str(results)]
-    process = subprocess.Popen(
+    return subprocess.Popen(
         [*command, *options], stderr=subprocess.PIPE, text=True, cwd=results.parent
     )
+
+
+def serve(results: Path, *options: str) -> tuple[subprocess.Popen[str], Page]:
+    process = start(results, *options)
     assert process.stderr is not None
     tokens, port = {}, 0
     for line in process.stderr:
@@ -107,16 +111,11 @@ def serve(results: Path, *options: str) -> tuple[subprocess.Popen[str], Page]:
 
 def test_a_folder_that_did_not_exist_is_named(tmp_path):
     wrong = tmp_path / "reslts"
-    main = "from rig.cli import main; main()"
-    with subprocess.Popen(
-        [sys.executable, "-c", main, "page", "--port", "0", "--results", str(wrong)],
-        stderr=subprocess.PIPE,
-        text=True,
-    ) as process:
+    with start(wrong) as process:
         assert process.stderr is not None
         lines = list(itertools.takewhile(lambda line: "showing" not in line, process.stderr))
         process.send_signal(signal.SIGINT)
-    assert f"{wrong} did not exist; if runs are stored elsewhere" in lines[-1]
+    assert f"{wrong} is new: for runs stored elsewhere, name their --results folder" in lines[-1]
 
 
 @pytest.fixture(scope="module")

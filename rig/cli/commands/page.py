@@ -72,9 +72,7 @@ def page(
                 say(f"watch and stop: {address}#token={access.stop_token}")
             say(f"watch only:     {address}#token={access.watch_token}")
             if not existed:
-                say(
-                    f"{results} did not exist; if runs are stored elsewhere, name it with --results"
-                )
+                say(f"{results} is new: for runs stored elsewhere, name their --results folder")
             say(f"showing {results}; Ctrl-C ends the page, not the run")
 
         start_log(results)
