@@ -115,7 +115,7 @@ def test_a_folder_that_did_not_exist_is_named(tmp_path):
         assert process.stderr is not None
         lines = list(itertools.takewhile(lambda line: "showing" not in line, process.stderr))
         process.send_signal(signal.SIGINT)
-    assert f"{wrong} is new: for runs stored elsewhere, name their --results folder" in lines[-1]
+    assert f"{wrong} did not exist: name the folder of the runs with --results" in lines[-1]
 
 
 @pytest.fixture(scope="module")

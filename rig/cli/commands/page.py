@@ -72,7 +72,7 @@ def page(
                 say(f"watch and stop: {address}#token={access.stop_token}")
             say(f"watch only:     {address}#token={access.watch_token}")
             if not existed:
-                say(f"{results} is new: for runs stored elsewhere, name their --results folder")
+                say(f"{results} did not exist: name the folder of the runs with --results")
             say(f"showing {results}; Ctrl-C ends the page, not the run")
 
         start_log(results)
