@@ -150,8 +150,9 @@ class Rig:
     def __init__(self, folder: Path, bench: Bench | None = None):
         self.folder = folder
         self.bench = bench
-        self.quick_ways = False
-        """Whether z goes quickly where it has not been, on benches that commands simulate."""
+        self.usual_ways = False
+        """Whether z goes as slowly where it has not been as on a bench whose file declares nothing;
+        otherwise simulated benches declare the contact that there is (decision 0117)."""
         self.results = folder / "results"
         self.world_log = folder / "world.jsonl"
         self.env = environment()
@@ -172,7 +173,7 @@ class Rig:
             return given
         if self.bench is not None and "--stages" not in given:
             given += ["--stages", self.bench.stages]
-        if (self.bench is not None or self.quick_ways) and "--world" not in given:
+        if (self.bench is not None or not self.usual_ways) and "--world" not in given:
             given += ["--world", self.world("")]
         return given
 
@@ -223,16 +224,15 @@ class Rig:
         return ["sweep", "--json", "--no-figures", *log, *arguments]
 
     @contextlib.contextmanager
-    def served(self, *options: str, ways: str = "quick") -> Iterator[Path]:
+    def served(self, *options: str) -> Iterator[Path]:
         """A simulated bench that runs by itself, in real time; its bench file, ``bench.toml``.
 
-        It declares a contact so soft that z goes quickly where it has not been, unless `ways` is
-        "as usual", which takes 12 s: for tests that are about them."""
+        Unless ways are the usual ones, it declares a contact so soft that no speed is too large."""
         path = self.folder / "bench.toml"
         log = ("--world-log", str(self.world_log))
         self.serving = serving = self.start("simulate", "--write", str(path), *log, *options)
         serving.wait_for("Ctrl-C ends it")
-        if ways == "quick":
+        if not self.usual_ways:
             declare_soft_contact(path)
         yield path
         serving.send(signal.SIGINT)
@@ -247,12 +247,12 @@ class Rig:
 
     def world(self, text: str) -> str:
         """Write World settings, with the bench's DAQ where they name none, and with the contact
-        that lets z go quickly where that was asked for; their path."""
+        that lets z go quickly where it has not been; their path."""
         path = self.folder / "world.toml"
         own = ""
         if self.bench is not None and "daq_model" not in text:
             own += f'daq_model = "{self.bench.daq}"\n'
-        if self.quick_ways:
+        if not self.usual_ways and DECLARED_CONTACT not in text:
             own += DECLARED_CONTACT
         path.write_text(own + text)
         return str(path)
@@ -346,10 +346,11 @@ def rig(tmp_path: Path, bench: Bench | None) -> Iterator[Rig]:
 
 
 @pytest.fixture
-def quick_ways(rig: Rig) -> None:
-    """Let z go quickly where it has not been, for tests that are not about the way: half of the
-    bench time of a short sweep and a quarter of a slip trial's."""
-    rig.quick_ways = True
+def usual_ways(rig: Rig) -> None:
+    """Let z go where it has not been as on a bench whose file declares no contact, for tests that
+    are about the way or count from its start: a short sweep takes twice the bench time, a slip
+    trial a quarter more."""
+    rig.usual_ways = True
 
 
 @pytest.fixture(scope="session")

@@ -12,8 +12,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from benches import DECLARED_CONTACT
-
 from rig.files.errors import JournalError
 from rig.files.journal.reader import read_journal
 from rig.files.runfile.reader import RunFile
@@ -58,7 +56,7 @@ class Taken:
 
 def write_night(rig: Any, text: str) -> None:
     """Write ``night.toml``, and the World that a `QUICK_NIGHT` names."""
-    rig.world(DECLARED_CONTACT)
+    rig.world("")
     (rig.folder / "night.toml").write_text(text)
 
 

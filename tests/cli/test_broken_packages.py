@@ -175,7 +175,6 @@ def everything_broken(site: Path) -> Path:
 
 
 @pytest.mark.thorough
-@pytest.mark.usefixtures("quick_ways")
 def test_every_other_command_works_beside_all_of_them(rig: Any, tmp_path: Path) -> None:
     done = rig.run("sweep", "--frequencies", "200", "--no-figures")
     assert done.code == 0, done.stderr
@@ -471,7 +470,6 @@ def test_entry_points_that_cannot_be_read_disable_their_own_package_only(rig: An
 @pytest.mark.thorough
 @pytest.mark.parametrize("unreadable", ["no text"], indirect=True)
 @pytest.mark.usefixtures("unreadable")
-@pytest.mark.usefixtures("quick_ways")
 def test_a_run_works_beside_entry_points_that_cannot_be_read(rig: Any) -> None:
     done = rig.run("sweep", "--frequencies", "200", "--no-figures")
     assert done.code == 0, done.stderr

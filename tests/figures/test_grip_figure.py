@@ -16,7 +16,6 @@ WEIGHT = (
 
 
 @pytest.mark.thorough
-@pytest.mark.usefixtures("quick_ways")
 def test_weights_with_and_without_a_grip_are_drawn_and_beside_each_other(rig: Any) -> None:
     names = []
     for given in ((), ("--regrip",)):

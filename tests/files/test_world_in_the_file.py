@@ -44,7 +44,6 @@ def is_film_of_seed(world: dict[str, Any], seed: int) -> bool:
 
 
 @pytest.mark.thorough
-@pytest.mark.usefixtures("quick_ways")
 def test_a_sweep_has_the_film_that_was_drawn_with_units(rig: Any) -> None:
     ended = rig.run("sweep", *QUICK)
     assert ended.code == 0, ended.stderr
@@ -58,7 +57,6 @@ def test_a_sweep_has_the_film_that_was_drawn_with_units(rig: Any) -> None:
 
 
 @pytest.mark.thorough
-@pytest.mark.usefixtures("quick_ways")
 def test_the_file_of_a_resumed_run_has_it_with_the_results_of_all_points(rig: Any) -> None:
     sweep = rig.start("sweep", "--frequencies", "3,4,5,300", "--seed", "3", "--no-figures")
     sweep.wait_for("1/4")
@@ -83,7 +81,6 @@ def test_the_file_of_a_resumed_run_has_it_with_the_results_of_all_points(rig: An
         pytest.param(("path-trial",), None, marks=pytest.mark.nightly),
     ],
 )
-@pytest.mark.usefixtures("quick_ways")
 def test_trials_have_the_skin_and_what_it_is_pressed_on(
     rig: Any, command: tuple[str, ...], shape: str | None
 ) -> None:

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from benches import DECLARED_CONTACT
 from packages import install, on_path
 
 from procedures.example import Creep
@@ -30,7 +29,7 @@ def creep(rig: Any, tmp_path: Path) -> Any:
 
 
 def arguments(rig: Any, *given: str) -> list[str]:
-    world = ("--world", rig.world(DECLARED_CONTACT), "--world-log", str(rig.world_log))
+    world = ("--world", rig.world(""), "--world-log", str(rig.world_log))
     return ["creep", "--json", "--no-figures", *world, *given]
 
 

@@ -40,7 +40,6 @@ def spikes(*acquisitions, force_N=30.0, after_s=0.0):
     )
 
 
-@pytest.mark.usefixtures("quick_ways")
 @pytest.mark.thorough
 def test_a_sweep_presses_holds_and_parks(rig):
     ended = rig.sweep(*SHORT)
@@ -52,6 +51,7 @@ def test_a_sweep_presses_holds_and_parks(rig):
         assert run.column("load_amplitude") == pytest.approx(1.0, rel=0.01)
 
 
+@pytest.mark.usefixtures("usual_ways")
 @pytest.mark.stages("festo", because="the push has to fall into the approach")
 def test_a_push_in_free_air_is_no_contact_and_the_stage_does_not_hunt_for_the_preload(rig):
     push = '[[fault]]\ndevice = "force_sensor"\nkind = "spike"\n'
@@ -66,7 +66,6 @@ def test_a_push_in_free_air_is_no_contact_and_the_stage_does_not_hunt_for_the_pr
     assert len(stood) < 25
 
 
-@pytest.mark.usefixtures("quick_ways")
 @pytest.mark.thorough
 def test_a_force_over_its_limit_trips_and_the_point_is_retaken_once(rig):
     ended = rig.sweep(*SHORT, "--fault", rig.fault(spikes(LISTENING + 2)))
@@ -84,7 +83,6 @@ def test_a_force_over_its_limit_trips_and_the_point_is_retaken_once(rig):
         assert b"trip" in run.entry["events/code"][()].tolist()
 
 
-@pytest.mark.usefixtures("quick_ways")
 def test_a_second_trip_ends_the_run(rig):
     again = range(LISTENING + 2, LISTENING + 13)
     ended = rig.sweep(*SHORT, "--fault", rig.fault(spikes(*again)))
@@ -95,7 +93,6 @@ def test_a_second_trip_ends_the_run(rig):
     assert rest(rig) == pytest.approx(5.0, abs=0.02)
 
 
-@pytest.mark.usefixtures("quick_ways")
 @pytest.mark.thorough
 def test_points_kept_before_a_force_trip_survive_a_second_trip(rig):
     frequencies = [300 + 100 * k for k in range(10)]
@@ -241,7 +238,6 @@ def test_a_force_sensor_that_is_silent_for_a_while_is_a_hold(rig, case):
         assert run.column("preload").min() > 24, "pressed anew, though it creeps"
 
 
-@pytest.mark.usefixtures("quick_ways")
 def test_a_run_does_not_continue_after_a_hold_that_left_the_film_pressed(rig):
     """The sensor falls silent while a point is taken; something presses on it when the stage has
     gone up for the hold, and no longer when the hold is over."""
@@ -296,7 +292,6 @@ def test_a_force_sensor_that_is_silent_while_the_stage_is_homed_is_a_hold(rig):
         assert held(run) == 1
 
 
-@pytest.mark.usefixtures("quick_ways")
 @pytest.mark.thorough
 def test_a_force_sensor_that_stays_silent_ends_the_run(rig):
     asked = ("--frequencies", "2,3,300", "--order", "descending")
@@ -374,7 +369,6 @@ def test_a_hold_that_came_and_went_while_a_call_timed_out_has_the_point_retaken(
         assert run.point_ids() == ["300Hz-1N", "600Hz-1N"]
 
 
-@pytest.mark.usefixtures("quick_ways")
 @pytest.mark.parametrize(
     ("world", "options", "code", "reported"),
     [
@@ -404,6 +398,7 @@ def test_what_is_wrong_with_the_preload_ends_in_one_line(rig, world, options, co
     assert True not in rig.outputs()
 
 
+@pytest.mark.usefixtures("usual_ways")
 @pytest.mark.thorough
 @pytest.mark.parametrize(
     ("kind", "reported"),
@@ -418,7 +413,6 @@ def test_a_drive_that_fails_on_the_way_to_the_preload_is_reported_in_one_line(ri
     assert True not in rig.outputs()
 
 
-@pytest.mark.usefixtures("quick_ways")
 @pytest.mark.thorough
 def test_a_drive_that_fails_while_the_film_vibrates_is_noticed_within_a_record(rig):
     """The procedure sits in a record of a second and asks the stage nothing."""
@@ -452,7 +446,6 @@ def test_a_sensor_that_freezes_while_the_film_is_pressed_ends_the_run_at_once(ri
     assert rest(rig) == pytest.approx(5.0, abs=0.02)
 
 
-@pytest.mark.usefixtures("quick_ways")
 @pytest.mark.thorough
 def test_a_trip_on_the_way_up_is_reported_and_the_way_up_continues(rig):
     """The points are taken, the stage is half way up: stopping there would leave the film pressed

@@ -11,8 +11,6 @@ from tiers import mostly_nightly
 from rig.files.runfile.reader import RunFile
 from rig.files.verify import verify
 
-pytestmark = pytest.mark.usefixtures("quick_ways")
-
 FREQUENCIES = ("--frequencies", "20,210,310,410,510")
 KINDS = ("silence", "garbage", "close", "truncate", "stale")
 IN_THE_MIDDLE = 14

@@ -12,8 +12,6 @@ from typist import Typist
 
 from rig.files.runfile.reader import RunFile
 
-pytestmark = pytest.mark.usefixtures("quick_ways")
-
 SHORT = ("--frequencies", "300,600")
 DOOR = '[[interlock]]\nname = "door"\nclass = "person"\n'
 AIR = '[[interlock]]\nname = "air pressure"\nclass = "process"\ninput = "daq.501.1"\n'
@@ -172,7 +170,6 @@ def test_a_fault_of_a_contact_that_the_bench_has_not_is_refused(rig):
 def served(rig, world, plan=""):
     """A simulated bench in real time, with its bench file bench.toml."""
     options = ("--fault", rig.fault(plan)) if plan else ()
-    rig.quick_ways = False  # `rig.served` has its own
     with rig.served("--world", rig.world(world), *options):
         yield
 

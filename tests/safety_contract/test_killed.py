@@ -21,8 +21,6 @@ from rig.files.journal.reader import read_journal
 from rig.files.runfile.reader import RunFile
 from rig.files.verify import verify
 
-pytestmark = pytest.mark.usefixtures("quick_ways")
-
 PATIENCE_S = 30.0
 SIXTY_POINTS = (
     "--frequencies", ",".join(str(f) for f in range(300, 6300, 100)), "--settling", "0.3s"
@@ -139,9 +137,10 @@ def test_a_run_that_hangs_is_ended_and_made_safe_by_the_guard(rig):
 
 
 @pytest.mark.thorough
+@pytest.mark.usefixtures("usual_ways")
 def test_the_drive_of_a_run_that_hangs_stops_by_itself_before_the_guard_comes(rig):
     """In real time, on the longest way there is in free air: nobody talks to the drive any more."""
-    with rig.served(ways="as usual") as path:
+    with rig.served() as path:
         text = path.read_text()
         for said, instead in (
             ("communication_timeout_ms = 2000", "communication_timeout_ms = 600"),

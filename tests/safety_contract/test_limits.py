@@ -7,8 +7,6 @@ import re
 import pytest
 from tiers import mostly_thorough
 
-pytestmark = pytest.mark.usefixtures("quick_ways")
-
 REFUSED = {
     "load beyond the load cell": (
         ("--load", "21N", "--preload", "30N"),

@@ -5,8 +5,6 @@ from __future__ import annotations
 import pytest
 from tiers import mostly_nightly, mostly_thorough
 
-pytestmark = pytest.mark.usefixtures("quick_ways")
-
 PARKED_mm = 5.0
 PRESSED = {"sweep": "acquisition = 6\n", "slip-trial": "acquisition = 1\nafter_s = 3.0\n"}
 """Under the preload, or under the normal force."""
@@ -42,7 +40,7 @@ def test_one_lost_answer_of_a_stage_that_presses_does_not_stop_its_drive(rig):
 
 @pytest.mark.parametrize("what", mostly_thorough(["sweep", "slip-trial"], ["sweep"]))
 def test_a_drive_that_its_own_time_out_has_stopped_is_acknowledged_and_lifted(rig, what):
-    rig.quick_ways = what == "sweep"  # the other moment is counted from before the contact
+    rig.usual_ways = what != "sweep"  # the other moment is counted from before the contact
     code = rig.bench.z.silence_fault
     plan = rig.fault(
         f'[[fault]]\ndevice = "stage_z"\nkind = "drive-fault"\ncode = {code}\n{PRESSED[what]}'

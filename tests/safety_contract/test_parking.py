@@ -78,6 +78,7 @@ def test_an_object_on_the_way_to_the_parking_place_is_felt_and_z_goes_back_not_d
     assert story[-1][1] < contact_mm
 
 
+@pytest.mark.usefixtures("usual_ways")
 @pytest.mark.thorough
 def test_a_stop_on_the_way_down_to_the_parking_place_does_not_continue_down(rig):
     """In free air, in a trial's first way to where it parks: back, though nothing is pressed."""
@@ -104,7 +105,6 @@ STILL_PRESSED = {
 }
 
 
-@pytest.mark.usefixtures("quick_ways")
 @pytest.mark.parametrize("how", mostly_thorough(STILL_PRESSED, ["a little"]))
 def test_what_is_still_pressed_after_the_last_way_up_is_reported(rig, how):
     """Something lies on the sensor while the stage goes up after the last point."""
@@ -124,6 +124,7 @@ def test_what_is_still_pressed_after_the_last_way_up_is_reported(rig, how):
     assert motion(rig)[-1] == ("at-rest", pytest.approx(5.0, abs=0.02))
 
 
+@pytest.mark.usefixtures("usual_ways")
 @pytest.mark.thorough
 def test_a_stage_that_may_only_go_slowly_releases_what_it_has_pressed(rig):
     """Found by an attack: the way off was refused for its speed, and the film stayed pressed."""
@@ -137,6 +138,7 @@ def test_a_stage_that_may_only_go_slowly_releases_what_it_has_pressed(rig):
     assert motion(rig)[-1] == ("at-rest", pytest.approx(5.0, abs=0.02))
 
 
+@pytest.mark.usefixtures("usual_ways")
 @pytest.mark.parametrize("parked_mm", mostly_thorough([11.8, 12.9], [11.8]))
 def test_a_parking_place_that_is_not_clear_is_refused_and_the_bench_can_be_made_safe(
     rig, parked_mm
@@ -186,6 +188,7 @@ def test_an_object_that_is_taller_than_stated_is_met_slowly_enough_to_stop(rig, 
     assert motion(rig)[-1] == ("at-rest", pytest.approx(5.0, abs=0.02))
 
 
+@pytest.mark.usefixtures("usual_ways")
 def test_a_contact_too_stiff_for_the_slowest_speed_is_refused_before_anything_moves(rig):
     path = rig.folder / "stiff.toml"
     text = TALL.format(mounted="film-clamp")
@@ -202,6 +205,7 @@ def test_a_contact_too_stiff_for_the_slowest_speed_is_refused_before_anything_mo
     assert [kind for kind, _ in motion(rig)] == []
 
 
+@pytest.mark.usefixtures("usual_ways")
 def test_a_force_that_z_cannot_brake_within_the_limit_is_refused_before_anything_moves(rig):
     ended = rig.run(
         "slip-trial", "--normal-force", "14.99999N", "--no-figures",

@@ -11,8 +11,6 @@ import pytest
 from rig.files.runfile.reader import RunFile
 from rig.files.verify import verify
 
-pytestmark = pytest.mark.usefixtures("quick_ways")
-
 SETTLING = ("--settling", "0.3s")
 """So that a run takes seconds and is interrupted in the middle on a busy machine too."""
 FORTY_POINTS = ("--frequencies", ",".join(f"{300 * 1.07**k:.6g}" for k in range(40)), *SETTLING)

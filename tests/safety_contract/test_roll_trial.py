@@ -53,7 +53,6 @@ def the_reading(rig):
         return reading
 
 
-@pytest.mark.usefixtures("quick_ways")
 @pytest.mark.parametrize(
     ("stages", "speed"),
     [
@@ -144,7 +143,6 @@ def test_an_axis_that_does_not_follow_a_nudge_is_not_taken_for_an_offset(rig):
 
 
 @pytest.mark.thorough
-@pytest.mark.usefixtures("quick_ways")
 def test_stages_that_may_only_go_slowly_roll_at_their_own_speed(rig):
     """Found by an attack: the way of x and the turn upright were refused for their speeds."""
     with rig.served("--fixture", "semi-spherical-object") as path:

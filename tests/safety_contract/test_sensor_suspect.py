@@ -45,6 +45,7 @@ def pressed_for_s(rig):
     return 1e-6 * (next(t_us for t_us in lifted if t_us > touched_us) - touched_us)
 
 
+@pytest.mark.usefixtures("usual_ways")
 @pytest.mark.parametrize("procedure", mostly_nightly(PROCEDURES, ["sweep", "slip-trial"]))
 def test_a_dead_sensor_is_named_by_the_torque_before_the_force_limit_is_reached(rig, procedure):
     ended = run(rig, procedure, 'kind = "dead-noisy"')
@@ -70,7 +71,6 @@ def run_with(rig, procedure, plan):
     )  # fmt: skip
 
 
-@pytest.mark.usefixtures("quick_ways")
 @pytest.mark.parametrize(
     ("procedure", "keys", "said"),
     [
@@ -99,6 +99,7 @@ def test_a_torque_that_does_not_belong_to_the_force_ends_no_run_and_is_said_wher
     assert largest_N(rig) < PROCEDURES[procedure][3]
 
 
+@pytest.mark.usefixtures("usual_ways")
 @pytest.mark.parametrize("procedure", mostly_nightly(["sweep", "slip-trial"], ["sweep"]))
 def test_behind_a_dead_sensor_and_a_wrong_torque_the_torque_limit_bounds_the_force(rig, procedure):
     """Two witnesses that are silent at once: the stage is held, and z goes up."""
@@ -113,6 +114,7 @@ def test_behind_a_dead_sensor_and_a_wrong_torque_the_torque_limit_bounds_the_for
     assert last_N == [0.0]
 
 
+@pytest.mark.usefixtures("usual_ways")
 @pytest.mark.thorough
 @pytest.mark.parametrize(
     ("after_s", "largest"), [(0.8, 0.0), pytest.param(1.2, 15.0, marks=pytest.mark.thorough)]
@@ -129,6 +131,7 @@ def test_noise_alone_is_not_taken_for_a_contact_that_is_pressed(rig, after_s, la
     assert largest_N(rig) <= largest
 
 
+@pytest.mark.usefixtures("usual_ways")
 @pytest.mark.thorough
 def test_the_servo_orders_nothing_deeper_than_the_latest_contact(rig):
     """The sensor reads less and less of a force that is held: z would follow it for ever."""
@@ -193,7 +196,6 @@ def test_every_procedure_that_records_force_watches_every_axis(rig, procedure, a
     assert largest_N(rig) == 0.0
 
 
-@pytest.mark.usefixtures("quick_ways")
 def test_a_sensor_that_dies_while_the_force_is_held_ends_the_run_before_the_servo_presses_on(rig):
     ended = run(rig, "slip-trial", f'kind = "dead-noisy"\n{HELD}', "--rest", "3s")
     assert ended.code == 3, ended.stderr
@@ -238,7 +240,6 @@ def test_a_zero_that_has_moved_as_if_something_were_pressed_is_the_end_of_an_inv
     assert "trial-001 is invalid: the force sensor's zero has moved by" in ended.stderr
 
 
-@pytest.mark.usefixtures("quick_ways")
 @pytest.mark.parametrize("procedure", mostly_nightly(["sweep", "slip-trial"], ["sweep"]))
 def test_a_scale_that_has_become_wrong_is_refused_before_the_force_is_held(rig, procedure):
     usual = run(rig, procedure, 'kind = "wrong-scale"\nfactor = 1.0')
@@ -252,7 +253,6 @@ def test_a_scale_that_has_become_wrong_is_refused_before_the_force_is_held(rig, 
     assert largest_N(rig) < min(6 * wanted_N, PROCEDURES[procedure][2] + 0.5)
 
 
-@pytest.mark.usefixtures("quick_ways")
 @pytest.mark.thorough
 def test_a_strip_whose_touch_gain_is_not_what_it_was_ends_the_run(rig):
     nothing = 'kind = "wrong-scale"\nfactor = 1.0'
@@ -273,7 +273,6 @@ def test_a_strip_whose_touch_gain_is_not_what_it_was_ends_the_run(rig):
     assert [e["value"] for e in rig.log() if e["what"] == "last-force"] == [0.0]
 
 
-@pytest.mark.usefixtures("quick_ways")
 @pytest.mark.thorough
 def test_a_run_that_does_not_fit_is_accepted_with_a_reason_that_the_file_keeps(rig):
     reads_more = 'kind = "wrong-scale"\nfactor = 4.0'
@@ -290,7 +289,6 @@ def test_a_run_that_does_not_fit_is_accepted_with_a_reason_that_the_file_keeps(r
     assert again.code == 0, again.stderr
 
 
-@pytest.mark.usefixtures("quick_ways")
 @pytest.mark.thorough
 def test_a_resumed_run_is_compared_with_the_presses_of_its_own_sample(rig):
     world, options, _, _ = PROCEDURES["slip-trial"]

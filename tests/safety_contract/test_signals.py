@@ -16,8 +16,6 @@ from typist import Typist
 from rig.files.runfile.reader import RunFile
 from rig.files.verify import verify
 
-pytestmark = pytest.mark.usefixtures("quick_ways")
-
 SIXTY_POINTS = (
     "--frequencies", ",".join(str(f) for f in range(300, 6300, 100)), "--settling", "0.3s"
 )  # fmt: skip

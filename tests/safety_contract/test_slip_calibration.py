@@ -23,8 +23,6 @@ from rig.run.execute import execute
 from rig.run.job import RunJob
 from rig.run.stopping import StopFlag
 
-pytestmark = pytest.mark.usefixtures("quick_ways")
-
 SHORT = ("--distance", "0.4mm", "--speed", "1mm/s", "--rest", "100ms", "--rehearsal", "never")
 TRUE_b_dB = level_at_one_hertz(TransducerSettings().circuit)
 """Of the World's strips with their amplifiers, whose gain is 1000."""

@@ -8,8 +8,6 @@ from tiers import mostly_nightly
 from rig.files.runfile.reader import RunFile
 from rig.files.verify import verify
 
-pytestmark = pytest.mark.usefixtures("quick_ways")
-
 SHORT = ("--distance", "0.5mm", "--speed", "0.5mm/s", "--rest", "100ms")
 WORLD = "skin_mount.contact_mm = 12.05\n"
 """Contact soon after the search begins: what is tried here comes later."""

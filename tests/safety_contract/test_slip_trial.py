@@ -39,7 +39,6 @@ def assert_off_the_plate(rig):
     assert touched[-1:] != ["touch-down"]
 
 
-@pytest.mark.usefixtures("quick_ways")
 def test_a_trial_shows_what_the_model_does_and_measures_the_friction(rig, skin8):
     asked = ("--sample", "skin 7", "--object", "glass plate", "--notes", "wiped with ethanol")
     ended = rig.run(*arguments(rig, "--distance", "0.6mm", *asked))
@@ -176,7 +175,6 @@ def test_the_same_seed_gives_the_same_samples(rig):
             assert (values == second[name]).all(), name
 
 
-@pytest.mark.usefixtures("quick_ways")
 @pytest.mark.parametrize(
     ("number", "code"),
     [

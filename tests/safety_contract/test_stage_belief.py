@@ -34,6 +34,7 @@ def said(rig, what):
     return [entry["value"] for entry in rig.log() if entry["what"] == what]
 
 
+@pytest.mark.usefixtures("usual_ways")
 @pytest.mark.parametrize("what", mostly_nightly(WRONG, THOROUGH))
 def test_a_stage_that_answers_and_does_not_act_ends_the_run_without_more_force(rig, what):
     """Where z can be moved it is lifted. Where it cannot, the force that remains is reported."""
@@ -56,6 +57,7 @@ def test_a_stage_that_answers_and_does_not_act_ends_the_run_without_more_force(r
         assert "force_sensor reads" in ended.stderr or "NOT SAFE" in ended.stderr
 
 
+@pytest.mark.usefixtures("usual_ways")
 @pytest.mark.thorough
 @pytest.mark.stages("festo", because="the moment of contact is that of these stages")
 def test_a_stage_that_shows_an_old_place_at_contact_touches_five_times_and_no_more(rig):

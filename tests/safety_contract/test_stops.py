@@ -33,7 +33,7 @@ roll that is stopped see test_roll_trial, for a paused run test_signals and test
 )
 def test_a_stop_never_moves_towards_contact_and_is_never_recorded_as_done(rig, case):
     name, cause = case
-    rig.quick_ways = name == "slide"  # the moments of others are counted from the begin of a way
+    rig.usual_ways = name != "slide"  # the moments of others are counted from the begin of a way
     ended, stop = stopped(rig, STATES[name], cause)
     if cause != "force limit":  # after a trip the point is taken once more
         code = 128 + SIGNALS[cause] if cause in SIGNALS else 4

@@ -13,8 +13,6 @@ import pytest
 from rig.files.runfile.reader import RunFile
 from rig.files.verify import verify
 
-pytestmark = pytest.mark.usefixtures("quick_ways")
-
 LIMIT_BYTES = 400_000
 FREQUENCIES = ("--frequencies", "300,400,500,600,700,800,900,1000")
 FORTY_POINTS = ",".join(str(500 + 10 * k) for k in range(40))

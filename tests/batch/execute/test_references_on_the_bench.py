@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
-from benches import DECLARED_CONTACT
 
 from procedures.roll_trial import RollTrial
 from procedures.slip_trial import SlipTrial
@@ -19,7 +18,7 @@ PROCEDURES = {one.name: one for one in (Sweep, SlipTrial, RollTrial)}
 
 def taken(rig: Any, procedure: str, number: int, world: str, *settings: str) -> ReferenceRun:
     """A run in a World that is otherwise than usual; its seed is its number's."""
-    file = rig.world(DECLARED_CONTACT + world)
+    file = rig.world(world)
     options = ("--world", file, "--seed", "3", "--json", "--no-figures")
     done = rig.run(procedure, *options, *settings)
     assert done.code == 0, done.stderr

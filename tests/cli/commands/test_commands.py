@@ -26,7 +26,6 @@ SHORT = ("--frequencies", "200,1000", "--no-figures", "--json")
 def run_file(rig_of_the_module) -> Path:
     """A complete run file, made once."""
     rig = rig_of_the_module
-    rig.quick_ways = True
     done = rig.sweep("--frequencies", "200")
     assert done.code == 0, done.stderr
     return rig.only("*.h5")
@@ -211,6 +210,7 @@ def test_verify_tells_every_file_and_counts_the_wrong_ones(rig: Any, run_file: P
     assert ended.errors == ["error: 1 of 2 files failed verification"]
 
 
+@pytest.mark.usefixtures("usual_ways")
 @pytest.mark.thorough
 def test_a_dry_run_writes_nothing_and_tells_the_true_duration(rig: Any) -> None:
     rehearsed = rig.run("sweep", *SHORT, "--dry-run")

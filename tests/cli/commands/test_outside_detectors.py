@@ -402,7 +402,6 @@ def test_another_package_s_detector_of_our_name_does_not_replace_ours(rig: Any) 
 
 
 @pytest.mark.thorough
-@pytest.mark.usefixtures("quick_ways")
 def test_one_that_hangs_is_dropped_on_the_simulated_bench_and_the_trial_continues(rig: Any) -> None:
     hangs = "while self.rows > 500:\n            pass\n        above ="
     installed(rig, LEVEL.replace("above =", hangs))
@@ -416,7 +415,6 @@ def test_one_that_hangs_is_dropped_on_the_simulated_bench_and_the_trial_continue
 
 
 @pytest.mark.thorough
-@pytest.mark.usefixtures("quick_ways")
 def test_a_run_whose_grip_needs_one_that_has_ended_presses_nothing_more(rig: Any) -> None:
     """Every further trial would be pressed, and repeated, in vain."""
     ends = "import os; self.rows > 500 and os._exit(3); above ="
@@ -434,7 +432,6 @@ def test_a_run_whose_grip_needs_one_that_has_ended_presses_nothing_more(rig: Any
 
 
 @pytest.mark.thorough
-@pytest.mark.usefixtures("quick_ways")
 def test_it_runs_beside_a_trial_and_the_grip_answers_it(rig: Any) -> None:
     installed(rig)
     done = rig.run(

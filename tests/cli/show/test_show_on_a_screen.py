@@ -275,7 +275,6 @@ def test_a_file_of_a_procedure_that_is_not_installed_says_so_and_calls_no_value_
 @pytest.mark.parametrize(
     "loads", mostly_nightly(["1", "1,5"], thorough=["1,5"]), ids=["one load", "two loads"]
 )
-@pytest.mark.usefixtures("quick_ways")
 def test_a_whole_sweep_fits(rig: Any, loads: str) -> None:
     short = ("--coarse-per-decade", "4", "--fine-per-decade", "12")
     done = rig.sweep(*short, "--loads", loads)
@@ -297,7 +296,6 @@ def test_a_whole_sweep_fits(rig: Any, loads: str) -> None:
 
 
 @pytest.mark.thorough
-@pytest.mark.usefixtures("quick_ways")
 def test_a_part_of_the_range_says_what_it_cannot_decide(rig: Any) -> None:
     done = rig.sweep("--lowest", "20", "--highest", "2000", "--points-per-half-width", "0")
     said = shown(rig, done.object["file"])
@@ -311,7 +309,6 @@ def test_a_part_of_the_range_says_what_it_cannot_decide(rig: Any) -> None:
     [("slip-trial", "--distance", "0.3", "--force-error-rms", "0.001"), ("path-trial",)],
     ids=["an invalid slip trial", "a path trial"],
 )
-@pytest.mark.usefixtures("quick_ways")
 def test_a_trial_fits(rig: Any, arguments: tuple[str, ...]) -> None:
     done = rig.run(*arguments, "--rest", "100ms", "--no-figures", "--json")
     assert done.code == (0 if arguments == ("path-trial",) else 5), done.stderr

@@ -4,7 +4,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from benches import DECLARED_CONTACT
 from pydantic import ValidationError
 
 from procedures.path_trial.path import Course, moves_along
@@ -48,7 +47,7 @@ def test_x_follows_the_path_and_the_force_its_course_and_the_skin_is_lifted(rig:
     from nexusformat.nexus.validate import lint_nxdl, validate_application, validate_file
 
     done = rig.run(
-        "path-trial", "--json", "--world", rig.world(DECLARED_CONTACT),
+        "path-trial", "--json", "--world", rig.world(""),
         "--world-log", str(rig.world_log), "--normal-force", "3N",
         "--tick", "200", "--path-times", "0,0.2,0.5,0.6",
         "--path-positions", "0,0.06,0.06,0", "--force-times", "0,0.8,1.1",
@@ -120,7 +119,7 @@ def test_a_set_point_that_leaps_is_no_lost_force_and_z_stays_slow_enough_to_brak
 
 @pytest.mark.thorough
 def test_a_series_has_a_figure_of_its_trials(rig: Any) -> None:
-    world = rig.world(DECLARED_CONTACT)
+    world = rig.world("")
     given = ("--world", world, "--force-times", "0,0.1", "--force-shares", "1,1.1")
     two = rig.run("path-trial", "--json", *given, "--stay", "0.1", "-n", "2")
     assert two.code == 0, two.stderr

@@ -16,7 +16,6 @@ from rig.files.runfile.reader import RunFile
 
 @pytest.mark.thorough
 @pytest.mark.parametrize(("load", "outcome"), [("4N", "lost"), ("1.5N", "held")])
-@pytest.mark.usefixtures("quick_ways")
 def test_a_weight_is_lost_where_the_contact_cannot_hold_it_also_if_it_comes_fast(
     rig: Any, load: str, outcome: str
 ) -> None:
@@ -35,7 +34,6 @@ def test_a_weight_is_lost_where_the_contact_cannot_hold_it_also_if_it_comes_fast
 
 
 @pytest.mark.thorough
-@pytest.mark.usefixtures("quick_ways")
 def test_a_weight_that_slides_slowly_and_without_end_is_lost(rig: Any) -> None:
     """5 N on a contact that holds some 2.9 N: at 0.2 mm/s it has slid 0.4 mm when a weight that
     rests would be held."""

@@ -19,7 +19,6 @@ AROUND_Hz = "451,454.6,456.9,459.2,461.452,463.7,465.3,466.045,468.4"
 
 
 @pytest.mark.thorough
-@pytest.mark.usefixtures("quick_ways")
 def test_points_under_small_loads_are_as_good_as_their_errors_say(rig: Any) -> None:
     ended = rig.sweep(
         *("--frequencies", AROUND_Hz, "--order", "descending"),
