@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import logging
 import sys
 from collections.abc import Iterator, Mapping
@@ -61,7 +62,10 @@ def of_the_computer(error: OSError | ImportError | MemoryError) -> RigError:
     """Return what the computer refuses as an error in one line: a name that is too long, a library
     for which there is no memory, a process too many."""
     if isinstance(error, OSError):
-        where = f"{shortened(str(error.filename))}: " if error.filename else ""
+        name = str(error.filename or "")
+        if error.errno == errno.ENAMETOOLONG:
+            name = shortened(name)
+        where = f"{name}: " if name else ""
         message = f"{where}{error.strerror or error}"
         if error.filename:
             failure = RigError(message, "give another name or place", ExitCode.USAGE)

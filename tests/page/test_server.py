@@ -118,6 +118,15 @@ def test_a_folder_that_did_not_exist_is_named(tmp_path):
     assert f"{wrong} did not exist: name the folder of the runs with --results" in lines[-1]
 
 
+def test_a_folder_that_cannot_be_made_is_refused(tmp_path):
+    (tmp_path / "results").write_text("a file")
+    with start(tmp_path / "results") as process:
+        assert process.stderr is not None
+        (line,) = process.stderr
+    assert process.wait() == 2
+    assert str(tmp_path / "results") in line
+
+
 @pytest.fixture(scope="module")
 def page(tmp_path_factory) -> Iterator[Page]:
     results = tmp_path_factory.mktemp("page") / "results"

@@ -66,6 +66,7 @@ def page(
         access = Access(read_only)
         state = PageState(BenchWatch(results, chosen), RunIndex(results), access, rate)
         existed = results.is_dir()
+        results.mkdir(parents=True, exist_ok=True)  # a page of no folder would show nothing
 
         def ready(address: str) -> None:
             if not read_only:
