@@ -7,7 +7,11 @@ import signal
 
 import numpy as np
 import pytest
+from recorded_run import end
 
+from rig.core.settings import fingerprint
+from rig.files.journal.reader import read_journal
+from rig.files.journal.writer import JournalWriter
 from rig.files.runfile.reader import RunFile
 from rig.files.verify import verify
 
@@ -51,6 +55,32 @@ def test_a_resumed_sweep_equals_an_uninterrupted_one(rig):
         assert np.sqrt(np.mean((difference / errors) ** 2)) < 1.25 * np.sqrt(2)
         kept_before = slice(0, resumed_from)
         assert (got.column("gain")[kept_before] == expected.column("gain")[kept_before]).all()
+
+
+@pytest.mark.thorough
+def test_a_run_of_an_earlier_version_is_refused_for_what_has_changed_since(rig):
+    """Its bench file, which the journal holds, need not be one that would be accepted now."""
+    running = rig.start_sweep(*FORTY_POINTS)
+    running.wait_for(r"^3/40 ")
+    running.send(signal.SIGINT)
+    stopped = running.finish()
+    assert stopped.code == 130, stopped.stderr
+    header = read_journal(rig.folder / stopped.object["journal"]).header
+    was = header.bench_toml
+    before, stage, after = was.partition("[stage_z]")
+    then = before + stage + re.sub(r"(?m)^timeout_s = .*$", "timeout_s = 3.5", after, count=1)
+    assert then != was
+    earlier = rig.folder / "earlier.rigj"
+    changed = {"bench_toml": then, "fingerprint": fingerprint("sweep", {}, 0, then)}
+    with JournalWriter.create(earlier, header.model_copy(update=changed)) as journal:
+        journal.end(end("stopped", 0))
+    refused = rig.run("resume", str(earlier), "--no-figures")
+
+    assert refused.code == 2, refused.stderr
+    (error,) = refused.errors
+    assert "changed since the run began" in error
+    assert "[stage_z] timeout_s of the bench file (3.5 then, " in error
+    assert "start a new run" in error
 
 
 GRID = ("--lowest", "200", "--fine-per-decade", "20", "--highest", "12000", *SETTLING)

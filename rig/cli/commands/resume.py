@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import tempfile
+import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated
@@ -57,7 +58,7 @@ def resume(
                 f"here: {found}",
                 "install what is missing, or restore the version that began the run",
             ) from error
-        with _world_of(header.bench_toml, str(file)) as (world, stages):
+        with _world_of(header.bench_toml) as (world, stages):
             bench_file = None if world is not None else Path(header.bench_file)
             if bench_file is not None and not bench_file.exists():
                 raise ConfigurationError(
@@ -84,17 +85,15 @@ def resume(
 
 
 @contextlib.contextmanager
-def _world_of(bench_toml: str, source: str) -> Iterator[tuple[Path | None, str | None]]:
+def _world_of(bench_toml: str) -> Iterator[tuple[Path | None, str | None]]:
     """Write the World settings of a run to a file again; yield the file and the stages.
 
     This is for a bench that the run's command had started. Yield None for any other bench, whose
     file is read from where it was.
     """
-    from rig.bench.plan import parse_bench
     from rig.core.toml_files import toml_value
 
-    plan = parse_bench(bench_toml, f"{source}: its bench file")
-    simulation = dict(plan.settings.simulation or {})
+    simulation = dict(tomllib.loads(bench_toml).get("simulation") or {})
     if not simulation or ("::0::" not in bench_toml and ",0::" not in bench_toml):
         yield None, None
         return
