@@ -74,12 +74,16 @@ def rebuild(
     meta = terms or terms_of(path, prepared, now)
     new = folder.path / "queue.rebuilt.sqlite"
     new.unlink(missing_ok=True)
-    with Queue.create(new, prepared.plan, prepared.estimates, meta) as queue:
-        _restore(queue, folder, prepared.plan)
-        counts = queue.counts()
-        queue.set_meta("state", "rebuilt from the runs' files")
-        queue.add_event("warning", "the queue was damaged and has been rebuilt")
-        queue.close_log()
+    try:
+        with Queue.create(new, prepared.plan, prepared.estimates, meta) as queue:
+            _restore(queue, folder, prepared.plan)
+            counts = queue.counts()
+            queue.set_meta("state", "rebuilt from the runs' files")
+            queue.add_event("warning", "the queue was damaged and has been rebuilt")
+            queue.close_log()
+    except BaseException:
+        new.unlink(missing_ok=True)
+        raise
     _put_away(folder.queue)
     new.rename(folder.queue)
     return counts

@@ -146,3 +146,17 @@ def test_a_batch_without_its_queue_is_sent_to_the_rebuild(batch: BatchFolder) ->
     with pytest.raises(ConfigurationError, match="is the folder of a batch") as refused:
         Queue.open(batch.queue)
     assert f"rig batch rebuild {batch.path}" in (refused.value.hint or "")
+
+
+def test_a_rebuild_that_is_refused_leaves_the_folder_as_it_was(
+    batch: BatchFolder, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: object) -> None:
+        raise ConfigurationError("run 1: its file has other settings")
+
+    monkeypatch.setattr(rebuilding, "_restore", refuse)
+    batch.queue.write_bytes(b"damaged")
+    files = sorted(path.name for path in batch.path.iterdir())
+    with pytest.raises(ConfigurationError, match="other settings"):
+        rebuild(batch, None, None, datetime.now().astimezone(), print)
+    assert sorted(path.name for path in batch.path.iterdir()) == files
