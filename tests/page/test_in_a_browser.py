@@ -84,10 +84,9 @@ def colour(browser: Any, what: str) -> str:
     return browser.find_element("css selector", what).value_of_css_property("background-color")
 
 
-@pytest.mark.usefixtures("usual_ways")
 def test_a_slip_trial_is_watched_to_its_end_and_the_values_are_those_of_its_file(rig, browser):
     """In real time, from the approach on."""
-    with rig.served("--fixture", "plate") as path:
+    with rig.served("--fixture", "plate", ways="as usual") as path:
         running = rig.start(*SLIP, "--bench", str(path))
         word(browser, "running")
         assert "SIMULATED" in browser.title

@@ -137,10 +137,9 @@ def test_a_run_that_hangs_is_ended_and_made_safe_by_the_guard(rig):
 
 
 @pytest.mark.thorough
-@pytest.mark.usefixtures("usual_ways")
 def test_the_drive_of_a_run_that_hangs_stops_by_itself_before_the_guard_comes(rig):
     """In real time, on the longest way there is in free air: nobody talks to the drive any more."""
-    with rig.served() as path:
+    with rig.served(ways="as usual") as path:
         text = path.read_text()
         for said, instead in (
             ("communication_timeout_ms = 2000", "communication_timeout_ms = 600"),

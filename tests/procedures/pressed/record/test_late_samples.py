@@ -144,7 +144,6 @@ def test_weights_of_invalid_trials_are_not_among_the_lost_ones() -> None:
 
 @pytest.mark.stages("festo", because="what is slow here is the DAQ")
 @pytest.mark.parametrize("rest", mostly_nightly(["0.1s", "12s"], ["0.1s"]))
-@pytest.mark.usefixtures("usual_ways")
 def test_a_daq_too_slow_for_short_blocks_is_read_in_longer_ones_before_the_motion(
     rig, rest: str
 ) -> None:
@@ -153,7 +152,7 @@ def test_a_daq_too_slow_for_short_blocks_is_read_in_longer_ones_before_the_motio
     plan = rig.fault(
         '[[fault]]\ndevice = "daq"\nkind = "late"\ncommand = "WAV:DATA"\nby_s = 0.003\ncount = 0\n'
     )
-    with rig.served("--fixture", "plate", "--fault", plan):
+    with rig.served("--fixture", "plate", "--fault", plan, ways="as usual"):
         ended = rig.run("slip-trial", "--bench", "bench.toml", *WEIGHT, "--rest", rest)
     if "cannot keep" in ended.stderr:
         pytest.skip("the computer is too busy for a simulated bench in real time")
@@ -189,7 +188,6 @@ def test_a_stream_that_ends_because_it_is_slow_has_the_trial_retaken_if_blocks_c
 
 @pytest.mark.thorough
 @pytest.mark.stages("festo", because="what is slow here is the DAQ")
-@pytest.mark.usefixtures("usual_ways")
 def test_a_daq_that_becomes_too_slow_in_the_motion_is_read_in_longer_blocks(rig) -> None:
     """From the motion on every block takes 8 ms longer: no longer blocks were needed before it, and
     the DAQ's stream ends within the hold."""
@@ -198,7 +196,7 @@ def test_a_daq_that_becomes_too_slow_in_the_motion_is_read_in_longer_blocks(rig)
         'move = 2\nof = "stage_x"\nafter_s = 0.2\n'
     )
     hold = ("--hold-for", "8s", "--hold-at", "1N")
-    with rig.served("--fixture", "plate", "--fault", plan):
+    with rig.served("--fixture", "plate", "--fault", plan, ways="as usual"):
         ended = rig.run("slip-trial", "--bench", "bench.toml", *WEIGHT, *hold)
     assert "blocks of 0.002 s take longer than that" not in ended.stderr
     if ended.code == 3:
