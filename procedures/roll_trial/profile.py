@@ -35,6 +35,12 @@ class Profile(Protocol):
         """Time from its beginning to its end in s."""
         ...
 
+    @property
+    def there_s(self) -> float:
+        """Time in s that counts as the way there: to the middle of the stay at the largest
+        angle."""
+        ...
+
     def at_deg(self, time_s: float) -> float:
         """Return the angle at a time; before the beginning and after the end, that of the
         respective end."""
@@ -68,6 +74,11 @@ class ThereAndBack:
     def duration_s(self) -> float:
         """See `Profile`."""
         return 2 * self.way_s + self.stay_s
+
+    @property
+    def there_s(self) -> float:
+        """See `Profile`."""
+        return self.duration_s / 2
 
     def at_deg(self, time_s: float) -> float:
         """See `Profile`."""
@@ -107,6 +118,15 @@ class Curve:
     def duration_s(self) -> float:
         """See `Profile`."""
         return self.times_s[-1]
+
+    @property
+    def there_s(self) -> float:
+        """See `Profile`; of several largest angles, the first."""
+        angles = self.angles_deg
+        first = last = max(range(len(angles)), key=lambda corner: abs(angles[corner]))
+        while last + 1 < len(angles) and angles[last + 1] == angles[first]:
+            last += 1
+        return (self.times_s[first] + self.times_s[last]) / 2
 
     def at_deg(self, time_s: float) -> float:
         """See `Profile`."""

@@ -72,12 +72,12 @@ def _angles(settings: RollTrialSettings, record: RollTrialRecord) -> Reading:
     rows = np.array(record.rotation)
     since = rows[:, 0] - record.motion_from_s
     inside = (since >= 0) & (rows[:, 0] <= record.motion_to_s)
-    extreme = max(settings.angles_deg, key=abs)
-    reached = float(rows[inside, 1][np.argmax(np.abs(rows[inside, 1]))])
-    errors = [abs(reached - extreme), abs(record.end_deg)]
+    turned = rows[inside, 1]
+    lowest_deg, highest_deg = settings.angles_deg
+    errors = (turned.min() - lowest_deg, turned.max() - highest_deg, record.end_deg)
     return {
-        "angle_deg": reached,
-        "angle_error_deg": max(errors),
+        "angle_deg": float(turned[np.argmax(np.abs(turned))]),
+        "angle_error_deg": max(abs(float(error)) for error in errors),
         "angle_lag_deg": float(np.abs(rows[inside, 1] - rows[inside, 2]).max()),
     }
 
@@ -89,8 +89,8 @@ def _strips(settings: RollTrialSettings, record: RollTrialRecord) -> Reading:
     t = np.arange(len(volts)) / DECIMATED_Hz - record.filter_delay_s
     before = (t >= _zero_from_s(record)) & (t < record.motion_from_s)
     volts = volts - volts[before].mean(axis=0)
-    way_s = settings.profile_at(record.tick_Hz).duration_s / 2
-    there = (t >= record.motion_from_s) & (t < record.motion_from_s + way_s)
+    there_s = settings.profile_at(record.tick_Hz).there_s
+    there = (t >= record.motion_from_s) & (t < record.motion_from_s + there_s)
     rolled = (t >= record.motion_from_s) & (t < record.motion_to_s)
     peaks = [1e3 * float(column[np.argmax(np.abs(column))]) for column in volts[there].T]
     difference_mV = 1e3 * (volts[:, 0] - volts[:, 1])

@@ -23,6 +23,10 @@ SETTLED_S = 0.05
 HOMING_ROTARY_S = 1.0
 """Expected time of homing the rotary stage and bringing the object upright."""
 
+LEAST_THERE_S, LONGEST_PROFILE_S = 0.02, 3600.0
+"""Shortest time to the largest angle, in which the strips' peaks are looked for, and longest
+duration of a curve of angles."""
+
 NO_PROFILE: JsonDict = {"not_with": "profile_times_s"}
 """Marks a field of the roll there and back, which has no effect with a curve of angles."""
 
@@ -71,9 +75,20 @@ class RollTrialSettings(PressedSettings):
                 "each time needs its angle"
             )
         if times and (len(times) < 3 or times[0] != 0 or sorted(set(times)) != list(times)):
-            raise ValueError("profile_times_s has to ascend from 0 and to hold at least 3 times")
+            raise ValueError("profile_times_s has to ascend from 0 and to have at least 3 times")
         if angles and (angles[0] != 0 or angles[-1] != 0):
             raise ValueError("profile_angles_deg has to begin and to end with 0 deg, upright")
+        if times and times[-1] > LONGEST_PROFILE_S:
+            raise ValueError(
+                f"profile_times_s ends at {times[-1]:g} s, later than {LONGEST_PROFILE_S:g} s"
+            )
+        there_s = self.profile_at(TICK_Hz).there_s
+        if there_s < LEAST_THERE_S:
+            asked = f"angle_deg {self.angle_deg:g} deg with stay_s {self.stay_s:g} s has"
+            raise ValueError(
+                f"{'profile_times_s has' if times else asked} its largest angle after "
+                f"{there_s:.3g} s, less than {LEAST_THERE_S:g} s: there would be no roll to record"
+            )
         return self
 
     @property

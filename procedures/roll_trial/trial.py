@@ -73,6 +73,7 @@ class PolledRotary:
         self.in_motion = False
         self.latest = RotaryPoll()
         self._links, self._clock = links, run.clock
+        self._slowest_deg_s = self.stage.limits()["speed"].low
 
     @property
     def looked(self) -> Look:
@@ -95,9 +96,13 @@ class PolledRotary:
         self._links.ask(self.role, "poll", self.poll)
 
     def ask_turn(self, turn: Turn) -> None:
-        """Request, on the stage's link worker, a turn or a change of the turn under way."""
+        """Request, on the stage's link worker, a turn or a change of the turn under way.
+
+        Set points on both sides of a peak of a curve can be as good as the same: the turn between
+        them has the slowest speed that the stage allows.
+        """
         to_deg = self.upright_deg + turn.to_deg
-        speeds = (turn.speed_deg_s, turn.acceleration_deg_s2)
+        speeds = (max(turn.speed_deg_s, self._slowest_deg_s), turn.acceleration_deg_s2)
         self._links.ask(self.role, "turn", partial(self.stage.start_turn, to_deg, *speeds))
 
     def row(self) -> tuple[Look, tuple[float, float]]:

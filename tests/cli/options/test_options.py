@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from pydantic import Field, ValidationError, model_validator
 
+from procedures.roll_trial.settings import RollTrialSettings
 from procedures.sweep.settings import LISTEN_S, SweepSettings
 from rig.analysis.response.sine_fit import fit_sine, mains_lines
 from rig.cli.options.settings import option_name, parameters, settings_from, texts_of
@@ -146,6 +147,14 @@ def test_given_texts_become_settings() -> None:
         cycles=7,
         label="3 N",
     )
+
+
+def test_has_to_begin_is_not_taken_for_has_to_be() -> None:
+    """Found by an attack: "must begin and to end with 0 deg"."""
+    angles = {"profile_times_s": "0,1,2", "profile_angles_deg": "0,1,1"}
+    with pytest.raises(ConfigurationError) as caught:
+        settings_from(RollTrialSettings, angles)
+    assert "--profile-angles has to begin and to end with 0 deg" in caught.value.one_line()
 
 
 @pytest.mark.parametrize(

@@ -50,10 +50,33 @@ def test_a_curve_is_straight_between_its_times_and_streamed_ahead():
     assert reported.min() == pytest.approx(0.01)
 
 
+@pytest.mark.parametrize(
+    ("angles", "there_s"),
+    [
+        ((0.0, 2.0, 2.0, 0.0), 0.25),
+        ((0.0, 1.0, -2.0, 0.0), 0.3),
+        ((0.0, 2.0, -2.0, 0.0), 0.2),
+        ((0.0, 0.0, 0.0, 0.0), 0.3),
+    ],
+)
+def test_a_curve_is_there_in_the_middle_of_its_stay_at_the_largest_angle(angles, there_s):
+    assert Curve((0.0, 0.2, 0.3, 0.6), angles, 300.0).there_s == pytest.approx(there_s)
+    assert WAYS[0].there_s == pytest.approx(WAYS[0].way_s + 0.15)
+
+
 WRONG = [
     ({"profile_times_s": (0.0, 1.0, 2.0)}, "each time needs its angle"),
     ({"profile_times_s": (0.0, 2.0, 1.0), "profile_angles_deg": (0.0, 1.0, 0.0)}, "ascend"),
     ({"profile_times_s": (0.0, 1.0, 2.0), "profile_angles_deg": (0.0, 1.0, 1.0)}, "upright"),
+    (
+        {"profile_times_s": (0.0, 1e6, 2e6), "profile_angles_deg": (0.0, 1.0, 0.0)},
+        "profile_times_s ends at 2e\\+06 s, later than 3600 s",
+    ),
+    ({"angle_deg": 0.0, "stay_s": 0.0}, "angle_deg 0 deg with stay_s 0 s has .* after 0 s"),
+    (
+        {"profile_times_s": (0.0, 0.001, 1.0), "profile_angles_deg": (0.0, 0.01, 0.0)},
+        "profile_times_s has its largest angle after 0.001 s, less than 0.02 s",
+    ),
     ({"normal_force_N": 20.0}, "not below largest_force_N"),
 ]
 

@@ -16,16 +16,25 @@ from procedures.roll_trial.settings import RollTrialSettings
 from rig.control.tick_loop import LoopStatistics
 
 
-def rolled(rest_s: float, scale: float = 1.0, noise_mV: np.ndarray | float = 0.0) -> dict[str, Any]:
-    """Return the reading of a roll that begins `rest_s` after the tap.
+def rolled(
+    rest_s: float,
+    scale: float = 1.0,
+    noise_mV: np.ndarray | float = 0.0,
+    curve: tuple[tuple[float, ...], tuple[float, ...]] = ((), ()),
+) -> dict[str, Any]:
+    """Return the reading of a roll that begins `rest_s` after the tap; along a `curve` of times and
+    angles the object is where it was commanded.
 
     The servo takes over with -4 mV in the first 60 ms; on the way there v_2 falls to -4.4 mV and
     then rises to 4 mV.
     """
-    settings = RollTrialSettings(rest_s=rest_s)
+    settings = RollTrialSettings(
+        rest_s=rest_s, profile_times_s=curve[0], profile_angles_deg=curve[1]
+    )
     found = RollTrialRecord(1, 100.0, 1000.0, 4.0)
     found.tapped_s, found.motion_from_s = 1.0, 1.0 + rest_s
-    way_s = settings.profile_at(100.0).duration_s / 2
+    profile = settings.profile_at(100.0)
+    way_s = profile.duration_s / 2
     found.motion_to_s = found.motion_from_s + 2 * way_s
     t = np.arange(round(1000 * (found.motion_to_s + 0.2))) / 1000
     v_2 = np.where((t >= 1.0) & (t < 1.06), -4.0, 0.0)
@@ -36,7 +45,8 @@ def rolled(rest_s: float, scale: float = 1.0, noise_mV: np.ndarray | float = 0.0
     found.volts = [1e-3 * (scale * np.stack([np.zeros_like(v_2), v_2], axis=1) + noise)]
     found.force = [np.tile([4.0, 0.0, 0.0], (len(t), 1))]
     found.rows, found.frames = 10 * len(t), len(t)
-    found.rotation = [(float(s), 0.0, 0.0) for s in t[::10]]
+    where_deg = [profile.at_deg(s - found.motion_from_s) if curve[0] else 0.0 for s in t[::10]]
+    found.rotation = [(float(s), at, at) for s, at in zip(t[::10], where_deg, strict=True)]
     found.loops = [LoopStatistics(200, 0, 0, 0.0)]
     run: Any = SimpleNamespace(
         settings=settings,
@@ -51,6 +61,23 @@ def rolled(rest_s: float, scale: float = 1.0, noise_mV: np.ndarray | float = 0.0
 @pytest.mark.parametrize("rest_s", [0.1, 0.15, 0.3])
 def test_a_short_rest_does_not_shift_the_zero_of_the_strips(rest_s: float) -> None:
     assert rolled(rest_s)["peak_2_mV"] == pytest.approx(-4.4, abs=0.05)
+
+
+@pytest.mark.parametrize("angles", [(0.0, 3.0, -3.0, 0.0), (0.0, -3.0, 3.0, 0.0)])
+def test_a_curve_to_both_sides_that_was_followed_has_no_error(angles: tuple[float, ...]) -> None:
+    """Found by an attack: 3 deg to one side were compared with 3 deg to the other, 6 deg apart."""
+    found = rolled(0.3, curve=((0.0, 0.5, 1.5, 2.0), angles))
+    assert found["angle_error_deg"] == pytest.approx(0.0, abs=1e-9)
+    assert abs(found["angle_deg"]) == pytest.approx(3.0)
+    assert found["invalid"] == ""
+
+
+def test_the_peaks_of_a_curve_are_those_on_the_way_to_its_largest_angle() -> None:
+    """v_2 has -4.4 mV at a quarter of the way there of a roll there and back, here 0.25 s."""
+    slow_back = rolled(0.3, curve=((0.0, 0.1, 2.0), (0.0, 3.0, 0.0)))
+    assert abs(slow_back["peak_2_mV"]) < 3.0
+    slow_there = rolled(0.3, curve=((0.0, 1.9, 2.0), (0.0, 3.0, 0.0)))
+    assert slow_there["peak_2_mV"] == pytest.approx(-4.4, abs=0.05)
 
 
 def test_what_is_above_100_hz_does_not_depend_on_the_size_of_the_roll() -> None:

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import Any
+
 import pytest
 
 from procedures.roll_trial.profile import Curve, ThereAndBack
-from procedures.roll_trial.trial import require_nudged, require_way_of_x
+from procedures.roll_trial.trial import PolledRotary, require_nudged, require_way_of_x
 from rig.core.errors import InstrumentError, LimitError
 from rig.instruments.roles import Limits
 
@@ -64,3 +67,20 @@ def test_an_axis_that_stops_some_micrometres_beside_its_target_has_followed(went
 def test_an_x_that_is_never_slow_compensates_for_a_small_offset():
     changed = limits() | {"speed": Limits(0.5, 20.0, "mm/s", "stage_x")}
     require_way_of_x(0.001, ROLL, TICK_S, START_mm, changed)
+
+
+def test_set_points_around_a_peak_are_turned_to_at_a_speed_that_the_stage_has():
+    """Found by an attack: 4e-14 deg/s was refused in the middle of a roll, the skin pressed."""
+    asked: list[tuple[float, float, float]] = []
+    stage = SimpleNamespace(
+        limits=lambda: {"speed": Limits(1e-4, 20.0, "deg/s", "rotary")},
+        start_turn=lambda *turn: asked.append(turn),
+    )
+    run: Any = SimpleNamespace(bench=SimpleNamespace(rotary=stage), clock=None)
+    links: Any = SimpleNamespace(add=lambda role: None, ask=lambda role, what, do: do())
+    rotary = PolledRotary(run, 15.0, links)
+    for turn in Curve((0.0, 0.411, 0.822), (0.0, 3.0, 0.0), 60.0).turns(TICK_S):
+        rotary.ask_turn(turn)
+    speeds = [speed for _, speed, _ in asked]
+    assert min(speeds) == 1e-4
+    assert max(speeds) < 20.0
