@@ -123,7 +123,7 @@ class ZaberDialogue:
         if axes < self._settings.axis:
             raise self.error(
                 "identify",
-                f"{self.link.where} has {axes:g} axes, not {self._settings.axis}",
+                f"{self.link.where} has no axis {self._settings.axis}; it has {axes:g}",
                 "correct axis in the bench file",
             )
         return Identity("Zaber", f"X-RST (device id {number})", serial, firmware)

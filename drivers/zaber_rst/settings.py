@@ -152,16 +152,29 @@ class ZaberRstSettings(Settings):
                 f"low_limit_deg = {self.low_limit_deg:g} deg has to be below high_limit_deg = "
                 f"{self.high_limit_deg:g} deg"
             )
-        if max(abs(self.low_limit_deg), abs(self.high_limit_deg)) / self.microstep_deg > (
-            LARGEST_DATA
-        ):
-            raise ValueError("low_limit_deg and high_limit_deg do not fit the stage's numbers")
+        farthest_deg = self.microstep_deg * LARGEST_DATA
+        if max(abs(self.low_limit_deg), abs(self.high_limit_deg)) > farthest_deg:
+            raise ValueError(
+                f"low_limit_deg = {self.low_limit_deg:g} deg and high_limit_deg = "
+                f"{self.high_limit_deg:g} deg do not fit the stage's numbers, which reach "
+                f"{farthest_deg:.4g} deg to either side"
+            )
         if self.speed_data(self.max_speed_deg_s) < 1:
-            raise ValueError("max_speed_deg_s is below the stage's resolution")
+            raise ValueError(
+                f"max_speed_deg_s = {self.max_speed_deg_s:g} deg/s is below the slowest turn that "
+                f"the stage's numbers can say, {self.lowest_speed_deg_s:.3g} deg/s"
+            )
         if self.acceleration_data(self.max_acceleration_deg_s2) < 1:
-            raise ValueError("max_acceleration_deg_s2 is below the stage's resolution")
+            raise ValueError(
+                f"max_acceleration_deg_s2 = {self.max_acceleration_deg_s2:g} deg/s^2 is below the "
+                "smallest that the stage's numbers can say, "
+                f"{self.lowest_acceleration_deg_s2:.3g} deg/s^2"
+            )
         if self.angle_tolerance_deg < self.microstep_deg:
-            raise ValueError("angle_tolerance_deg is below one microstep")
+            raise ValueError(
+                f"angle_tolerance_deg = {self.angle_tolerance_deg:g} deg is below one microstep, "
+                f"{self.microstep_deg:g} deg"
+            )
         return self
 
     def microsteps(self, angle_deg: float) -> int:

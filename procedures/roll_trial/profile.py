@@ -41,6 +41,11 @@ class Profile(Protocol):
         angle."""
         ...
 
+    @property
+    def fastest_deg_s(self) -> float:
+        """Largest speed that is asked for."""
+        ...
+
     def at_deg(self, time_s: float) -> float:
         """Return the angle at a time; before the beginning and after the end, that of the
         respective end."""
@@ -79,6 +84,11 @@ class ThereAndBack:
     def there_s(self) -> float:
         """See `Profile`."""
         return self.duration_s / 2
+
+    @property
+    def fastest_deg_s(self) -> float:
+        """See `Profile`; over a short way it is not reached."""
+        return self.speed_deg_s
 
     def at_deg(self, time_s: float) -> float:
         """See `Profile`."""
@@ -127,6 +137,12 @@ class Curve:
         while last + 1 < len(angles) and angles[last + 1] == angles[first]:
             last += 1
         return (self.times_s[first] + self.times_s[last]) / 2
+
+    @property
+    def fastest_deg_s(self) -> float:
+        """See `Profile`."""
+        points = pairwise(zip(self.times_s, self.angles_deg, strict=True))
+        return max(abs(to - at) / (end_s - begin_s) for (begin_s, at), (end_s, to) in points)
 
     def at_deg(self, time_s: float) -> float:
         """See `Profile`."""

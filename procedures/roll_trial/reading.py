@@ -31,6 +31,11 @@ SERVO_TRANSIENT_S = 0.07
 the mean of 0.1 s by 0.4 mV, a tenth of a peak (measured on the skin at 4 N, 100 Hz)."""
 
 
+LATE_S = 0.01
+"""Delay of the object in following, in addition to a tick, above which a roll has a warning. A
+stage that reaches 80 % of the speed of Figure 17 is 26 ms late at the end of its way."""
+
+
 @dataclass
 class RollTrialRecord(TrialRecord):
     """The data of a roll trial so far; its motion is the roll there and back."""
@@ -56,6 +61,7 @@ def reading_of(run: Run, record: RollTrialRecord, offset: Estimate | None) -> Re
         "axis_offset_error_mm": None if offset is None else offset.standard_error,
     }
     reading |= _angles(settings, record)
+    _warn_of_lag(run, record, float(reading["angle_lag_deg"] or 0))
     reading |= _strips(settings, record)
     reading |= _lifted(record, reading)
     doubts = [str(reading["invalid"])] if reading["invalid"] else []
@@ -80,6 +86,21 @@ def _angles(settings: RollTrialSettings, record: RollTrialRecord) -> Reading:
         "angle_error_deg": max(abs(float(error)) for error in errors),
         "angle_lag_deg": float(np.abs(rows[inside, 1] - rows[inside, 2]).max()),
     }
+
+
+def _warn_of_lag(run: Run, record: RollTrialRecord, lag_deg: float) -> None:
+    """Record a warning where the object did not follow: the strips' signals grow with its speed."""
+    fastest_deg_s = run.settings.profile_at(record.tick_Hz).fastest_deg_s
+    late_s = 1 / record.tick_Hz + LATE_S
+    if lag_deg > late_s * fastest_deg_s:
+        run.event(
+            "warning",
+            "angle-lag",
+            f"{record.point}: the object was up to {lag_deg:.2g} deg away from where it was to be "
+            f"in the roll, more than {1e3 * late_s:.0f} ms at {fastest_deg_s:.3g} deg/s. Its speed "
+            "and the strips' signals are not those that were asked for; check what slows the "
+            "rotary stage, or ask for a slower turn or a larger --turn-acceleration",
+        )
 
 
 def _strips(settings: RollTrialSettings, record: RollTrialRecord) -> Reading:
