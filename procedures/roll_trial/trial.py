@@ -175,22 +175,9 @@ class AlignmentTrial(HeadTrial):
         turned = [self._nudge_object(rotary_deg, side * NUDGE_deg) for side in NUDGES]
         self.lift()
         offset = axis_offset(along_x, turned)
-        found = f"the rotary axis lies {offset.value:.2f} mm above the point of contact"
-        error = f"standard error {offset.standard_error:.2f} mm"
-        self.run.event("info", "alignment", f"{found}, {error}")
-        compensated, left_mm = self.settings.alignment == "compensate", abs(offset.value)
-        if compensated:
-            left_mm = max(left_mm - LARGEST_COMPENSATED_mm, 0.0)
-        if left_mm > self.settings.largest_offset_mm:
-            why = "x is not to compensate for it"
-            if compensated:
-                why = f"x compensates {LARGEST_COMPENSATED_mm:g} mm at most"
-            raise LimitError(
-                f"rotary: {found}, {error}; {why}, and {left_mm:.2f} mm are more than the "
-                f"{self.settings.largest_offset_mm:g} mm that may remain (--largest-offset)",
-                "mount the object again, the top of its head on the axis of the rotary stage, or "
-                "have x compensate for it with --alignment compensate",
-            )
+        self.run.event("info", "alignment", in_words(offset))
+        compensated = self.settings.alignment == "compensate"
+        require_small_offset(offset, compensated, self.settings.largest_offset_mm)
         if compensated:
             rates, limits = self.series.rates, self.x.stage.limits()
             profile = self.settings.profile_at(rates.tick_Hz)
@@ -221,6 +208,33 @@ class AlignmentTrial(HeadTrial):
         self.hold(way_s + RESTED_S)
         force_N: Reals = self.run.force.latest_N(MEASURED_S)[:, 0]
         return force_N
+
+
+def in_words(offset: Estimate) -> str:
+    """Return where the rotary axis lies, for a person."""
+    side = "below" if offset.value < 0 else "above"
+    return (
+        f"the rotary axis lies {abs(offset.value):.2f} mm {side} the point of contact, standard "
+        f"error {offset.standard_error:.2f} mm"
+    )
+
+
+def require_small_offset(offset: Estimate, compensated: bool, largest_mm: float) -> None:
+    """Raise LimitError where too much of an offset of the rotary axis remains, whether x
+    compensates for it or not."""
+    left_mm, why = abs(offset.value), "x is not to compensate for it"
+    remedy = "mount the object again, the top of its head on the axis of the rotary stage"
+    if compensated:
+        left_mm = max(left_mm - LARGEST_COMPENSATED_mm, 0.0)
+        why = f"x compensates {LARGEST_COMPENSATED_mm:g} mm at most"
+    else:
+        remedy += ", or have x compensate for it with --alignment compensate"
+    if left_mm > largest_mm:
+        raise LimitError(
+            f"rotary: {in_words(offset)}; {why}, and {left_mm:.2f} mm are more than the "
+            f"{largest_mm:g} mm that may remain (--largest-offset)",
+            remedy,
+        )
 
 
 def require_nudged(device: str, went: float, by: float, nudge: float, unit: str) -> None:

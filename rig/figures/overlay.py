@@ -247,6 +247,18 @@ def _headed(
     figure.align_ylabels(panels)
 
 
+def trials_in_words(runs: Sequence[RunFile]) -> str:
+    """Return how many trials runs have, and how many of them are invalid: they are drawn too."""
+    trials = sum(len(run.point_ids()) for run in runs)
+    invalid = sum(
+        bool(str(doubt))
+        for run in runs
+        if "invalid" in run.columns()
+        for doubt in run.column("invalid")
+    )
+    return f"{trials} trials" + (f", {invalid} of them invalid" if invalid else "")
+
+
 def draw_sweeps(runs: Sequence[RunFile]) -> Figure:
     """Draw the gains of sweeps, a curve for each load, and by how much they differ from the first
     curve at the frequencies that they share."""
@@ -329,7 +341,7 @@ def draw_slips(runs: Sequence[RunFile]) -> Figure:
         normal.set_xlabel(f"Time since {aligned_at} (s)")
         kind = runs[0].header.procedure.removesuffix("-trial")
         legend = legend_above(difference, columns=1)
-        _headed(figure, runs, f"{kind} runs, {sum(map(len, trials))} trials", panels, legend)
+        _headed(figure, runs, f"{kind} runs, {trials_in_words(runs)}", panels, legend)
     return figure
 
 
@@ -385,8 +397,7 @@ def draw_rolls(runs: Sequence[RunFile]) -> Figure:
         tangential.set_ylabel("$F_t$ (N)")
         tangential.set_xlabel("Angle from upright (deg); line: there, dashed: back")
         legend = legend_above(difference, columns=1)
-        trials = sum(len(run.point_ids()) for run in runs)
-        _headed(figure, runs, f"roll runs, {trials} trials", panels, legend)
+        _headed(figure, runs, f"roll runs, {trials_in_words(runs)}", panels, legend)
     return figure
 
 

@@ -24,6 +24,7 @@ from rig.figures.overlay import (
     draw_slips,
     draw_sweeps,
     names_of,
+    trials_in_words,
 )
 from rig.figures.slip_instants import true_slips
 from rig.figures.style import STYLE
@@ -92,6 +93,20 @@ def test_rolls_are_drawn_over_the_angle(folder: Path) -> None:
     assert there.get_xdata()[0] == pytest.approx(0.0, abs=0.05)
     assert back.get_xdata()[-1] == pytest.approx(0.0, abs=0.05)
     assert there.get_linestyle() != back.get_linestyle()
+
+
+def test_invalid_trials_are_drawn_and_counted(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Found by an attack: nothing in an overlay said that a trial in it is invalid."""
+    with RunFile.open(folder / ROLL) as run:
+        assert trials_in_words([run, run]) == "2 trials"
+        column = run.column
+        monkeypatch.setattr(
+            run, "column", lambda name: ["force error"] if name == "invalid" else column(name)
+        )
+        heading = draw_rolls([run, run]).texts[0].get_text()
+    assert "2 roll runs, 2 trials, 2 of them invalid" in heading
 
 
 def test_a_setting_that_another_version_lacks_is_no_difference(folder: Path) -> None:

@@ -8,7 +8,13 @@ from typing import Any
 import pytest
 
 from procedures.roll_trial.profile import Curve, ThereAndBack
-from procedures.roll_trial.trial import PolledRotary, require_nudged, require_way_of_x
+from procedures.roll_trial.trial import (
+    PolledRotary,
+    require_nudged,
+    require_small_offset,
+    require_way_of_x,
+)
+from rig.analysis.estimate import Estimate
 from rig.core.errors import InstrumentError, LimitError
 from rig.instruments.roles import Limits
 
@@ -49,6 +55,21 @@ def test_an_offset_that_x_cannot_follow_is_refused_before_the_roll(profile, limi
     assert "offset of the rotary axis, 5.00 mm" in line
     assert words in line
     assert "--start" in line
+
+
+def test_x_that_compensates_already_is_not_the_remedy():
+    """Found by an attack: `--alignment compensate` was advised where it was in force."""
+    offset = Estimate.normal(-10.92, 0.93, "mm")
+    with pytest.raises(LimitError) as compensated:
+        require_small_offset(offset, True, 1.0)
+    line = compensated.value.one_line()
+    assert "the rotary axis lies 10.92 mm below the point of contact" in line
+    assert "8 mm at most, and 2.92 mm are more than the 1 mm that may remain" in line
+    assert "--alignment" not in line
+    with pytest.raises(LimitError) as measured:
+        require_small_offset(offset, False, 1.0)
+    assert "--alignment compensate" in measured.value.one_line()
+    require_small_offset(Estimate.normal(8.9, 0.5, "mm"), True, 1.0)
 
 
 def test_an_axis_that_has_not_followed_its_nudge_is_named():
