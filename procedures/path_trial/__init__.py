@@ -25,6 +25,11 @@ if TYPE_CHECKING:
     from rig.control.tick_loop import Tick
 
 
+LATE_S, BESIDE_mm = 0.02, 0.02
+"""Delay of x in following, in addition to two ticks and a change of its speed, and distance from
+its path, both of which have to be exceeded for a warning."""
+
+
 class PathTrial(PressedProcedure):
     """Move the skin along a path on a plate while the normal force follows a course."""
 
@@ -72,12 +77,18 @@ class PathTrial(PressedProcedure):
         settings, x = self.settings, trial.x
         course, waiting = settings.force, list(moves_along(settings.path))
         begun_s: float | None = None
+        farthest_mm = 0.0
 
         def follow(tick: Tick) -> bool:
-            nonlocal begun_s
+            nonlocal begun_s, farthest_mm
             if begun_s is None:
                 begun_s = tick.began_s
             since_s = tick.began_s - begun_s
+            look = x.latest  # taken once: the link's worker replaces it at any time
+            if look.asked_s >= begun_s:
+                wanted_mm = settings.path.at(look.at_s - begun_s, 0.0)
+                beside_mm = look.position_mm - settings.start_mm - wanted_mm
+                farthest_mm = max(farthest_mm, abs(beside_mm))
             trial.hold_at(settings.normal_force_N * course.at(since_s, 1.0))
             trial.hold_tick(tick)
             due = None
@@ -90,6 +101,26 @@ class PathTrial(PressedProcedure):
 
         x.in_motion = bool(waiting)
         trial.run_ticks(settings.duration_s, follow)
+        self._warn_of_lag(trial, farthest_mm)
+
+    def _warn_of_lag(self, trial: PressedTrial, farthest_mm: float) -> None:
+        """Record a warning where x did not follow its path."""
+        settings = self.settings
+        if not settings.speeds_mm_s:
+            return
+        fastest_mm_s = settings.speeds_mm_s[-1]
+        turn_s = fastest_mm_s / settings.acceleration_mm_s2
+        late_s = 2 * trial.series.rates.tick_s + turn_s + LATE_S
+        if farthest_mm > max(late_s * fastest_mm_s, BESIDE_mm):
+            trial.run.event(
+                "warning",
+                "path-lag",
+                f"{trial.record.point}: x was up to {farthest_mm:.2g} mm away from its path, more "
+                f"than {1e3 * late_s:.0f} ms at {fastest_mm_s:.3g} mm/s. It did not move as it was "
+                "asked to; check what slows the stage, and whether its drive has the acceleration "
+                f"of {settings.acceleration_mm_s2:g} mm/s^2 that --acceleration states, or ask for "
+                "a slower path",
+            )
 
     def reading(self, record: MotionRecord) -> Mapping[str, Any]:
         """Return the extremes of the forces."""

@@ -97,9 +97,9 @@ def _warn_of_lag(run: Run, record: RollTrialRecord, lag_deg: float) -> None:
             "warning",
             "angle-lag",
             f"{record.point}: the object was up to {lag_deg:.2g} deg away from where it was to be "
-            f"in the roll, more than {1e3 * late_s:.0f} ms at {fastest_deg_s:.3g} deg/s. Its speed "
-            "and the strips' signals are not those that were asked for; check what slows the "
-            "rotary stage, or ask for a slower turn or a larger --turn-acceleration",
+            f"in the roll, more than {1e3 * late_s:.0f} ms at {fastest_deg_s:.3g} deg/s. It did "
+            "not turn as it was asked to, and the strips' signals follow its speed; check what "
+            "slows the rotary stage, or ask for a slower turn or a larger --turn-acceleration",
         )
 
 

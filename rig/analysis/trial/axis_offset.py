@@ -55,9 +55,11 @@ def axis_offset(along_x: Sequence[NudgeForce], turned: Sequence[NudgeForce]) -> 
     torque, torque_error = _slope(turned)
     if not abs(stiffness) > LEAST_SLOPE * stiffness_error:
         raise AxisOffsetError(
-            f"the tangential force changes by {stiffness:.3g} N/mm, standard error "
-            f"{stiffness_error:.2g}, when x is nudged: the contact does not stick",
-            "check the skin and the object; press harder",
+            "the rotary axis cannot be measured: the tangential force changes by "
+            f"{stiffness:.3g} N/mm, standard error {stiffness_error:.2g} N/mm, when x is nudged: "
+            "the contact does not stick",
+            "check the skin and the object; press harder (--normal-force), or roll without this "
+            "measurement (--alignment none)",
         )
     offset = torque / stiffness
     noise = math.hypot(torque_error, offset * stiffness_error) / abs(stiffness)

@@ -1,13 +1,17 @@
 """Path trials: what they refuse, the moves along a path, and a run on the simulated bench."""
 
+import math
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 from pydantic import ValidationError
 
+from procedures.path_trial import PathTrial
 from procedures.path_trial.path import Course, moves_along
 from procedures.path_trial.settings import PathTrialSettings
+from procedures.pressed.axes import StagePoll
 from rig.detector.notices import HeldForce, notices_in
 from rig.files.definitions import definition_path
 from rig.files.runfile.reader import RunFile
@@ -40,6 +44,40 @@ def test_a_course_is_straight_between_its_corners_and_constant_after_them() -> N
     course = Course((0.0, 1.0, 2.0), (1.0, 0.5, 0.7))
     assert [course.at(t, 1.0) for t in (0.0, 0.5, 1.5, 9.0)] == pytest.approx([1.0, 0.75, 0.6, 0.7])
     assert Course((), ()).at(3.0, 1.0) == 1.0
+
+
+@pytest.mark.parametrize(("share", "warned"), [(1.0, False), (0.95, False), (0.7, True)])
+def test_an_x_that_does_not_follow_its_path_has_a_warning(share: float, warned: bool) -> None:
+    """Found by an attack: x at 70 % of its speed made a valid trial without a word."""
+    settings = PathTrialSettings(
+        path_times_s=(0.0, 0.5, 1.0, 1.5), path_positions_mm=(0.0, 2.0, 2.0, 0.0)
+    )
+    x = SimpleNamespace(latest=StagePoll(), target=(10.0, 0.0), in_motion=False)
+    x.start_move = lambda to_mm, speed_mm_s: setattr(x, "target", (to_mm, share * speed_mm_s))
+    said: list[str] = []
+
+    def run_ticks(duration_s: float, step: Any) -> None:
+        at_mm = settings.start_mm
+        for number in range(round(100 * duration_s)):
+            now_s, (to_mm, speed_mm_s) = 5.0 + 0.01 * number, x.target
+            left_mm = to_mm - at_mm
+            at_mm += math.copysign(min(abs(left_mm), 0.01 * speed_mm_s), left_mm)
+            x.latest = StagePoll(now_s, now_s, at_mm, to_mm)
+            step(SimpleNamespace(began_s=now_s))
+
+    trial: Any = SimpleNamespace(
+        x=x,
+        run_ticks=run_ticks,
+        hold_at=lambda force_N: None,
+        hold_tick=lambda tick: None,
+        series=SimpleNamespace(rates=SimpleNamespace(tick_s=0.01)),
+        record=SimpleNamespace(point="trial-001"),
+        run=SimpleNamespace(event=lambda kind, topic, text: said.append(text)),
+    )
+    PathTrial(settings).under_force(trial)
+    assert bool(said) == warned
+    assert all("trial-001: x was up to 0.6" in text for text in said)
+    assert all("more than 60 ms at 4 mm/s" in text for text in said)
 
 
 @pytest.mark.thorough
