@@ -257,14 +257,14 @@ STANDS_S = 0.8
 """How long an axis with a motion under way may stand before its target: much longer than a drive
 takes to begin."""
 STANDS_WITHIN = 0.01
-"""So near to its target an axis may stand, in mm or deg: the window in which drives count as
-arrived."""
+"""Distance from its target at which an axis may stand, in mm or deg: drives take it to have
+arrived there."""
 LEAST_WAY = 0.0005
 """Way that is not yet a motion, in mm or deg: noise of an encoder."""
 
 
 class TravelBound:
-    """Where an axis can be, from its highest speed, its limits and the motion that was ordered.
+    """The range in which an axis can be, from its highest speed, limits and commanded motion.
 
     A drive whose answers are sound in form may still be wrong: the axis does not act on what it
     acknowledges, its position stands still or leaps, or it goes farther than ordered. `judge` is

@@ -372,7 +372,7 @@ class ZaberAxis:
         return busy
 
     def _read(self) -> bool:
-        """Angle, status and flag in one exchange; whether the stage is busy."""
+        """Read angle, status and flag in one exchange; return whether the stage is busy."""
         reply = self._travel.settled(
             self._look, lambda reply: self._seen_deg, self._clock.now, self._motion
         )

@@ -1,9 +1,9 @@
 """The skin on a plate while x follows a path and the normal force follows a course.
 
-It makes the motions that a hand makes beside a plain slide: a hold close to slip, a motion to and
-fro, tremor, a firmer grip, a grip that loosens, a knock. Path and course are straight between their
-corners and begin together. z holds the force by its servo all the time, tick by tick; x is given a
-new move in the tick after each corner of its path, with the acceleration of its drive.
+It makes the motions that a hand makes apart from a plain slide: a hold close to slip, a motion back
+and forth, tremor, a firmer grip, a grip that loosens, a knock. Path and course are straight
+between their corners and begin together. z holds the force by its servo all the time, tick by tick;
+x is given a new move in the tick after each corner of its path, with the acceleration of its drive.
 """
 
 from __future__ import annotations

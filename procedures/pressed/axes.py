@@ -108,7 +108,7 @@ class PolledStage:
 
 @dataclass
 class SentMove:
-    """When a move was sent and acknowledged, on the run's clock; None while it has not been."""
+    """Times in s on the run's clock at which a move was sent and acknowledged; None before."""
 
     sent_s: float | None = None
     acknowledged_s: float | None = None

@@ -42,7 +42,7 @@ limit leaves room for."""
 
 @dataclass(frozen=True)
 class _Followed:
-    """Where the force has followed last."""
+    """The state in which the force has followed last."""
 
     force_N: float
     """Set point then."""

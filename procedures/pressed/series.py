@@ -35,7 +35,7 @@ class PressedSeries:
     contact_mm: float | None = None
     """Position of z at which the object was felt last."""
     detection: LiveDetection | None = None
-    """The detector beside the trials; None before the first arming."""
+    """The detector that runs during the trials; None before the first arming."""
     torque: TorqueWatch | None = None
     """Torque of z in this run; None before the first trial."""
     block_s: float | None = None

@@ -105,7 +105,7 @@ class PressedSettings(BaseSettings):
 
     @property
     def kind_of_press(self) -> str:
-        """What decides, beside the normal force, what a press shows: a press is compared with
+        """What decides, apart from the normal force, what a press shows: a press is compared with
         earlier ones of its kind. A procedure that presses at several places names the place."""
         return self.object
 

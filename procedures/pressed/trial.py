@@ -103,7 +103,7 @@ class PressedTrial:
         self.grip = Grip(run, record, self._squeeze)
         self._ticks.on_detection = self._answer
         self._squeezed_N = 0.0
-        """By how much the grip has raised the set point."""
+        """Amount by which the grip has raised the set point."""
         if series.torque is None:
             series.torque = TorqueWatch(run)
         self.torque = series.torque
@@ -253,8 +253,8 @@ class PressedTrial:
 
     @contextlib.contextmanager
     def longer_blocks_if_too_slow(self) -> Iterator[None]:
-        """Where the DAQ's stream ends within the block because its link is too slow for short
-        blocks, and longer ones are possible, lift the skin and raise RetakeError."""
+        """Lift the skin and raise RetakeError if the DAQ's stream ends within the block because its
+        link is too slow for short blocks, and longer ones are possible."""
         try:
             yield
         except SlowStreamError:

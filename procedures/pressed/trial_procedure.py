@@ -164,7 +164,7 @@ class TrialProcedure(Procedure):
         return [*lines, *values]
 
     def put_in(self, readings: Sequence[Reading], summary: Mapping[str, Any]) -> Mapping[str, Any]:
-        """Return the friction of the simulated skin, beside what was recovered of it."""
+        """Return the friction of the simulated skin, with what was recovered of it."""
         known = truth_of(readings)
         return {
             name: known[there]

@@ -287,7 +287,7 @@ def _stand(run: Run) -> None:
 
 
 def _compared(roll_mV: float, rest_mV: float) -> str:
-    """Return v_d above 100 Hz in the roll, beside what it has at rest and in a slip, in words."""
+    """Return v_d above 100 Hz in the roll, with what it has at rest and in a slip, in words."""
     return (
         f"v_d above 100 Hz: measured {roll_mV:.3g} mV rms in the roll and {rest_mV:.3g} mV at rest;"
         f" a slip of the whole ridge has a peak of about {SLIP_PEAK_mV:g} mV there (computed with "

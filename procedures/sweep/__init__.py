@@ -221,7 +221,7 @@ class Sweep(Procedure):
         }
 
     def put_in(self, readings: Sequence[Reading], summary: Mapping[str, Any]) -> Mapping[str, Any]:
-        """Return the film of the simulated bench, beside what was recovered of it."""
+        """Return the film of the simulated bench, with what was recovered of it."""
         from procedures.sweep.summary import put_in
 
         return put_in(readings, summary)

@@ -10,8 +10,8 @@ from rig.instruments.roles import ReadsTorque
 USUAL_DECELERATION_mm_s2 = 200.0
 """Deceleration of a stage whose settings do not state one."""
 WATCHED_S = 0.02
-"""From a force to the order to brake where the thread that reads the force judges it, without the
-stage's link: the longest time between two deliveries of frames."""
+"""Time from a force to the order to brake where the thread that reads the force judges it, without
+the stage's link: the longest time between two deliveries of frames."""
 
 
 def braking_bound(bench: Bench, margin_N: float, reaction_s: float = WATCHED_S) -> SpeedBound:

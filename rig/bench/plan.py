@@ -359,7 +359,7 @@ def _communication_findings(
     """Yield a fault for each drive that stops by its own communication time-out before a request
     whose answer was lost can be followed by the next one: it would stand, pressed, with a fault.
 
-    The settings of such a drive state that time-out beside ``timeout_s``. Bench files with this
+    The settings of such a drive state that time-out as well as ``timeout_s``. Bench files with this
     fault are refused for runs only: `rig make-safe` works with them.
     """
     for plan in plans:

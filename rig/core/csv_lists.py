@@ -26,9 +26,9 @@ class ListRow(NamedTuple):
     """A row of a list in CSV, with its place in the file."""
 
     line: int
-    """Its line in the file, from 1; the last one, if a cell holds line breaks."""
+    """Number of the line in the file, from 1; of the last one, if a cell holds line breaks."""
     cells: dict[str, str]
-    """Its cells by the names of their columns, without blanks around them."""
+    """Cells by the names of their columns, without blanks around them."""
 
 
 def read_list(

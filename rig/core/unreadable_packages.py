@@ -1,4 +1,4 @@
-"""Lets the program work beside an installed package whose list of entry points cannot be read.
+"""Lets the program work with an installed package whose list of entry points cannot be read.
 
 ``importlib.metadata`` raises for all packages where one has an ``entry_points.txt`` that does not
 parse or is not text, and so does every library that looks for its own plug-ins there (pydantic,

@@ -174,7 +174,7 @@ class Detector(ABC):
 
     @property
     def low_pass(self) -> LowPass:
-        """The low-pass filter of the predictive signal that is stored and drawn beside events."""
+        """The low-pass filter of the predictive signal that is stored and drawn with the events."""
         return design_low_pass(LowPassSettings(), self.rate_Hz)
 
     def predictive(self, v_d: Reals) -> Reals:

@@ -1,4 +1,4 @@
-"""What a bench knows beside v_1 and v_2: moves of x and normal forces that it has commanded, and
+"""What a bench knows besides v_1 and v_2: moves of x and normal forces that it has commanded, and
 rows in which a strip's voltage was cut off at an end of the DAQ's range.
 
 A detector is given such notices (`rig.detector.contract.Detector.notice`); recordings of other

@@ -76,7 +76,7 @@ FAULTS: tuple[dict[str, Range], ...] = (
 AS_IT_IS = {"noise_mV": Range(low=0.0, high=0.0), "mains_mV": Range(low=0.0, high=0.0)}
 """What a recording that has been through a front end already is not given again."""
 BENCH_WEIGHT = 2.0
-"""Weight of a trial of the bench, which is what the detector will meet, beside one of the model."""
+"""Weight of a trial of the bench, which is what the detector will meet; one of the model has 1."""
 HELD_OUT_EVERY = 5
 """One seed out of this many is held out."""
 

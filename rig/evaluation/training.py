@@ -41,8 +41,8 @@ earlier."""
 ROLLING_FOR_S = 0.03
 """Time from the start of a roll after which the network should recognise it."""
 SLIP_WEIGHT = 13.0
-"""Weight of the first slip of a motion, beside 1 for a row without a slip: about as many rows as a
-slip has at 2 ms. Neither this nor the next was tuned (decision 0124)."""
+"""Weight of the first slip of a motion; a row without a slip has 1: about as many rows as a slip
+has at 2 ms. Neither this nor the next was tuned (decision 0124)."""
 FURTHER_SLIP = 0.12
 """Weight of each further slip, as a share of that: a trial in which the ridge slips fifty times
 teaches seven times as much as one with a single slip, not fifty times."""

@@ -102,7 +102,7 @@ class ReadsInputs(Protocol):
     def inputs_high(self, names: Sequence[str]) -> Mapping[str, bool]:
         """Return the present level of each named input: True for high.
 
-        Any thread may call it at any time, beside the one that uses the instrument. It does not
+        Any thread may call it at any time, also while another one uses the instrument. It does not
         wait on the bench clock. Raises InstrumentError if the levels cannot be read now.
         """
         ...

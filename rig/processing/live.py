@@ -1,4 +1,4 @@
-"""A detector beside a running trial: blocks of rows in, events out, and the caller never waits.
+"""A detector that runs during a trial: blocks of rows in, events out, and the caller never waits.
 
 A detector of this project is compiled, takes microseconds and runs where it is called. One of
 another package is imported only in a process of its own (`rig.processing.live_child`), niced,
@@ -71,7 +71,7 @@ HEAD = struct.Struct("<BQq")
 """Head of a message and of its answer: what it is, its number, and the index of its first row."""
 
 _ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
-"""Libraries shall not start a thread for each processor beside a servo."""
+"""Libraries shall not start a thread for each processor next to a servo."""
 
 
 @dataclass(frozen=True)
@@ -96,7 +96,7 @@ class DetectorIdentity:
 
 
 class LiveDetector(ABC):
-    """A detector beside a trial. Only starting and closing it may take time.
+    """A detector that runs during a trial. Only starting and closing it may take time.
 
     `begin`, `add`, `finish` and `close` are called from one thread, `take` and `dropped` from any.
     """

@@ -1,4 +1,4 @@
-"""The process in which another package's detector runs beside a trial (`rig.processing.live`).
+"""The process in which another package's detector runs during a trial (`rig.processing.live`).
 
 It has no descriptor of the run but one socket. It consists of two processes: one that runs the
 detector, and one that does nothing but watch. When the run has closed the connection or ended, or

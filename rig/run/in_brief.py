@@ -34,7 +34,7 @@ def single_values(
     for name, value in summary.items():
         of = name.replace(DEVIATION, MEAN, 1)
         if isinstance(value, Mapping) or (of != name and of in summary):
-            continue  # A table, or a deviation that stands beside its mean.
+            continue  # A table, or a deviation that stands with its mean.
         if isinstance(value, list | tuple) and all(isinstance(one, str) for one in value):
             lines += value
             continue

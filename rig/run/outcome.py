@@ -23,7 +23,7 @@ class RunOutcome:
     points_planned: int = 0
     points_done: int = 0
     points_earlier: int = 0
-    """Those of them that an earlier attempt recorded."""
+    """Number of those done that an earlier attempt recorded."""
     simulated: bool = False
     file: Path | None = None
     journal: Path | None = None

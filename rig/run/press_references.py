@@ -60,7 +60,7 @@ class PressReference(BaseModel):
     zero_N: tuple[float, float, float]
     """The force sensor's zero along x, y, z, relative to the amplifier's own."""
     touch_gains: dict[str, TouchGain] = {}
-    """By strip; only those that could be distinguished from nothing."""
+    """Touch gains by strip; only those that could be distinguished from zero."""
     bench: str = ""
     """Name of the bench, for who reads the file."""
     kind: str = ""

@@ -67,8 +67,8 @@ class StreamPlan:
     """Unit of the rows as they are; empty where it is the one that they are recorded with, since
     only the instrument knows."""
     times: str = ""
-    """For rows without a rate of their own: the stream, of one channel, whose rows are their times
-    in s since the record began, row by row."""
+    """Name of the stream, of one channel, that has the times of these rows in s since the record
+    began, row by row; for rows without a rate of their own."""
 
 
 @dataclass(frozen=True)
@@ -105,7 +105,7 @@ class Procedure(ABC):
     """Label and, after a semicolon, unit of values of the summary, by name, for the terminal. The
     other values are shown by their names."""
     put_in_label: ClassVar[str] = "true value"
-    """What the values of `put_in` are, where `in_brief` shows them beside the measured ones."""
+    """What the values of `put_in` are, where `in_brief` shows them with the measured ones."""
     method: ClassVar[str] = ""
     """How the summary is computed, in a sentence for the run file."""
     summary_origins: ClassVar[Mapping[str, str]] = MappingProxyType({})

@@ -1,4 +1,4 @@
-"""The results of a run: the procedure's summary, with what the run file states beside it, and how
+"""The results of a run: the procedure's summary, with what the run file states with it, and how
 stored results compare with those of the present program."""
 
 from __future__ import annotations

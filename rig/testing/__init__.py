@@ -1,6 +1,6 @@
 """The contracts of drivers and detectors as a test kit, for any package.
 
-A test module of a driver's package needs two lines beside its imports::
+A test module of a driver's package needs two lines in addition to its imports::
 
     from rig.testing import driver_contract
 

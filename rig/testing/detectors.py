@@ -22,7 +22,7 @@ SIZES = (1, 2, 7, 100, 4096)
 """Numbers of rows in the blocks into which a recording is cut."""
 DURATION_S = 3.0
 OTHER_RATES_Hz = (500.0, 1024.0, 25_600.0, 50_000.0)
-"""Rates of recordings beside that of the detector itself."""
+"""Rates of recordings in addition to that of the detector itself."""
 
 
 def recording(rate_Hz: float, seed: int = 0) -> Reals:

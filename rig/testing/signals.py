@@ -42,7 +42,7 @@ class ForceLaw:
 
 WAVE_SLOPE_V_s = 0.2
 WAVE_LARGEST_V = 4.0
-"""Beyond what a terminal carries during the checks."""
+"""Voltage that no terminal reaches during the checks."""
 
 
 def carried(terminal: int, time_s: Any) -> Any:

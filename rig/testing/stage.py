@@ -290,7 +290,7 @@ def _angle(stage: Any, service: Any) -> None:
 
 
 def _returned(stage: Any, service: Any) -> None:
-    """There and back; the stage makes the trapezoid: speed and angle on its way."""
+    """Check speed and angle on a way there and back, on which the stage makes the trapezoid."""
     scale = _Scale.of_rotary(stage)
     _turn(stage, scale, 10.0, 50.0, 500.0)
     for end, sign in ((13.5, 1.0), (10.0, -1.0)):

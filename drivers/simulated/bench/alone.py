@@ -42,7 +42,7 @@ class CountedFaults(WireFaults):
         super().__init__(plan, device)
         self.heard: list[bytes] = []
         self.answered: list[bool] = []
-        """For each request, True if it has an answer."""
+        """One entry for each request: True if it has an answer."""
 
     @property
     def requests(self) -> int:

@@ -25,7 +25,7 @@ LINK_TIMEOUT_S = 1.5
 STAGE_TIMEOUT_S = 0.9
 """The same of a stage's link: two have to fit into the drive's communication time-out."""
 STAGE_COMMUNICATION_TIMEOUT_ms = 2000
-"""After which a stage that hears nothing stops by itself."""
+"""Time after which a stage that hears nothing stops by itself."""
 
 AZ_STEPS_PER_MM = 3000.0
 """9000 steps a revolution at a lead of 3 mm (assumed): 0.33 um, a fine one of the series."""

@@ -401,7 +401,7 @@ def _keys_of(fault: ConverterFault) -> dict[str, Any]:
 def _refuse_impossible(
     core: InstrumentCore, driver: str, role: str, faults: tuple[Any, ...]
 ) -> None:
-    """ConfigurationError where a fault plan disturbs an instrument as its simulator cannot be."""
+    """Raise ConfigurationError for a fault that the simulator of its instrument does not have."""
     for fault in faults:
         if fault.device == role and fault.kind not in core.disturbances:
             can = ", ".join(core.disturbances) or "none"

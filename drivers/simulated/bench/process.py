@@ -46,7 +46,7 @@ that are 0.25 s old hold a run."""
 
 
 class Lateness:
-    """By how much a bench whose time follows real time has been late, for who runs it.
+    """Records by how much a bench whose time follows real time has been late.
 
     While the computer does something else, or computes a contact for longer than that lasts, no
     instrument answers: a program then finds an instrument silent that has nothing to do with it.

@@ -122,7 +122,7 @@ def _factory_parameters(settings: SimulatedCmmtSettings) -> dict[int, bytes]:
 
 
 def _si_unit(millimetres: float, per: int) -> bytes:
-    """CiA 402 objects 60A8h and 60A9h: power of ten, metre (01h), per second (03h) or nothing."""
+    """Return CiA 402 object 60A8h or 60A9h: power of ten, metre (01h), per second (03h) or none."""
     power = round(math.log10(millimetres * 1e-3))
     return struct.pack("<I", (power & 0xFF) << 24 | 0x01 << 16 | per << 8)
 

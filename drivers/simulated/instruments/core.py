@@ -76,7 +76,7 @@ class InstrumentCore(ABC):
     """Beginnings of requests that are like one another, such as polls: of each, the contract's walk
     of faults visits the first in a step."""
     disturbances: ClassVar[tuple[str, ...]] = ()
-    """Kinds of a fault plan, beside those of the wire, that it can meet."""
+    """Kinds of a fault plan, apart from those of the wire, that it can meet."""
     vendor: str = ""
     model: str = ""
     serial_number: str = ""
@@ -85,7 +85,7 @@ class InstrumentCore(ABC):
 
     @abstractmethod
     def bench_settings(self, where: str) -> dict[str, Any]:
-        """Return the keys of a bench file's table for the driver, beside ``driver`` and
+        """Return the keys of a bench file's table for the driver, apart from ``driver`` and
         ``timeout_s``, and ``channels`` of a DAQ. `where` is the path of a serial port or
         ``socket://127.0.0.1:4001``; see `host_and_port`."""
 

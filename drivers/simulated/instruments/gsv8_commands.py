@@ -203,7 +203,7 @@ def _get_mapping(amplifier: GsvAmplifier, request: GsvRequest) -> GsvAnswer:
 
 
 def _set_mapping(amplifier: GsvAmplifier, request: GsvRequest) -> GsvAnswer:
-    """Index 0: the number of values in a frame, channels 1 to that number."""
+    """Set, at index 0, the number of values in a frame: channels 1 to that number."""
     index, values = struct.unpack(">BH", request.parameters)
     if index != 0:
         raise RefusedError(NO_SUCH_PARAMETER)
@@ -215,7 +215,7 @@ def _set_mapping(amplifier: GsvAmplifier, request: GsvRequest) -> GsvAnswer:
 
 
 def _get_rate_range(amplifier: GsvAmplifier, request: GsvRequest) -> GsvAnswer:
-    """Index 0: the largest rate as things are set, 1: the smallest."""
+    """Return, at index 0, the largest rate with the present settings; at 1 the smallest."""
     index = request.parameters[0]
     if index > 1:
         raise RefusedError(BAD_ADDRESS)
@@ -223,7 +223,7 @@ def _get_rate_range(amplifier: GsvAmplifier, request: GsvRequest) -> GsvAnswer:
 
 
 def _get_tx_mode(amplifier: GsvAmplifier, request: GsvRequest) -> GsvAnswer:
-    """Index 0: the flags, 1: the data type."""
+    """Return the flags at index 0, the data type at 1."""
     memory, transmission = amplifier.memory, amplifier.transmission
     now = 0 if transmission.on else TX_OFF_NOW
     crc = TX_CRC16 if transmission.crc16 else 0

@@ -75,7 +75,7 @@ class SimulatedDrive(ABC, Generic[F]):
         self._port = port
         self._motion_faults = MotionFaults()
         self.shows_off_mm = 0.0
-        """By how much the position that it shows is off."""
+        """Error of the position that it shows."""
         self._shown_torque: WrongTorque | None = None
         """How the torque that it shows is wrong."""
         self._frozen_N = 0.0

@@ -20,8 +20,8 @@ refused. Friction and repeated mounting of one object change them by less than t
 MARGIN_mm = 0.02
 """Added to the largest way: a contact is felt a little sooner or later."""
 SOON_mm, SOFTER = 0.01, 1 / 3
-"""So far beyond the earlier way the force has to be this share of the wanted one at least: what
-reads a tenth of the force is found before it has pressed with several times of it."""
+"""Distance beyond the earlier way at which the force must be at least this share of the wanted
+one: what reads a tenth of the force is found before it has pressed with several times of it."""
 ZERO_REPORTED_N, ZERO_REFUSED_N = 1.0, 5.0
 """The same for the change of the force sensor's zero."""
 STANDARD_ERRORS = 3.0

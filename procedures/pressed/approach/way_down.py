@@ -25,8 +25,8 @@ TRAVEL_mm_s = 10.0
 RISE_N = 0.4
 """Rise of the force that means contact: far above the sensor's noise and its drift on a way."""
 REACTION_S = 0.035
-"""From contact to the order to brake, without the stage's link: frames are delivered every 20 ms at
-the latest, the force is checked every 10 ms and averaged over 5 ms."""
+"""Time from contact to the order to brake, without the stage's link: frames come every 20 ms at the
+latest, the force is checked every 10 ms and averaged over 5 ms."""
 CHECKED_EVERY_S = 0.01
 WINDOW_S = 0.005
 """Stretch that a check takes the mean force of."""

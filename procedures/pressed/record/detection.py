@@ -1,4 +1,4 @@
-"""The detector of incipient slip beside the trials of a run: signals in, detections out.
+"""The detector of incipient slip during the trials of a run: signals in, detections out.
 
 The same code judges run files (`rig detect`): it gets the same rows, so it finds the same events to
 the bit. A detector of this project runs where the strips' blocks are read, in real time in the
@@ -62,7 +62,7 @@ def try_detector(name: str) -> None:
 
 
 class LiveDetection:
-    """The detector beside the trials of a run.
+    """The detector that runs during the trials of a run.
 
     `begin`, `judge` and `finish` are called where the strips' blocks are read, one at a time;
     everything else by the procedure's thread.

@@ -79,7 +79,7 @@ class TrialRecord:
     """Times on the run's clock, and the frames that had come by then since the record began; some
     of them after its end."""
     misread: int = 0
-    """Positions that could not be and were asked for again."""
+    """Impossible positions that were read again."""
     held_back: int = 0
     """Ticks of the servo without a new target: the drive had not answered to what came before."""
     loops: list[LoopStatistics] = field(default_factory=list)

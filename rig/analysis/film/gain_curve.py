@@ -109,7 +109,7 @@ class SweepAnalysis:
     def sentences(self, truth: FilmTruth | None = None) -> list[str]:
         """Return the results in words, in the order of the paper.
 
-        With the film of a simulated bench each number is said to be found, beside its true value
+        With the film of a simulated bench each number is said to be found, with its true value
         in the simulation; without one it is said to be measured.
         """
         lines = [f"{self.points} points. {self._slope_sentence(truth)}"]
@@ -299,7 +299,7 @@ def analyse(
     Points may be in any order. ``degrees`` (n,) are the degrees of freedom of each covariance and
     ``preloads`` (n,) the static forces in N, with ``preload_errors`` (see
     :meth:`ResponseCurve.of`). ``bounds`` belong to the verdicts. ``loads`` (n,) are peak
-    loads in N; if there are several at a frequency, an effect of the load is fitted beside that of
+    loads in N; if there are several at a frequency, an effect of the load is fitted with that of
     the preload, and the level is that at their geometric mean. Distortions (n,) are fractions.
     ``given`` is the circuit to compare with, Table 1 by default.
 

@@ -1,4 +1,4 @@
-"""What a simulated bench put into its film, beside which an analysis states what it recovered.
+"""What a simulated bench put into its film, with which an analysis states what it recovered.
 
 On a simulated bench no number of a film is a finding about films: it was put in by the World, and a
 sweep shows only that it is recovered. Nothing here is used by the analysis itself.

@@ -177,7 +177,7 @@ class ResponseCurve:
 
     def preload_effect(self, relative: Complexes) -> float:
         """Return the relative change of the gain per newton of preload, in 1/N, that explains most
-        of `relative` (n,), beside an effect of the load where there may be one."""
+        of `relative` (n,), with an effect of the load where there may be one."""
         assert self.preload_excess is not None, "the preloads are not known"
         return float(self._amounts(relative)[0])
 

@@ -7,8 +7,8 @@ takes up its share of the force earlier or later than the others, so the volts a
 
 with a share P that is a function of the force alone: a broken line between some forces. Both
 records are first smoothed by the same Gaussian, so that rates and frame times do not matter. The
-frames of a slow force sensor, means over an interval that is long beside the Gaussian, are first
-interpolated, and the volts are averaged over as long an interval.
+frames of a slow force sensor, means over an interval that is long compared with the Gaussian, are
+first interpolated, and the volts are averaged over as long an interval.
 `rig.analysis.trial.clock_offset` finds when the two were taken, `rig.analysis.trial.touch_gain` how
 large P is.
 """

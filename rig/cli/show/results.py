@@ -1,4 +1,4 @@
-"""Results as `rig show` shows them: as they are stored, and beside them what this program finds
+"""Results as `rig show` shows them: as they are stored, and with them what this program finds
 otherwise; and the values of the installed analyses."""
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What an ideal observer could find in a record: the bound beside which a detector is judged.
+"""What an ideal observer could find in a record: the bound with which a detector is compared.
 
 The observer knows when the slip comes and what it does to both signals. What it does not know is
 what noise, mains and the servo do meanwhile: of these it knows how they were from the press on to

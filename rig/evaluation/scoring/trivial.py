@@ -1,4 +1,4 @@
-"""Trivial answers, scored beside the detectors: how close they come shows what a figure is worth.
+"""Trivial answers, scored with the detectors: how close they come shows what a figure is worth.
 
 They know the truth, or ignore it altogether, and see no signal. One other answer stands beside
 them: what an ideal observer finds, who knows the truth and has seen the signals.

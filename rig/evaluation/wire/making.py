@@ -3,7 +3,7 @@
 Each trial is one command, `rig slip-trial` or another procedure, in a process of its own with a
 simulated bench of its own: the way in which a person makes it. What it recorded is stored under a
 key of everything that determines it: what was drawn, the seed, and the program's code that makes
-and records it. A run that was interrupted continues where it was.
+and records it. A run that was interrupted continues where it stopped.
 """
 
 from __future__ import annotations

@@ -39,7 +39,7 @@ class WireRecord:
     tick_from_s: float
     """Begin of a tick of the servo, in s of the record."""
     traits: dict[str, float | str]
-    """What the record shows beside what was drawn."""
+    """What the record shows in addition to what was drawn."""
     slips_s: tuple[tuple[float, float], ...] = ()
     """Begin and end of every slip of the whole ridge, the first included, in s of the record."""
     notices: tuple[Notice, ...] = ()

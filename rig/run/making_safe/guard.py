@@ -119,7 +119,7 @@ def _listen(pipe: int) -> tuple[_Watch | None, bool]:
 
 
 class _Terminal:
-    """Where the run that is about to be killed shows its messages, its stderr, for a last word.
+    """The stderr of the run that is about to be killed, for a last message to its user.
 
     A terminal that is held (Ctrl-S) or a folder on a broken network would make a write wait for
     ever: nothing here waits longer than `SHOWN_S`.
