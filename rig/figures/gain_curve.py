@@ -57,7 +57,7 @@ LABEL_RATIO = 6.0
 _EXPLAINED = {
     "printed": "eq. (4) as printed (adds Ω and S)",
     "ohmic": "eq. (4) with units corrected (1/A4 for A4)",
-    "circuit": "circuit analysis of the circuit as drawn",
+    "circuit": "analysis of the circuit as drawn",
 }
 _LINES = {"printed": (VERMILLION, "-"), "ohmic": (GREEN, "--"), "circuit": (ORANGE, "-.")}
 """Colours and dashes of the three readings of eq. (4)."""
@@ -175,7 +175,7 @@ def _fitted(analysis: SweepAnalysis) -> str:
         return found
     low, high = analysis.slopes.band_Hz
     slope = f"{analysis.slopes.slope.value:.2f} dB/decade"
-    return f"{found},\nslope {low:g} to {high:g} Hz {slope}"
+    return f"{found},\nslope {low:g} to {high:g} Hz: {slope}"
 
 
 def _first_order_line(axes: Axes, curve: ResponseCurve, analysis: SweepAnalysis) -> None:

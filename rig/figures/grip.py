@@ -1,7 +1,7 @@
 """The figures of a grip that answers alarms: what was seen, when it squeezed, and how far it slid.
 
-P_A is the early warning, the low-frequency pattern of v_d that precedes a slip, and P_B the impulse
-of the slip itself (paper 4.1), here as the detector of the trial has found them.
+P_A is the low-frequency pattern of v_d that precedes a slip (motion under load begun), and P_B the
+impulse of the slip itself (paper 4.1), here as the detector of the trial has found them.
 """
 
 from __future__ import annotations

@@ -54,7 +54,7 @@ def draw_low_pass(
         phase.plot(f, np.where(passed, curves.phase_deg, np.nan))
         phase.plot(
             summary.lag_Hz, -summary.lag_deg, "o", markersize=3, color=VERMILLION,
-            label=f"{-summary.lag_deg:.2f}° at {summary.lag_Hz:g} Hz",
+            label=f"{-summary.lag_deg:.2f} deg at {summary.lag_Hz:g} Hz",
         )  # fmt: skip
         phase.set_ylabel("Phase (deg)")
         delay.plot(f, np.where(passed, curves.group_delay_ms, np.nan))

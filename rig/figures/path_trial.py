@@ -91,7 +91,7 @@ def draw_trial(run: RunFile, number: int, point: str, detected: Detections) -> F
         draw_rows(rows, instants, way.get_xlim())
         mark((difference,), instants)
         if any(instants.slips_s().values()):
-            difference.set_title("lines: colours of (e)", loc="left")
+            difference.set_title("lines as in (e)", loc="left")
         letter(panels)
         set_margins(
             figure, top=heading(figure, run, number, point) + 0.14, gap_mm=4.0, left=ROWS_LEFT

@@ -49,7 +49,7 @@ def draw_trials(run: RunFile) -> dict[str, Figure]:
 def draw_trial(run: RunFile, number: int, point: str, detected: Detections) -> Figure:
     """Draw the angle and its deviation from the commanded one, strips, difference, forces and force
     error over time, with the roll shaded, and the slips, true (simulated bench) and `detected`.
-    Strips and difference are scaled by the roll; what the touch-down goes beyond is in the file."""
+    Strips and difference are scaled to the roll; what the touch-down goes beyond is in the file."""
     series = {w.stream: w for w in run.waveforms(point)}
     signals, force, rotation = series["signals"], series["force"], series["rotation"]
     begin, end = (float(run.column(name)[number]) for name in ("roll_from", "roll_to"))
@@ -77,7 +77,7 @@ def draw_trial(run: RunFile, number: int, point: str, detected: Detections) -> F
         draw_difference(difference, t, signals)
         rolled = (t >= begin - AROUND_S) & (t <= end + AROUND_S)
         for axes, names in ((strips, ("v_1", "v_2")), (difference, ("v_d",))):
-            axes.set_title("scaled by the roll", loc="left")
+            axes.set_title("scaled to the roll", loc="left")
             scale_to(axes, [1e3 * signals.values(name)[rolled] for name in names])
         t, pressing = seconds(force), force.values("F_n")
         draw_forces(newtons, t, force)

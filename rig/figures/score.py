@@ -26,9 +26,9 @@ COLOURS = (*PALETTE, GREY)
 MARKERS = ("o", "s", "^")
 """Of contenders beyond the colours, which come a second and a third time."""
 SHOWN_TRAITS = {
-    "noise_mV": "noise, rms (mV)",
-    "friction_ratio": "friction ratio, $μ_k / μ_s$",
-    "speed_mm_s": "speed (mm/s)",
+    "noise_mV": "Noise, rms (mV)",
+    "friction_ratio": "Friction ratio, $μ_k / μ_s$",
+    "speed_mm_s": "Speed (mm/s)",
 }
 MOST_SHOWN_ALARMS, FEWEST_SHOWN_ALARMS = 0.5, 0.05
 """Bounds of the end of the ROC's axis of false alarms, which fits the curves' own thresholds; a
@@ -68,11 +68,11 @@ def draw_roc(results: Sequence[ContenderResult], title: str) -> Figure:
             end = min(MOST_SHOWN_ALARMS, max(ends))
             axes.set_xlim(-0.02 * end, end)
             axes.set_ylim(*SHARES)
-            axes.set_xlabel(f"false alarms, share of trials: {' and '.join(among)}")
+            axes.set_xlabel(f"False alarms, share of trials: {', '.join(among)}")
         panels[0].axvline(ROLL_ALARMS, color=GREY, lw=0.8, ls="--")
         panels[0].annotate(f" {100 * ROLL_ALARMS:g} %", (ROLL_ALARMS, 0.01), color=GREY)
         for axes in panels:
-            axes.set_ylabel("share of slips found")
+            axes.set_ylabel("Share of slips found")
         figure.legend(
             *panels[-1].get_legend_handles_labels(), loc="outside lower center", ncols=2,
             title="large marker: own threshold",
@@ -104,7 +104,7 @@ def draw_found(results: Sequence[ContenderResult], title: str) -> Figure:
             axes.set_xticks(range(len(bins)), [each.replace(" and ", "\nand ") for each in bins])
             axes.set_xlabel(name)
             axes.grid(axis="x", visible=False)
-            axes.set_ylabel("share of slips found")
+            axes.set_ylabel("Share of slips found")
         panels[0].set_ylim(*SHARES)
         handles, labels = panels[0].get_legend_handles_labels()
         if handles:
@@ -130,9 +130,9 @@ def draw_delays(results: Sequence[ContenderResult], title: str) -> Figure:
                 bbox={"facecolor": "white", "alpha": 0.7, "edgecolor": "none"},
             )  # fmt: skip
             _whole_numbers(axes)
-        figure.supylabel("slips", fontsize=TEXT_PT)
+        figure.supylabel("Slips", fontsize=TEXT_PT)
         panels[-1].set_xlim(*DELAYS_MS)
-        panels[-1].set_xlabel("detection delay after full-ridge slip (ms)")
+        panels[-1].set_xlabel("Detection delay after full-ridge slip (ms)")
     return figure
 
 

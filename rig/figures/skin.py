@@ -67,7 +67,7 @@ def draw_trial(
         volts.plot(
             trial.sample_time_s, trial.sampled[:, channel] * 1e3, color=colour, label=f"${name}$"
         )
-    volts.set_ylabel("strips (mV)")
+    volts.set_ylabel("Strips (mV)")
     _legend_above(volts)
     difference.plot(trial.sample_time_s, trial.v_d * 1e3, lw=0.8, color=BLACK)
     difference.set_ylabel("$v_d$ (mV)")
@@ -79,7 +79,7 @@ def draw_trial(
         shown = trial.sample_time_s >= start
         _headroom(axis, trial.sampled[shown] * 1e3 if axis is volts else trial.v_d[shown] * 1e3)
     sticks.set_xlim(start, trial.time_s[-1])
-    sticks.set_xlabel(f"time (s); the motion starts at {trial.motion_s:g} s")
+    sticks.set_xlabel(f"Time (s); the motion starts at {trial.motion_s:g} s")
     return figure
 
 
@@ -106,7 +106,7 @@ def draw_history(history: History, watched: int, title: str) -> Figure:
     fast = np.gradient(history.difference * 1e3)
     rate.plot(step, fast, lw=0.6, color=GREY, alpha=0.6, label="each step")
     rate.plot(step, _running_mean(fast, 21), lw=1.3, color=BLACK, label="mean of 21 steps")
-    rate.set_ylabel("rate (kPa/step)")
+    rate.set_ylabel("Rate (kPa/step)")
     _legend_above(rate)
     whole = history.truth.whole_slip_s[watched - 1]
     if np.isfinite(whole):
@@ -116,7 +116,7 @@ def draw_history(history: History, watched: int, title: str) -> Figure:
         _name_line(difference, at, f"ridge {watched} slips")
     _stick_slip(sticks, step.astype(float), history.status, history.ridge_of_node)
     sticks.set_xlim(0, step[-1])
-    sticks.set_xlabel("step (1e-6 s each)")
+    sticks.set_xlabel("Step (1e-6 s each)")
     return figure
 
 
@@ -200,8 +200,8 @@ def draw_map(found: DesignMap, ridge: int) -> Figure:
                 image = _table(axis, shown[:, :, row], settings, colours, limit, column == 0)
                 axis.set_title(f"{quantity} in {name}", loc="left")
                 if column == 0:
-                    axis.set_ylabel("lower edge (mm)")
-            panels[2, column].set_xlabel("distance from axis (mm)")
+                    axis.set_ylabel("Lower edge (mm)")
+            panels[2, column].set_xlabel("Distance from axis (mm)")
             figure.colorbar(
                 image, ax=list(panels[:3, column]), location="bottom", aspect=25,
                 label=f"{quantity} of ridge {ridge} (mV)",
@@ -222,7 +222,7 @@ def _over_ridges(axis: Axes, values: Floats, settings: Any, ridge: int, names: l
         at = np.unravel_index(largest, values.shape[1:3])
         where = f"{settings.offsets_mm[at[1]]:g}, {settings.bottoms_mm[at[0]]:g} mm"
         axis.plot(ridges, values[:, at[0], at[1], component] * 1e3, "o-", label=f"{name}: {where}")
-    axis.set_xlabel("ridge")
+    axis.set_xlabel("Ridge")
     axis.set_xticks(ridges)
     low, high = axis.get_ylim()
     axis.set_ylim(low, high + 0.8 * (high - low))
@@ -268,7 +268,7 @@ def _constrained(height_mm: float) -> Figure:
 def _forces(axis: Axes, time: Floats | NDArray[np.int64], normal: Floats, along: Floats) -> None:
     axis.plot(time, normal, color=BLUE, label="$F_n$")
     axis.plot(time, along, color=VERMILLION, label="$F_t$")
-    axis.set_ylabel("force (N)")
+    axis.set_ylabel("Force (N)")
     _legend_above(axis)
 
 
@@ -288,7 +288,7 @@ def _stick_slip(
     for border in range(1, ridges):
         axis.axhline(border + 0.5, color="w", lw=1.5)
     axis.set_yticks(range(1, ridges + 1))
-    axis.set_ylabel("ridge (1: leftmost)")
+    axis.set_ylabel("Ridge (1: leftmost)")
     axis.grid(False)
     handles = [
         Patch(fc=colour, ec="0.5", lw=0.5, label=name)

@@ -100,7 +100,7 @@ def draw_trial(run: RunFile, number: int, point: str, detected: Detections) -> F
         _zoom(zoom, rows, t, 1e3 * signals.values("v_d"), instants, (begin, end))
         mark((difference,), instants)
         if any(instants.slips_s().values()):
-            difference.set_title("lines: colours of (g)", loc="left")
+            difference.set_title("lines as in (g)", loc="left")
         t, pressing, sideways = seconds(force), force.values("F_n"), force.values("F_t")
         draw_forces(newtons, t, force)
         _ratio(ratio, t, pressing, sideways, wanted)
@@ -137,7 +137,7 @@ def _zoom(
     draw_rows(rows, instants, seen)
     axes.plot(t[inside], v_d_mV[inside], linewidth=0.8)
     axes.set_ylabel("$v_d$ (mV)")
-    what = f"the slip, {BEFORE_SLIP_S + AFTER_SLIP_S:g} s enlarged; lines: colours of (g)"
+    what = f"the slip, {BEFORE_SLIP_S + AFTER_SLIP_S:g} s enlarged; lines as in (g)"
     axes.set_title(what, loc="left")
     if np.count_nonzero(inside) < 2:
         return

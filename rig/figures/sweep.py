@@ -146,7 +146,7 @@ def draw_measured(run: RunFile) -> Figure:
         _reference(gain, frequency, gains)
         gain.set_ylabel("Gain (dB re 1 V/N)")
         legend = legend_above(gain, columns=2)
-        phase.set_ylabel("Phase (°)")
+        phase.set_ylabel("Phase (deg)")
         show_at_least(gain, LEAST_SPAN_DB)
         show_at_least(phase, LEAST_SPAN_DEG)
         _tolerance(load, run, deviation)

@@ -49,7 +49,7 @@ def test_the_gain_figure_names_level_corner_slope_and_every_drop(film):
         "b = −72.0",
         "corner 20",
         "2 notches",
-        "slope 2 to 2000 Hz 19.5",
+        "slope 2 to 2000 Hz: 19.5",
         "eq. (2): 20 dB/decade, b = −72.0",
     ):
         assert expected in written
@@ -101,7 +101,7 @@ def test_the_readings_figure_shows_all_three_their_offsets_and_both_corners(film
         "corner, measured",
         "eq. (4) as printed (adds",
         "eq. (4) with units corrected (1/A4",
-        "circuit analysis of the circuit",
+        "analysis of the circuit",
     ):
         assert expected in written
 

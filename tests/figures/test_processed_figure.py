@@ -90,7 +90,7 @@ def test_the_low_pass_shows_four_curves_and_hides_what_means_nothing():
     assert legend(gain) == [
         "-73.5 dB from 57.5 Hz, largest lobe -68.5 dB", "-3 dB at 28.00 Hz",
     ]  # fmt: skip
-    assert legend(phase) == ["-9.00° at 1 Hz"]
+    assert legend(phase) == ["-9.00 deg at 1 Hz"]
     for axes in (phase, delay):
         line = axes.get_lines()[0]
         shown = line.get_xdata()[~np.isnan(line.get_ydata())]

@@ -74,7 +74,7 @@ def test_the_markers_of_none_and_of_all_are_whole_and_the_ratio_is_called_one() 
         assert low < -0.03
         assert high > 1.03
     labels = [axes.get_xlabel() for axes in figure.axes]
-    assert "friction ratio, $μ_k / μ_s$" in labels
+    assert "Friction ratio, $μ_k / μ_s$" in labels
 
 
 @pytest.mark.parametrize("draw", [draw_roc, draw_found, draw_delays])

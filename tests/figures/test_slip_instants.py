@@ -269,7 +269,7 @@ def test_the_slip_is_enlarged_with_p_a_the_neighbours_slip_and_p_b(folder: Path)
         true = true_slips(run.readings()[0], 60.0)
         begin_s = float(run.column("slide_from")[0])
     assert true is not None
-    assert "lines: colours of (g)" in figure.axes[0].get_title(loc="left")
+    assert "lines as in (g)" in figure.axes[0].get_title(loc="left")
     zoom = next(axes for axes in figure.axes if "enlarged" in axes.get_title(loc="left"))
     first, last = zoom.get_xlim()
     assert last - first == pytest.approx(0.3)
