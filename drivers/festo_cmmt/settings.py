@@ -110,7 +110,7 @@ class FestoCmmtSettings(Settings):
     def _consistent(self) -> Self:
         if not self.low_limit_mm < self.high_limit_mm:
             raise ValueError(
-                f"low_limit_mm = {self.low_limit_mm:g} mm has to be below high_limit_mm = "
+                f"low_limit_mm = {self.low_limit_mm:g} mm must be below high_limit_mm = "
                 f"{self.high_limit_mm:g} mm"
             )
         if max(self.acceleration_mm_s2, self.deceleration_mm_s2) > self.full_acceleration_mm_s2:

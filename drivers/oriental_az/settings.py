@@ -126,7 +126,7 @@ class OrientalAzSettings(Settings):
     def _consistent(self) -> Self:
         if not self.low_limit_mm < self.high_limit_mm:
             raise ValueError(
-                f"low_limit_mm = {self.low_limit_mm:g} mm has to be below high_limit_mm = "
+                f"low_limit_mm = {self.low_limit_mm:g} mm must be below high_limit_mm = "
                 f"{self.high_limit_mm:g} mm"
             )
         farthest_mm = max(abs(self.low_limit_mm), abs(self.high_limit_mm))

@@ -121,10 +121,10 @@ class LineForceSensor(ForceStream, ABC):
             known = ", ".join(NEWTONS)
             raise TypeError(
                 f"{cls.__name__} has the unit {cls.unit!r}; known are {known}, and for any other "
-                "unit the class has to state newtons_per_unit"
+                "unit the class must state newtons_per_unit"
             )
         if not cls.axes or cls.axes != "".join(axis for axis in "xyz" if axis in cls.axes):
-            raise TypeError(f"{cls.__name__} has axes = {cls.axes!r}, which has to be like 'z'")
+            raise TypeError(f"{cls.__name__} has axes = {cls.axes!r}, which must be like 'z'")
         if not cls.rates_S_s or (len(cls.rates_S_s) > 1 and not cls.rate_command):
             raise TypeError(f"{cls.__name__} needs one rate, or several and a rate_command")
         if not (min(cls.rates_S_s) > 0 and cls.full_scale > 0 and cls.terminator):

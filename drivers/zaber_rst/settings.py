@@ -146,10 +146,10 @@ class ZaberRstSettings(Settings):
     @model_validator(mode="after")
     def _consistent(self) -> Self:
         if self.port.startswith("socket:") and not _NETWORK.fullmatch(self.port):
-            raise ValueError("port on the network has to be socket://HOST:NUMBER")
+            raise ValueError("port on the network must be socket://HOST:NUMBER")
         if not self.low_limit_deg < self.high_limit_deg:
             raise ValueError(
-                f"low_limit_deg = {self.low_limit_deg:g} deg has to be below high_limit_deg = "
+                f"low_limit_deg = {self.low_limit_deg:g} deg must be below high_limit_deg = "
                 f"{self.high_limit_deg:g} deg"
             )
         farthest_deg = self.microstep_deg * LARGEST_DATA

@@ -48,11 +48,11 @@ class PathTrialSettings(GripSettings):
             gaps = [later - earlier for earlier, later in pairwise(times)]
             if len(times) < 2 or times[0] != 0 or min(gaps) < LEAST_TIME_S:
                 raise ValueError(
-                    f"{what[0]} has to ascend from 0, by at least {LEAST_TIME_S:g} s each, and to "
+                    f"{what[0]} must ascend from 0 in steps of at least {LEAST_TIME_S:g} s and "
                     "have at least 2 times"
                 )
             if values[0] != first:
-                raise ValueError(f"{what[1]} has to begin with {first:g}, not {values[0]:g}")
+                raise ValueError(f"{what[1]} must begin with {first:g}, not {values[0]:g}")
         if self.force_shares and min(self.force_shares) < LEAST_SHARE:
             raise ValueError(
                 f"force_shares has {min(self.force_shares):g}, less than {LEAST_SHARE:g}: the "

@@ -64,7 +64,7 @@ class GripSettings(PressedSettings):
         if not self.regrip:
             return self
         if self.regrip_on == "alarm" and self.detector == NO_DETECTOR:
-            raise ValueError("regrip_on alarm needs a detector, and the detector is none")
+            raise ValueError("regrip_on alarm needs a detector, not none")
         if self.largest_held_N >= self.largest_force_N:
             raise ValueError(
                 f"regrip_times {self.regrip_times} of regrip_step_percent "

@@ -112,7 +112,7 @@ class PressedProcedure(TrialProcedure):
                 inspect.signature(getattr(cls, hook)).bind(*arguments)
             except TypeError:
                 raise TypeError(
-                    f"{cls.__name__}.{hook} has to be {hook}({', '.join(arguments)})"
+                    f"{cls.__name__}.{hook} must be {hook}({', '.join(arguments)})"
                 ) from None
         if "layout" not in vars(cls):
             cls.layout = layout_of(cls)
@@ -400,7 +400,7 @@ def _require_columns(procedure: type[PressedProcedure]) -> None:
     columns: Any = procedure.columns
     if not (isinstance(columns, (tuple, list)) and all(isinstance(c, Column) for c in columns)):
         raise TypeError(
-            f"{procedure.__name__}.columns has to be a tuple of Column(name, unit, meaning), with "
+            f"{procedure.__name__}.columns must be a tuple of Column(name, unit, meaning), with "
             f"a comma after one alone; it is {shortened(repr(columns))}"
         )
     names = [column.name for column in columns]

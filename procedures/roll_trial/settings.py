@@ -56,9 +56,9 @@ class RollTrialSettings(PressedSettings):
     largest_offset_mm: float = Field(
         default=1.0, gt=0, json_schema_extra={"only_with": {"alignment": ["compensate", "measure"]}}
     )
-    """Refuse to roll if the rotary axis is off by more than this, with --alignment compensate by
-    more than x can compensate for. (2 mm already produces half the tangential force needed to
-    slip.)"""
+    """Largest offset of the rotary axis that may remain; the roll is refused beyond it. With
+    --alignment compensate it is what x cannot compensate for, with measure the whole offset.
+    (2 mm already produces half the tangential force needed to slip.)"""
     angle_error_deg: float = Field(default=0.02, gt=0)
     """Largest error of the angle at the ends of the roll; a trial above it is marked invalid."""
     force_error_rms_percent: float = Field(default=3.0, gt=0)
@@ -75,9 +75,9 @@ class RollTrialSettings(PressedSettings):
                 "each time needs its angle"
             )
         if times and (len(times) < 3 or times[0] != 0 or sorted(set(times)) != list(times)):
-            raise ValueError("profile_times_s has to ascend from 0 and to have at least 3 times")
+            raise ValueError("profile_times_s must ascend from 0 and have at least 3 times")
         if angles and (angles[0] != 0 or angles[-1] != 0):
-            raise ValueError("profile_angles_deg has to begin and to end with 0 deg, upright")
+            raise ValueError("profile_angles_deg must begin and end with 0 deg, upright")
         if times and times[-1] > LONGEST_PROFILE_S:
             raise ValueError(
                 f"profile_times_s ends at {times[-1]:g} s, later than {LONGEST_PROFILE_S:g} s"

@@ -231,8 +231,8 @@ def require_small_offset(offset: Estimate, compensated: bool, largest_mm: float)
         remedy += ", or have x compensate for it with --alignment compensate"
     if left_mm > largest_mm:
         raise LimitError(
-            f"rotary: {in_words(offset)}; {why}, and {left_mm:.2f} mm are more than the "
-            f"{largest_mm:g} mm that may remain (--largest-offset)",
+            f"rotary: {in_words(offset)}; {why}, so {left_mm:.2f} mm remain, more than "
+            f"--largest-offset {largest_mm:g} mm",
             remedy,
         )
 

@@ -301,10 +301,10 @@ class SweepPointRun:
         self._differed = abs(before / last - 1)
         if self._seen_ringing is None and abs(before - last) > CLEAR_RINGING * visible:
             self._seen_ringing = (self.run.clock.now(), abs(before - last))
-        self._begin_anew_with_last()
+        self._begin_again_with_last()
         return False
 
-    def _begin_anew_with_last(self) -> None:
+    def _begin_again_with_last(self) -> None:
         """Drop all records but the last."""
         self._kept_since_s = self.run.clock.now() - self.kept[-1].duration_s
         del self.kept[:-1]

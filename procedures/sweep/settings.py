@@ -100,10 +100,10 @@ class SweepSettings(Settings):
     first_amplitude_V: float = Field(default=0.05, gt=0)
     """Generator amplitude, peak, at the beginning of a sweep."""
     slope_bound_dB_decade: float = Field(default=0.05, gt=0, le=20)
-    """Difference of a slope, over frequency or load, up to which 20 dB/decade and independence of
-    the load hold."""
+    """Largest deviation of a slope at which a statement about it holds: from 20 dB/decade over
+    frequency, from 0 over load."""
     gain_bound_dB: float = Field(default=0.1, gt=0, le=20, json_schema_extra={"needs": "loads_N"})
-    """Difference of the gains under two loads up to which the gain does not depend on the load."""
+    """Largest difference of the gains under two loads at which they are called equal."""
     mains_Hz: float = Field(default=50.0, ge=1 / LISTEN_S, le=1000)
     """Mains frequency, whose lines are fitted together with the tone."""
 

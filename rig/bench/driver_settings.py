@@ -87,7 +87,7 @@ def mark_errors(model: type[Settings]) -> Iterator[str]:
         for name in names:
             if units and unit_of(name) not in units.values():
                 ends = " or ".join(units)
-                yield f"{name} is marked as {mark}: its name has to end with its unit, {ends}"
+                yield f"{name} is marked as {mark}: its name must end with its unit, {ends}"
 
 
 def _name_of(model: type[Settings], meaning: str) -> str:

@@ -79,7 +79,7 @@ class MountedSkinSettings(Settings):
     @model_validator(mode="after")
     def _every_level_has_its_error(self) -> Self:
         if self.b_dB.keys() != self.b_error_dB.keys():
-            raise ValueError("b_dB and b_error_dB have to name the same strips")
+            raise ValueError("b_dB and b_error_dB must name the same strips")
         if any(error < 0 for error in self.b_error_dB.values()):
             raise ValueError("b_error_dB is below 0")
         return self

@@ -4,10 +4,10 @@ NAME = r"^[A-Za-z0-9][A-Za-z0-9_.-]*$"
 OPTIONAL_NAME = r"^[A-Za-z0-9_.-]*$"
 NAME_WITH_BLANKS = r"^[A-Za-z0-9][A-Za-z0-9 _-]*$"
 IN_WORDS = {
-    NAME: "has to consist of letters without accents, digits, '_', '.' and '-', and to begin with "
+    NAME: "must consist of letters without accents, digits, '_', '.' and '-', and begin with "
     "a letter or digit",
-    OPTIONAL_NAME: "has to consist of letters without accents, digits, '_', '.' and '-'",
-    NAME_WITH_BLANKS: "has to consist of letters without accents, digits, blanks, '_' and '-', and "
-    "to begin with a letter or digit",
+    OPTIONAL_NAME: "must consist of letters without accents, digits, '_', '.' and '-'",
+    NAME_WITH_BLANKS: "must consist of letters without accents, digits, blanks, '_' and '-', and "
+    "begin with a letter or digit",
 }
 """What a name that does not match has to be, as the end of a sentence, by pattern."""

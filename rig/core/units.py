@@ -113,7 +113,7 @@ def quantity(text: str, unit: str | None) -> float:
             # NaN and infinity pass here: the settings classes refuse them and name the field.
             return float(text)
         except ValueError:
-            raise ValueError(f"is not a number{f' of {unit}' if unit else ''}") from None
+            raise ValueError(f"is not a number{f' in {unit}' if unit else ''}") from None
     number, written = float(match[1]), match[2]
     if written in ("", unit):
         return number

@@ -41,7 +41,7 @@ def validated(model: type[T], values: Mapping[str, Any]) -> T:
         raise RigError(
             f"{model.__module__}.{model.__qualname__} cannot check these settings: "
             f"{place}{type(error).__name__}: {error}",
-            "a validator has to raise ValueError for what it refuses; report it to whoever "
+            "a validator must raise ValueError for what it refuses; report it to whoever "
             "maintains that package",
             ExitCode.INTERNAL,
         ) from error

@@ -58,7 +58,7 @@ class Rig(_OwnDetector):
 
 
 class RigForGrips(Rig):
-    """The detector rig, which has to be surer of the first slip of a motion: for --regrip."""
+    """The detector rig with a higher threshold for the first slip of a motion: for --regrip."""
 
     name = "rig-grip"
 

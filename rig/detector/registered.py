@@ -169,7 +169,7 @@ def _fault(name: str, value: Any) -> str | None:
         name, meant = misspelt
         return (
             f"has {name!r}, which is not a method of a detector; did you mean {meant!r}? (A name "
-            "of your own that is so similar has to begin with an underscore.)"
+            "of your own that is so similar must begin with an underscore.)"
         )
     if inspect.isabstract(value):
         return f"lacks {', '.join(sorted(value.__abstractmethods__))}"

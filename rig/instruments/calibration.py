@@ -79,7 +79,7 @@ def _require_units(record: CalibrationRecord, **units: str) -> None:
     for name, unit in units.items():
         found = getattr(record, name).unit
         if found.removesuffix(LEVEL_REFERENCE) != unit:
-            raise ValueError(f"{name} is stated in {found!r}; it has to be in {unit!r}")
+            raise ValueError(f"{name} is stated in {found!r}; it must be in {unit!r}")
 
 
 class CalibrationFiles(Settings):

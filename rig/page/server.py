@@ -409,7 +409,7 @@ def serve(state: PageState, port: int, ready: Callable[[str], None]) -> None:
         listening.close()
         raise RigError(
             f"--port {port}: cannot listen on 127.0.0.1:{port}: {error.strerror}",
-            "another page may run; choose another port, or --port 0 for any",
+            "another page may run; choose another port, or --port 0 for any free port",
         ) from error
     over = threading.Event()
     threads = [

@@ -34,7 +34,7 @@ class Range(Settings):
             raise ValueError(f"low {self.low:g} is above high {self.high:g}: exchange them")
         if self.logarithmic and self.low <= 0:
             raise ValueError(
-                f"low {self.low:g} of a logarithmic range: has to be above 0; or set logarithmic "
+                f"low {self.low:g} of a logarithmic range: must be above 0; or set logarithmic "
                 "to false"
             )
         return self
@@ -148,7 +148,7 @@ class PopulationSettings(Settings):
     @classmethod
     def _is_positive(cls, value: Range) -> Range:
         if value.low <= 0:
-            raise ValueError(f"low {value.low:g}: has to be above 0")
+            raise ValueError(f"low {value.low:g}: must be above 0")
         return value
 
 

@@ -238,7 +238,7 @@ def simulated_variants() -> tuple[str, ...]:
 def require_variant(name: str) -> str:
     """Return `name`. Raises ValueError, which lists the choices, if no simulated bench has it."""
     if name not in (known := simulated_variants()):
-        raise ValueError(f"has to be one of {', '.join(known)}")
+        raise ValueError(f"must be one of {', '.join(known)}")
     return name
 
 
@@ -262,7 +262,7 @@ def _simulated_benches() -> BenchFactory:
 
 
 def refuse_seed(request: BenchRequest) -> None:
-    """Raise ConfigurationError for a seed that a person gave beside a bench file: it would have no
+    """Raise ConfigurationError for a seed that a person gave with a bench file: it would have no
     effect. A run that is resumed keeps the seed that its journal states."""
     if request.seed and request.bench is not None and not request.dry_run:
         raise ConfigurationError(
@@ -273,7 +273,7 @@ def refuse_seed(request: BenchRequest) -> None:
 
 
 def _refuse_simulation_options(request: BenchRequest, path: Path) -> None:
-    """Raise ConfigurationError for an option of a simulated bench beside the bench file at
+    """Raise ConfigurationError for an option of a simulated bench with the bench file at
     `path`."""
     own = ("stages", "world", "fault", "world_log")
     given = [name for name in own if getattr(request, name) is not None]

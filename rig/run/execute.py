@@ -69,10 +69,10 @@ NOT_IN_REAL_TIME = (
 SLOW_SAVING_S = 10.0
 """Time in s after which a person learns how the bench is although its data are not saved yet."""
 SLOW_SAVING = {
-    True: "the bench is safe; its data are still being saved: there are many, or the disk does not "
-    "answer",
+    True: "the bench is safe; the data are still being saved: the file is large, or the disk "
+    "does not answer",
     False: "the bench could NOT be made safe in full: look before you go near it; the data are "
-    "still being saved: there are many, or the disk does not answer",
+    "still being saved: the file is large, or the disk does not answer",
 }
 """What is shown then, by whether the bench is safe."""
 

@@ -65,7 +65,7 @@ def fault_of(procedure: Any, entry_point: str) -> str | None:
 def _faults(procedure: Any, entry_point: str) -> Iterator[str]:
     if inspect.ismodule(procedure):
         yield (
-            f"names a module; it has to name the procedure's class, a subclass of {BASE}: "
+            f"names a module; it must name the procedure's class, a subclass of {BASE}: "
             f"{entry_point} = {procedure.__name__}:ClassName"
         )
         return
@@ -85,7 +85,7 @@ def _faults(procedure: Any, entry_point: str) -> Iterator[str]:
     except TypeError:
         yield "has an __init__() that does not take the settings as its only argument"
     if procedure.name != entry_point:
-        yield f"has the name {procedure.name!r}, which has to be that of the entry point"
+        yield f"has the name {procedure.name!r}, which must be that of the entry point"
     yield from _wrong_attributes(procedure)
     yield from _wrong_layout(procedure.layout, procedure.streams)
     yield from _ambiguous_options(procedure.Settings)
@@ -109,7 +109,7 @@ def _misspelt(procedure: type[Procedure]) -> Iterator[str]:
         if meant is not None:
             yield (
                 f"has {name!r}, which is not a hook; did you mean {meant!r}? (A name of your own "
-                "that is so similar has to begin with an underscore.)"
+                "that is so similar must begin with an underscore.)"
             )
 
 
@@ -158,7 +158,7 @@ def _wrong_signature(
     try:
         signature.bind(None, *arguments)
     except TypeError:
-        yield f"has {hook}{signature}, which has to be {expected}"
+        yield f"has {hook}{signature}, which must be {expected}"
 
 
 def _wrong_attributes(procedure: type[Procedure]) -> Iterator[str]:

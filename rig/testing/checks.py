@@ -254,7 +254,7 @@ def walk(case: Case, faults: list[tuple[int, str]]) -> None:
             assert failures, f"{where}: the fault was not reported"
             # Frames that carry a number show by the next one that some are missing: no time-out.
             assert heard.startswith("STREAM") or isinstance(failures[0], InstrumentTimeoutError), (
-                f"{where}: the error has to be an InstrumentTimeoutError, and is "
+                f"{where}: the error must be an InstrumentTimeoutError, and is "
                 f"{type(failures[0]).__name__}: {failures[0].one_line()}"
             )
 
@@ -387,7 +387,7 @@ def check_another_instrument_is_refused_with_both_names_and_released(case: Case)
         service.settings["timeout_s"] = UNDISTURBED_S
         stranger = (
             f"connecting to another instrument: the simulator has vendor {STRANGER[0]!r} and model "
-            f"{STRANGER[1]!r} now and answers with these members; connect() has to refuse it"
+            f"{STRANGER[1]!r} now and answers with these members; connect() must refuse it"
         )
         with raising(InstrumentError, stranger) as caught:
             connect(case, service)
@@ -402,7 +402,7 @@ def check_another_instrument_is_refused_with_both_names_and_released(case: Case)
 
 
 def check_a_reader_shows_what_the_stage_does_and_changes_nothing(case: Case) -> None:
-    """Open the reader while the stage moves, without a run beside it; a driver without one has
+    """Open the reader while the stage moves, without a run; a driver without one has
     nothing to show."""
     module = case.module()
     if not _offers_reader(case):
@@ -471,7 +471,7 @@ def _offers_reader(case: Case) -> bool:
 
 def _lies_between(what: str, value: float, one: float, other: float) -> None:
     low, high = min(one, other) - READ_BACK, max(one, other) + READ_BACK
-    assert low <= value <= high, f"{what} is {value:g}; it has to be {low:g} to {high:g}"
+    assert low <= value <= high, f"{what} is {value:g}; it must be {low:g} to {high:g}"
 
 
 # --- making safe and letting go --------------------------------------------------------------

@@ -128,7 +128,7 @@ def _own_scale(sensor: Any, service: Any) -> None:
         assert np.allclose(piece.force_N[:, there], true_N[:, there], rtol=1e-3, atol=1e-6), (
             f"before calibrate(), raw {piece.raw[-1, there]} gives "
             f"{piece.force_N[-1, there]} N, and {true_N[-1, there]} N with the `matrix` of the "
-            "simulator's core: the driver's unit and that matrix have to agree (a core without a "
+            "simulator's core: the driver's unit and that matrix must agree (a core without a "
             "`matrix` sends N)"
         )
     sensor.stop()

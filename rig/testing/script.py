@@ -49,13 +49,13 @@ class Role:
 
 def same(what: str, got: object, wanted: object) -> None:
     """Fail unless two values are equal; the message has both."""
-    assert got == wanted, f"{what} is {got!r}; it has to be {wanted!r}"
+    assert got == wanted, f"{what} is {got!r}; it must be {wanted!r}"
 
 
 def near(what: str, got: float, wanted: float, within: float, unit: str) -> None:
     """Fail unless a value is within a tolerance of another; the message has all three."""
     assert abs(got - wanted) <= within, (
-        f"{what} is {got:.6g} {unit}; it has to be {wanted:.6g} {unit} within {within:.3g} {unit}"
+        f"{what} is {got:.6g} {unit}; it must be {wanted:.6g} {unit} within {within:.3g} {unit}"
     )
 
 

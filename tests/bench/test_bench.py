@@ -111,7 +111,7 @@ WRONG: dict[str, tuple[str, str]] = {
     "unknown key of a driver": (changed("max_amplitude_V", "loud = 1\nmax_amplitude_V"), "loud"),
     "a name with a blank": (
         changed("bench-3", "bench 3"),
-        "name = 'bench 3': has to consist of letters without accents, digits, '_', '.' and '-'",
+        "name = 'bench 3': must consist of letters without accents, digits, '_', '.' and '-'",
     ),
     "unknown table": (GOOD + "\n[oven]\nx = 1\n", "oven: unknown key"),
     "unknown driver": (

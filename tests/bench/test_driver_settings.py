@@ -121,7 +121,7 @@ def test_without_mark_and_usual_name_the_bench_assumes_what_the_page_says() -> N
 @pytest.mark.parametrize(
     ("driver", "words"),
     [
-        ("lab_wrong_unit", "watchdog_us is marked as CommunicationTimeout: its name has to end"),
+        ("lab_wrong_unit", "watchdog_us is marked as CommunicationTimeout: its name must end"),
         ("lab_twice", "up_mm_s2 and down_mm_s2 are both marked as Deceleration"),
     ],
 )

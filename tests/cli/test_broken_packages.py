@@ -75,7 +75,7 @@ BROKEN: dict[str, tuple[str, dict[str, str], str]] = {
     "a module in place of a class": (
         "[rig.procedures]\ncreep = lab.creep\n",
         {"lab/__init__.py": "", "lab/creep.py": COMPLETE},
-        "names a module; it has to name the procedure's class, a subclass of "
+        "names a module; it must name the procedure's class, a subclass of "
         r"rig\.run\.procedure\.Procedure: creep = lab\.creep:ClassName",
     ),
     "a class that is not there": (
@@ -86,7 +86,7 @@ BROKEN: dict[str, tuple[str, dict[str, str], str]] = {
     "another name": (
         REGISTERED,
         {"lab/__init__.py": "", "lab/creep.py": COMPLETE + '    name = "slow-creep"\n'},
-        "has the name 'slow-creep', which has to be that of the entry point",
+        "has the name 'slow-creep', which must be that of the entry point",
     ),
 }
 """Entry points, modules, and what `rig creep` says of them."""

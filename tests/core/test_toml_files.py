@@ -54,4 +54,4 @@ def test_an_empty_text_is_refused_in_plain_words() -> None:
     with pytest.raises(ValidationError) as caught:
         Link(host="")
     error = ConfigurationError.from_validation(caught.value, "bench.toml")
-    assert error.message == "bench.toml: host = '': has to have 1 or more characters"
+    assert error.message == "bench.toml: host = '': must have 1 or more characters"

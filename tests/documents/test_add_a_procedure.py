@@ -101,7 +101,7 @@ READING = "    def reading(self, record):"
 RETURNED = 'return {"creep_um": 1e3 * (record.z_mm[-1] - record.z_mm[0])}'
 MISTAKES = {
     "lacks reading": (READING, "    def _reading(self, record):"),
-    "Creep.under_force has to be under_force(self, trial)": (
+    "Creep.under_force must be under_force(self, trial)": (
         "def under_force(self, trial)",
         "def under_force(self)",
     ),

@@ -180,7 +180,7 @@ def test_the_example_is_about_ten_lines_and_nothing_keeps_it_from_being_loaded()
 
 
 def test_a_class_that_cannot_work_is_refused_where_it_is_defined() -> None:
-    with pytest.raises(TypeError, match=r"Short\.under_force has to be under_force\(self, trial\)"):
+    with pytest.raises(TypeError, match=r"Short\.under_force must be under_force\(self, trial\)"):
 
         class Short(Creep):
             def under_force(self) -> None:  # type: ignore[override]

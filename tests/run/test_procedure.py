@@ -106,11 +106,11 @@ FAULTS: dict[str, tuple[dict[str, Any], str]] = {
     "a misspelt attribute": ({"stream": ()}, "did you mean 'streams'?"),
     "too few arguments": (
         {"take": lambda self, run: {}},
-        "has take(self, run), which has to be take(self, run, point)",
+        "has take(self, run), which must be take(self, run, point)",
     ),
     "too many arguments": (
         {"refine": lambda self, settings, readings: ()},
-        "has refine(self, settings, readings), which has to be refine(self, readings)",
+        "has refine(self, settings, readings), which must be refine(self, readings)",
     ),
     "a value in place of a method": ({"arm": 1}, "has 'arm' that is not a plain method"),
     "a coroutine": ({"take": coroutine}, "has 'take' with 'async', so that its lines would not be"),
@@ -119,7 +119,7 @@ FAULTS: dict[str, tuple[dict[str, Any], str]] = {
         "has 'arm' with 'yield', so that its lines would not be run",
     ),
     "no settings in __init__": ({"__init__": lambda self: None}, "has an __init__() that does not"),
-    "another name": ({"name": "exampel"}, "has the name 'exampel', which has to be that"),
+    "another name": ({"name": "exampel"}, "has the name 'exampel', which must be that"),
     "an unknown fixture": ({"fixtures": ("table",)}, "has the fixture 'table'; known are film-"),
     "fixtures as a word": ({"fixtures": "plate"}, "has fixtures that are not a tuple"),
     "Settings of another kind": ({"Settings": dict}, "has Settings that are not a subclass"),
@@ -172,11 +172,11 @@ FAULTS: dict[str, tuple[dict[str, Any], str]] = {
     ),
     "a default of another type": (
         {"Settings": OneForce},
-        "has a setting with a default that it refuses: forces_N = 3.0 N: has to be a list",
+        "has a setting with a default that it refuses: forces_N = 3.0 N: must be a list",
     ),
     "a default outside its bounds": (
         {"Settings": ShortHold},
-        "has a setting with a default that it refuses: hold_s = 0.1 s: has to be at least 0.2 s",
+        "has a setting with a default that it refuses: hold_s = 0.1 s: must be at least 0.2 s",
     ),
     "one word for points": ({"point_name": "trial"}, "has a point_name that is not a pair"),
 }

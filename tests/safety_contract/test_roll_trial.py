@@ -170,7 +170,7 @@ def test_an_offset_that_nothing_takes_back_is_refused(rig):
     assert ended.code == 4, ended.stderr
     (error,) = ended.errors
     assert "rotary" in error
-    assert "more than the 1 mm that may remain" in error
+    assert "more than --largest-offset 1 mm" in error
     assert_off_the_object(rig)
 
 

@@ -78,7 +78,7 @@ MISTAKES = {
         "generator",
         "VOLT {amplitude_V:.9G}",
         "VOLT {2 * amplitude_V:.9G}",
-        "the peak amplitude is 1 V; it has to be 0.5 V within 5e-06 V",
+        "the peak amplitude is 1 V; it must be 0.5 V within 5e-06 V",
     ),
     "a direction": (
         "stage",

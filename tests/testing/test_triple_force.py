@@ -66,7 +66,7 @@ def test_forces_that_are_not_in_newtons_before_a_calibration_are_found(
     )
     assert ended.returncode == 1, ended.stdout + ended.stderr
     assert "before calibrate(), raw [" in ended.stdout
-    assert "the driver's unit and that matrix have to agree" in ended.stdout
+    assert "the driver's unit and that matrix must agree" in ended.stdout
 
 
 @pytest.mark.parametrize("link", mostly_nightly(["serial", "tcp"], ["tcp"]))

@@ -94,7 +94,7 @@ def simulator_of(role: str, driver: str) -> type[InstrumentCore]:
         if (found.answer, found.exchanges) == untouched:
             return "lacks answer or exchanges"
         if found.link not in ("serial", "tcp"):
-            return f"has the link {found.link!r}, which has to be 'serial' or 'tcp'"
+            return f"has the link {found.link!r}, which must be 'serial' or 'tcp'"
         return None
 
     found: type[InstrumentCore] = load(SIMULATORS, driver, find_fault)

@@ -108,7 +108,7 @@ class ApproachWatch:
             "force_sensor",
             "approach",
             f"it reads {usual_N:.2g} N along z at {position_mm:.3f} mm, as if something pulled; "
-            "what presses has to read positive",
+            "what presses must read positive",
             "press on it by hand and look at its value (rig jog shows it): where that is negative, "
             "correct the sign of z in [force_sensor], or its cable; where it changes by itself, "
             "the sensor drifts",

@@ -116,7 +116,7 @@ RECORDED = (
     Column("missed_ticks", "", "Ticks that were left out"),
     Column("held_back_ticks", "", "Ticks in which z got no command because it was busy"),
     Column("largest_lateness", "s", "Largest lateness of a tick"),
-    Column("misread_positions", "", "Positions that could not be and were asked for again"),
+    Column("misread_positions", "", "Impossible positions that were read again"),
     Column("oldest_look", "s", "Longest time for which a moving axis was not seen"),
     Column("invalid", "", "Why the trial is invalid", "text"),
     Column("filter_delay", "s", "Delay of the anti-alias filter"),

@@ -58,7 +58,7 @@ def parse_batch(text: str, name: str) -> tuple[BatchFile, BatchPlan, BatchText]:
 BOOL, INTEGER = "true or false", "a whole number"
 """What two of the kinds of a value in a batch file have to be, in the words of `finding`."""
 ONE_VALUE = (
-    'an entry has to be one value: a number, text ("200Hz"), true or false. A list is written as '
+    'an entry must be one value: a number, text ("200Hz"), true or false. A list is written as '
     'text ("20,200")'
 )
 
@@ -82,8 +82,8 @@ def _findings(error: ValidationError, tables: Mapping[str, Any]) -> Iterator[Pla
         by_place.setdefault(named, []).append(finding({**item, "loc": keys}))
     for where, messages in by_place.items():
         first, *others = dict.fromkeys(messages)
-        reasons = [other.rpartition(": ")[2].removeprefix("has to be ") for other in others]
-        if {BOOL, INTEGER} <= {first.rpartition(": ")[2].removeprefix("has to be "), *reasons}:
+        reasons = [other.rpartition(": ")[2].removeprefix("must be ") for other in others]
+        if {BOOL, INTEGER} <= {first.rpartition(": ")[2].removeprefix("must be "), *reasons}:
             yield PlanFinding(where, f"{first.rpartition(': ')[0]}: {ONE_VALUE}")
         else:
             yield PlanFinding(where, " or ".join([first, *reasons]))

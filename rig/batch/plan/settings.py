@@ -61,7 +61,7 @@ def _instant(value: Any, parse: ValidatorFunctionWrapHandler) -> Any:
                 pass
         raise ValueError(f"write {wanted}, without quotes")
     if not isinstance(value, datetime | time):
-        raise ValueError(f"has to be {wanted}")
+        raise ValueError(f"must be {wanted}")
     return parse(value)
 
 

@@ -57,7 +57,7 @@ FolderToRebuild = Annotated[
     ),
 ]
 Results = Annotated[
-    Path, typer.Option(help="Folder in which the batch is found.", metavar="FOLDER")
+    Path, typer.Option(help="Folder of results that contains the batch.", metavar="FOLDER")
 ]
 WATCH_S = 1.0
 UNHEARD_S, UNHEARD_NOW_S, HEARD_CHECK_S = 5.0, 1.0, 0.05
@@ -182,7 +182,7 @@ def rebuild(
     folder: FolderToRebuild = None,
     file: Annotated[
         Path | None,
-        typer.Option(help="The batch file, if it is no longer where it was.", metavar="FILE"),
+        typer.Option(help="Batch file, if it was moved.", metavar="FILE"),
     ] = None,
     bench: BatchBench = None,
     results: Results = RESULTS,
@@ -195,12 +195,12 @@ def rebuild(
     with reported(debug):
         from datetime import datetime
 
-        from rig.batch.execute.rebuild import rebuild as make_anew
+        from rig.batch.execute.rebuild import rebuild as make_again
         from rig.batch.folder import folder_to_rebuild
         from rig.batch.report.status import status_of
 
         found = folder_to_rebuild(folder, results)
-        counts = make_anew(found, file, bench, datetime.now().astimezone(), say)
+        counts = make_again(found, file, bench, datetime.now().astimezone(), say)
         states = ", ".join(f"{n} {state}" for state, n in counts.items() if n)
         say(f"the queue of {found.path} was rebuilt: {states}")
         for line in status_of(found).to_continue():

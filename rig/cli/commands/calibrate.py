@@ -176,7 +176,7 @@ def load_cell(
         range_V = number(input_range, "V", "--range")
         if range_V <= 0:
             raise ConfigurationError(
-                f"--range {input_range}: has to be above 0 V", "give the range that is in use"
+                f"--range {input_range}: must be above 0 V", "give the range that is in use"
             )
         sensor = sensor_name("--sensor", sensor)
         fields = {**wanted.fields("load-cell", _now()), **conditions(options, weights_N)}

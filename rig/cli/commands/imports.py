@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from rig.cli.options.numbers import whole_number
+from rig.cli.options.numbers import one_of, whole_number
 from rig.cli.options.shared import RESULTS, AsJson, Debug, Notes, RunFolder
 from rig.cli.options.utf8 import as_utf8
 from rig.cli.outcome import log, print_json, reported, say, say_failure, start_log
@@ -67,13 +67,16 @@ def import_(
         Literal["tab", "semicolon", "comma", "space"] | None,
         typer.Option(
             help="Separator of a text's columns.  [default: recognised]",
+            parser=one_of("tab", "semicolon", "comma", "space"),
             metavar="[tab|semicolon|comma|space]",
         ),
     ] = None,
     decimal: Annotated[
         Literal["point", "comma"] | None,
         typer.Option(
-            help="Decimal sign of a text.  [default: recognised]", metavar="[point|comma]"
+            help="Decimal sign of a text.  [default: recognised]",
+            parser=one_of("point", "comma"),
+            metavar="[point|comma]",
         ),
     ] = None,
     header_lines: Annotated[
@@ -334,7 +337,7 @@ def _quantity(option: str, text: str, unit: str) -> float:
     except ValueError as error:
         raise ConfigurationError(f"{option} {text}: {error}", "see --help for the units") from error
     if not math.isfinite(value) or value == 0:
-        raise ConfigurationError(f"{option} {text}: has to be a finite number of {unit}, not 0")
+        raise ConfigurationError(f"{option} {text}: must be a finite number in {unit}, not 0")
     return value
 
 

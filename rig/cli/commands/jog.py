@@ -6,12 +6,13 @@ import logging
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, get_args
 
 import typer
 
 from rig.bench.settings import Fixture
 from rig.cli.options.groups import option_group, with_option_groups
+from rig.cli.options.numbers import one_of
 from rig.cli.options.settings import SimulatedStages
 from rig.cli.options.shared import RESULTS, BenchFile, Debug, Fault, Seed, World, WorldLog
 from rig.cli.outcome import log, reported, say, say_failure, start_log
@@ -39,7 +40,7 @@ class JogOptions:
     ] = None
     speed: Annotated[
         str | None,
-        typer.Option(help="Speed of linear axes.  [default: 1 mm/s; at most that]", metavar="mm/s"),
+        typer.Option(help="Speed of linear axes.  [default and maximum: 1 mm/s]", metavar="mm/s"),
     ] = None
     angle_step: Annotated[
         str | None,
@@ -50,7 +51,7 @@ class JogOptions:
     turn_speed: Annotated[
         str | None,
         typer.Option(
-            help="Speed of the rotary stage.  [default: 2 deg/s; at most that]", metavar="deg/s"
+            help="Speed of the rotary stage.  [default and maximum: 2 deg/s]", metavar="deg/s"
         ),
     ] = None
     largest_force: Annotated[
@@ -105,6 +106,7 @@ def jog(
         Fixture | None,
         typer.Option(
             help="Fixture of a simulated bench.  [default: film-clamp]",
+            parser=one_of(*get_args(Fixture)),
             metavar="[film-clamp|plate|semi-spherical-object]",
         ),
     ] = None,

@@ -54,17 +54,31 @@ def filter_(
         str, typer.Argument(help="Filter to start from.", metavar="paper|fast|faster")
     ] = "paper",
     half_power: Annotated[
-        str | None, typer.Option(help="Frequency at which the gain is -3 dB.", metavar="Hz")
+        str | None,
+        typer.Option(
+            help="Frequency at which the gain is -3 dB.  [default: that of the filter]",
+            metavar="Hz",
+        ),
     ] = None,
     attenuation: Annotated[
-        str | None, typer.Option(help="Attenuation of the stop band.", metavar="dB")
+        str | None,
+        typer.Option(
+            help="Attenuation of the stop band.  [default: that of the filter]", metavar="dB"
+        ),
     ] = None,
     lag: Annotated[
-        str | None, typer.Option(help="Phase lag at --lag-at; replaces --stop-from.", metavar="deg")
+        str | None,
+        typer.Option(
+            help="Phase lag at --lag-at; replaces --stop-from.  [default: that of the filter]",
+            metavar="deg",
+        ),
     ] = None,
     lag_at: Annotated[
         str | None,
-        typer.Option(help="Frequency at which the phase lag is specified.", metavar="Hz"),
+        typer.Option(
+            help="Frequency at which the phase lag is specified.  [default: that of the filter]",
+            metavar="Hz",
+        ),
     ] = None,
     stop_from: Annotated[
         str | None,
@@ -112,7 +126,7 @@ def _specification(name: str, texts: dict[str, str | None]) -> LowPassSettings:
 
     if name not in NAMED_LOW_PASSES:
         raise ConfigurationError(
-            f"low-pass {name}: has to be one of {', '.join(NAMED_LOW_PASSES)}",
+            f"low-pass {name}: must be one of {', '.join(NAMED_LOW_PASSES)}",
             "options such as --lag change the named filter",
         )
     given = {
@@ -132,7 +146,7 @@ def _designed(settings: LowPassSettings, rate_Hz: float) -> LowPass:
     from rig.detector.low_pass import design_low_pass
 
     if not 0 < rate_Hz < float("inf"):
-        raise ConfigurationError(f"--rate {rate_Hz:g} Hz: has to be above 0 Hz")
+        raise ConfigurationError(f"--rate {rate_Hz:g} Hz: must be above 0 Hz")
     try:
         return design_low_pass(settings, rate_Hz)
     except ValueError as error:

@@ -25,9 +25,9 @@ def make_safe(
     """Put every instrument of a bench into its safe state: motion stopped, outputs off.
 
     An instrument whose driver is broken, or whose table in the bench file is wrong, does not
-    prevent making the others safe. A run, batch or rig jog on the bench is asked to stop first, and
-    is waited for while it makes the bench safe itself, 1 to 3 s as a rule and 25 s at most. A rig
-    monitor on the bench is ended. Ctrl-C does not interrupt it.
+    prevent making the others safe. A run, batch or rig jog on the bench is asked to stop first
+    and gets up to 25 s to make the bench safe itself; it usually takes 1 to 3 s. A rig monitor on
+    the bench is ended. Ctrl-C does not interrupt rig make-safe.
     """
     from rig.run.stopping import StopFlag
 

@@ -29,7 +29,7 @@ def page(
     port: Annotated[
         int,
         typer.Option(
-            help="Port on 127.0.0.1, up to 65535; 0 for any.",
+            help="Port on 127.0.0.1, up to 65535; 0 for any free port.",
             parser=whole_number(0, 65535),
             metavar="NUMBER",
         ),

@@ -93,7 +93,7 @@ def command(name: str) -> Callable[..., None]:
                 as_utf8(f"--{text}", getattr(request, text) or "", "a run file")
             if request.accept is not None and not request.accept.strip():
                 raise ConfigurationError(
-                    f"--accept {request.accept!r}: has to be a reason, which the run file states",
+                    f"--accept {request.accept!r}: must be a reason, which the run file states",
                     "write why the press is to be the reference, or leave --accept out",
                 )
             refuse_seed(request)

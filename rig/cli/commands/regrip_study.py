@@ -53,7 +53,7 @@ def regrip_study(
     """Drop weights with and without a grip that answers alarms, in pairs at the same seeds.
 
     Every trial is a separate command on its own simulated bench. Trials are stored: an
-    interrupted study continues where it was.
+    interrupted study continues where it stopped.
     """
     with reported(debug, as_json):
         from rig.cli.progress import WireProgress

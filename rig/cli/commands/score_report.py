@@ -44,7 +44,7 @@ def report(
 ) -> None:
     """Write tables and figures to `out` and print the tables.
 
-    Trivial answers are scored beside the detectors. `said` goes into the JSON file, `left_out`, the
+    Trivial answers are scored with the detectors. `said` goes into the JSON file, `left_out`, the
     trials that are missing, into the heading of the tables. A detector of another package that
     failed is named and left out, and the exit code is then that of a command that finished with
     failures. Where no other is left, that failure is raised.

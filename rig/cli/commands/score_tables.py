@@ -21,7 +21,7 @@ SHOWN_TRAITS = (
 """Traits by which they are printed; the files contain more."""
 TRAIT_WORDS = {
     "stop": ("stop:", ""),
-    "held_share": ("held at a share of the way to slip of", ""),
+    "held_share": ("held at", "of the way to slip"),
     "tick_Hz": ("servo tick", "Hz"),
     "normal_force_N": ("normal force", "N"),
     "noise_mV": ("noise", "mV"),
@@ -59,8 +59,8 @@ LABELS = {
     "taken_for_rolls": "slips, holds and taps classified as roll",
     "pressing_alarms": "trials with a false alarm before the motion",
     "found_of_judged": "of the slips that it says it can judge, found in time",
-    "slips_unjudged": "slips that it says it cannot judge (they count as missed)",
-    "cannot_judge": "trials of which it says it cannot judge all",
+    "slips_unjudged": "slips that it says it cannot judge (counted as missed)",
+    "cannot_judge": "trials that it says it cannot judge completely",
     "unjudged_time": "time that it says it cannot judge, % of all",
     "false_per_hour": "early and false alarms per hour without slip",
     "false_per_hour_of": "hours without slip",
@@ -156,7 +156,8 @@ def _condition(trait: str, bin_: str) -> str:
     'noise 0.2 to 0.5 mV'
     """
     word, unit = TRAIT_WORDS[trait]
-    return f"{word} {bin_} {unit}".rstrip()
+    numbers, _, above = bin_.partition(" and ")
+    return " ".join(part for part in (word, numbers, unit, above and f"and {above}") if part)
 
 
 def _shown(number: ScoredNumber | None) -> str:

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, get_args
 
 import typer
 
 from rig.bench.settings import Fixture
-from rig.cli.options.numbers import LARGEST_SEED, whole_number
+from rig.cli.options.numbers import LARGEST_SEED, one_of, whole_number
 from rig.cli.options.settings import SimulatedStages
 from rig.cli.options.shared import Debug, World
 from rig.cli.outcome import reported, say
@@ -23,7 +23,11 @@ if TYPE_CHECKING:
 def simulate(
     fixture: Annotated[
         Fixture,
-        typer.Option(help="Mounted fixture.", metavar="[film-clamp|plate|semi-spherical-object]"),
+        typer.Option(
+            help="Mounted fixture.",
+            parser=one_of(*get_args(Fixture)),
+            metavar="[film-clamp|plate|semi-spherical-object]",
+        ),
     ] = "film-clamp",
     stages: SimulatedStages = None,
     replace: Annotated[

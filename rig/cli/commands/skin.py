@@ -403,7 +403,7 @@ def _steps(at: list[float] | None, last: int) -> list[int]:
         _within(at, 1, last, "", " (a step)")
         if parts := [step for step in at if not step.is_integer()]:
             raise ConfigurationError(
-                f"--at {parts[0]:g} (a step) has to be a whole number",
+                f"--at {parts[0]:g} (a step) must be a whole number",
                 "write the number of a step, for example 140",
             )
         return sorted({int(step) for step in at})

@@ -98,7 +98,7 @@ def train(
     units: Annotated[
         int,
         typer.Option(
-            help="Hidden units of each of them, 1 to 256.",
+            help="Hidden units of each network, 1 to 256.",
             parser=whole_number(1, 256),
             metavar="COUNT",
         ),

@@ -66,7 +66,12 @@ class RecordOptions:
         ),
     ] = None
     temperature: Annotated[
-        float | None, typer.Option(help="Ambient temperature in degrees Celsius.", metavar="degC")
+        float | None,
+        typer.Option(
+            help="Ambient temperature in degrees Celsius, -40 to 85.",
+            parser=real_number(-math.inf),
+            metavar="degC",
+        ),
     ] = None
     notes: Notes = ""
     as_json: AsJson = False
@@ -85,7 +90,7 @@ class RecordOptions:
         low, high = TEMPERATURES_degC
         if self.temperature is not None and not low <= self.temperature <= high:
             raise ConfigurationError(
-                f"--temperature {self.temperature:g}: has to be {low:g} to {high:g} degC, "
+                f"--temperature {self.temperature:g}: must be {low:g} to {high:g} degC, "
                 "that of the room"
             )
         return {
@@ -176,7 +181,7 @@ def weights_of(text: str) -> list[float]:
         )
     if any(after <= before for before, after in pairwise(weights)):
         raise ConfigurationError(
-            f"--weights {text}: every weight has to be larger than the one before",
+            f"--weights {text}: every weight must be larger than the one before",
             "for example --weights 5N,10N,20N",
         )
     return weights
@@ -189,8 +194,7 @@ def conditions(options: WeighingOptions, weights_N: list[float]) -> dict[str, An
     """
     if not 0 <= options.tolerance <= LARGEST_TOLERANCE_PERCENT:
         raise ConfigurationError(
-            f"--tolerance {options.tolerance:g}: has to be 0 to "
-            f"{LARGEST_TOLERANCE_PERCENT:g} percent"
+            f"--tolerance {options.tolerance:g}: must be 0 to {LARGEST_TOLERANCE_PERCENT:g} percent"
         )
     return {
         "weights_N": weights_N,
@@ -216,7 +220,7 @@ def reading_times(options: WeighingOptions) -> Timing:
     ):
         if not low <= value <= LONGEST_WAIT_S:
             raise ConfigurationError(
-                f"{option} {value:g} s: has to be {low:g} to {LONGEST_WAIT_S:g} s"
+                f"{option} {value:g} s: must be {low:g} to {LONGEST_WAIT_S:g} s"
             )
     return timing
 
@@ -233,7 +237,7 @@ def number(text: str, unit: str, option: str) -> float:
     except ValueError as error:
         raise ConfigurationError(f"{option} {text}: {error}", "see --help for the units") from error
     if not math.isfinite(value) or value < 0:
-        raise ConfigurationError(f"{option} {text}: has to be a number, not below 0")
+        raise ConfigurationError(f"{option} {text}: must be a number, not below 0")
     return value
 
 
@@ -241,7 +245,7 @@ def _days(text: str) -> int:
     match = re.fullmatch(r"\s*(\d{1,4})\s*(d|days?)?\s*", text)
     if match is None or not 1 <= int(match[1]) <= 3650:
         raise ConfigurationError(
-            f"--valid {text}: has to be 1 to 3650 days", "write it as --valid 90d"
+            f"--valid {text}: must be 1 to 3650 days", "write it as --valid 90d"
         )
     return int(match[1])
 

@@ -37,7 +37,7 @@ def detector_with_settings(name: str, file: Path | None) -> ChosenDetector:
     from rig.detector.registered import chosen_detector, detector_names
 
     if name not in (known := detector_names()):
-        raise ConfigurationError(f"--detector {name}: has to be one of {', '.join(known)}")
+        raise ConfigurationError(f"--detector {name}: must be one of {', '.join(known)}")
     chosen = chosen_detector(name)
     if file is None:
         return chosen

@@ -1,4 +1,4 @@
-"""Numbers of options: parsers that refuse in plain words, where typer's own show a library's."""
+"""Parsers of options that refuse in plain words, where typer's own show a library's."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def whole_number(least: int, most: int | None = None) -> Callable[[object], int]
 
 
 def real_number(least: float, most: float | None = None) -> Callable[[object], float]:
-    """Return the parser of an option that takes a number from `least` to `most`."""
+    """Return the parser of an option that takes a number from `least` (-inf: any) to `most`."""
 
     def parse(given: object) -> float:
         try:
@@ -39,6 +39,17 @@ def real_number(least: float, most: float | None = None) -> Callable[[object], f
         if not least <= value <= (math.inf if most is None else most):
             raise _refused(given, "a number", least, most)
         return value
+
+    return parse
+
+
+def one_of(*names: str) -> Callable[[object], str]:
+    """Return the parser of an option that takes one of the names."""
+
+    def parse(given: object) -> str:
+        if given not in names:
+            raise typer.BadParameter(f"{given}: must be one of {', '.join(names)}")
+        return str(given)
 
     return parse
 
@@ -56,12 +67,12 @@ def number_in(text: str, unit: str, option: str, *, above: float = -math.inf) ->
     except ValueError as error:
         raise ConfigurationError(f"{option} {text}: {error}", f"write it in {unit}") from error
     if not math.isfinite(number):
-        raise ConfigurationError(f"{option} {text}: has to be a finite number of {unit}")
+        raise ConfigurationError(f"{option} {text}: must be a finite number in {unit}")
     if not number > above:
-        raise ConfigurationError(f"{option} {text}: has to be above {above:g} {unit}")
+        raise ConfigurationError(f"{option} {text}: must be above {above:g} {unit}")
     return number
 
 
 def _refused(given: object, what: str, least: float, most: float | None) -> typer.BadParameter:
-    within = f"at least {least}" if most is None else f"{least} to {most}"
-    return typer.BadParameter(f"{given}: must be {what}, {within}")
+    within = f", at least {least}" if most is None else f", {least} to {most}"
+    return typer.BadParameter(f"{given}: must be {what}{within if least > -math.inf else ''}")

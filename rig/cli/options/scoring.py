@@ -122,11 +122,15 @@ RidgeRead = Annotated[
     ),
 ]
 YoungsModulus = Annotated[
-    str | None, typer.Option(help="Young's modulus of the skin.", metavar="MPa")
+    str | None,
+    typer.Option(help="Young's modulus of the skin.  [default: that of the skin]", metavar="MPa"),
 ]
 Speed = Annotated[
     str | None,
-    typer.Option(help="Speed of slides and holds: one value or LOW:HIGH.", metavar="mm/s"),
+    typer.Option(
+        help="Speed of slides and holds: one value or LOW:HIGH.  [default: that of the population]",
+        metavar="mm/s",
+    ),
 ]
 SwappedGains = Annotated[
     bool, typer.Option("--swapped-gains", help="Exchange the amplifiers of the two channels.")

@@ -184,7 +184,7 @@ def _refused(model: type[Settings], given: Mapping[str, str | None], item: Any) 
     words = r"(?<![\w-])(" + "|".join(fields) + r")\b"
     if fields:
         message = re.sub(words, lambda match: names[match[1]], message)
-    return re.sub(r"\bhas to be\b", "must be", message)
+    return message
 
 
 def _short(info: FieldInfo) -> tuple[str, ...]:

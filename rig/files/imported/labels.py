@@ -39,7 +39,7 @@ def read_labels(path: Path) -> dict[str, dict[str, str]]:
     known = ("file", "label", *TIMES)
     if "file" not in heads or not set(heads) - {"file"}:
         raise ConfigurationError(
-            f"--labels {path}: its first line has to name the column 'file' and one of "
+            f"--labels {path}: its first line must name the column 'file' and one of "
             f"{', '.join(known[1:])}"
         )
     if unknown := [name for name in heads if name not in known]:

@@ -340,7 +340,7 @@ def _check_rate(whose: str, rate_Hz: float, name: str) -> None:
     if not LOWEST_RATE_Hz <= rate_Hz <= HIGHEST_RATE_Hz:
         raise ForeignFileError(
             name,
-            f"{whose} {rate_Hz:g} Hz: has to be {LOWEST_RATE_Hz:g} to {HIGHEST_RATE_Hz:g} Hz",
+            f"{whose} {rate_Hz:g} Hz: must be {LOWEST_RATE_Hz:g} to {HIGHEST_RATE_Hz:g} Hz",
             "correct --rate"
             if whose == STATED_RATE
             else "where times are not in s, say so with --scale time=1ms",

@@ -116,7 +116,9 @@ class TextTable:
         if re.fullmatch(r"[0-9]{1,9}", wanted):
             if not 1 <= int(wanted) <= self._width:
                 raise ForeignFileError(
-                    self._file, f"column {wanted} of {self._width}", "columns count from 1"
+                    self._file,
+                    f"column {wanted}: the file has {self._width}",
+                    "columns are numbered from 1",
                 )
             return int(wanted) - 1
         found = sorted({k for cells in self._header for k, c in enumerate(cells) if c == wanted})

@@ -258,12 +258,12 @@ def test_all_that_is_wrong_is_reported_at_once_with_its_experiment() -> None:
         defaults={"roll": {}, "sweep": {"load_N": "heavy"}},
     )
     expected = [
-        "experiment 1: matrix.speed_mm_s = -1 mm/s: has to be above 0 mm/s",
+        "experiment 1: matrix.speed_mm_s = -1 mm/s: must be above 0 mm/s",
         "experiment 1: matrix.speed_mm_s = '3 kg': 'kg' does not convert to mm/s",
         "experiment 1: settings.rest: the procedure has no such setting; did you mean rest_s?",
         "experiment 2: procedure = 'slide' is unknown; known are path-trial, roll-trial, ",
         "defaults: procedure = 'roll' is unknown",
-        "defaults.sweep.load_N = 'heavy': is not a number of N",
+        "defaults.sweep.load_N = 'heavy': is not a number in N",
         "experiment 3: sweep-001: lowest_Hz 30000 Hz is not below highest_Hz 20000 Hz",
     ]
     for words in expected:
@@ -290,7 +290,7 @@ SAMPLE = {"points": 3, "ranges": {"speed_mm_s": (0.1, 1.0)}}
         ),
         ({"block_by": ["rest_s"]}, "block_by has no meaning with order = 'as-written'"),
         ({"every": 3}, "a reference runs between others, and there are none"),
-        ({"include": [{"speed_mm_s": 0}]}, "include.speed_mm_s = 0 mm/s: has to be above 0 mm/s"),
+        ({"include": [{"speed_mm_s": 0}]}, "include.speed_mm_s = 0 mm/s: must be above 0 mm/s"),
         ({"sample": SAMPLE | {"ranges": {"speed_mm_s": (-1, 1)}}}, "sample.speed_mm_s = -"),
     ],
 )

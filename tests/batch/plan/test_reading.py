@@ -67,17 +67,17 @@ def test_a_whole_file_is_read_and_expanded(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "line", "words"),
     [
-        ('name = "night"', 'name = ""', 2, "batch.name = '': has to have 1 or more characters"),
+        ('name = "night"', 'name = ""', 2, "batch.name = '': must have 1 or more characters"),
         ("not_before = 22:00:00", 'not_before = "late"', 3, "batch.not_before = 'late': "),
-        ("repeat = 2", "repeat = 0", 11, "experiment 1: repeat = 0: has to be at least 1"),
+        ("repeat = 2", "repeat = 0", 11, "experiment 1: repeat = 0: must be at least 1"),
         ("repeat = 2", "repeats = 2", 11, "experiment 1: repeats: unknown key"),
-        ("    0.5,\n]", "    -0.5,\n]", 13, "experiment 1: matrix.speed_mm_s = -0.5 mm/s: has to"),
-        ("    0.5,\n]", "    [1],\n]", 13, "experiment 1: matrix.speed_mm_s: an entry has to be"),
+        ("    0.5,\n]", "    -0.5,\n]", 13, "experiment 1: matrix.speed_mm_s = -0.5 mm/s: must"),
+        ("    0.5,\n]", "    [1],\n]", 13, "experiment 1: matrix.speed_mm_s: an entry must be"),
         ('"1 min"', '"1 m"', 17, "experiment 1: matrix.rest_s = '1 m': 'm' does not convert to s"),
         ("rest_s = 60", "pause_s = 60", 20, "experiment 1: exclude.pause_s: the procedure has no"),
         ('"4 N"', '"4 kg"', 7, "defaults.slip-trial.normal_force_N = '4 kg': "),
-        ('"4 N"', "-4", 7, "defaults.slip-trial.normal_force_N = -4 N: has to be above 0 N"),
-        ("load_N = 1 ", "load_N = 0 ", 25, "experiment 2: settings.load_N = 0 N: has to be above"),
+        ('"4 N"', "-4", 7, "defaults.slip-trial.normal_force_N = -4 N: must be above 0 N"),
+        ("load_N = 1 ", "load_N = 0 ", 25, "experiment 2: settings.load_N = 0 N: must be above"),
         ('= "sweep"', '= "swoop"', 23, "experiment 2: procedure = 'swoop' is unknown"),
         ("every = 3", "every = 3\nrepeat = 3", 22, "experiment 2: a reference (every) is one"),
         ("[batch]", "[bitch]", 1, "batch: missing"),
@@ -93,8 +93,8 @@ def test_an_error_is_reported_with_its_line(old: str, new: str, line: int, words
 @pytest.mark.parametrize(
     ("value", "words"),
     [
-        ("7", "stop_by = 7: has to be a time of day (07:00:00) or a date and time (2026-11-24 "),
-        ("2026-11-24", "stop_by = 2026-11-24: has to be a time of day (07:00:00)"),
+        ("7", "stop_by = 7: must be a time of day (07:00:00) or a date and time (2026-11-24 "),
+        ("2026-11-24", "stop_by = 2026-11-24: must be a time of day (07:00:00)"),
         ('"07:00:00+02:00"', "a time of day is in this computer's time zone: write 07:00:00"),
         ('"7 am"', "stop_by = '7 am': write a time of day (07:00:00) or a date and time (2026-11"),
         ('"7"', "stop_by = '7': write a time of day (07:00:00)"),
@@ -117,12 +117,12 @@ def test_the_bound_of_a_sample_in_another_unit_is_refused_with_its_setting() -> 
 @pytest.mark.parametrize("key", ["user", "sample"])
 def test_a_name_that_no_run_file_could_hold_is_refused_before_the_night(key: str) -> None:
     text = f'[batch]\nname = "b"\n{key} = "{"x" * 1001}"\n[[experiment]]\nprocedure = "sweep"\n'
-    assert refused(text) == [f"night.toml:3: batch.{key}: has to have at most 1000 characters"]
+    assert refused(text) == [f"night.toml:3: batch.{key}: must have at most 1000 characters"]
 
 
 def test_stages_that_no_simulated_bench_has_are_refused_with_the_choices() -> None:
     (line,) = refused(GOOD + '[simulation]\nstages = "hexapod"\n')
-    assert line.startswith("night.toml:27: simulation.stages = 'hexapod': has to be one of festo, ")
+    assert line.startswith("night.toml:27: simulation.stages = 'hexapod': must be one of festo, ")
     batch, _, _ = parse_batch(GOOD + '[simulation]\nstages = "az-festo"\n', "night.toml")
     assert batch.simulation is not None
     assert batch.simulation.stages == "az-festo"

@@ -281,7 +281,7 @@ def test_the_same_seed_gives_the_same_readings(rig: Any) -> None:
         (("load-cell", "--weights", "5,15"), 4, ("beyond the range of 1.25 V", "--range")),
         (("load-cell", "--preload", "15"), 4, ("25 N are over the limit of 20 N",)),
         (("load-cell", "--range", "3V"), 4, ("a range of 3 V does not exist",)),
-        (("load-cell", "--range", "0V"), 2, ("--range 0V: has to be above 0 V",)),
+        (("load-cell", "--range", "0V"), 2, ("--range 0V: must be above 0 V",)),
     ],
 )
 @pytest.mark.thorough
@@ -482,11 +482,11 @@ def test_ctrl_c_within_a_reading_ends_the_stream_and_writes_nothing(
 @pytest.mark.parametrize(
     ("arguments", "reported"),
     [
-        (("--duration", "0s"), "--duration 0 s: has to be 0.1 to 60 s"),
-        (("--settling", "2min"), "--settling 120 s: has to be 0 to 60 s"),
+        (("--duration", "0s"), "--duration 0 s: must be 0.1 to 60 s"),
+        (("--settling", "2min"), "--settling 120 s: must be 0 to 60 s"),
         (("--rate", "fast"), "--rate fast"),
-        (("--weights", "10N,5N"), "--weights 10N,5N: every weight has to be larger"),
-        (("--temperature", "-400"), "--temperature -400: has to be -40 to 85 degC"),
+        (("--weights", "10N,5N"), "--weights 10N,5N: every weight must be larger"),
+        (("--temperature", "-400"), "--temperature -400: must be -40 to 85 degC"),
         (("--notes", "M\udcfcller"), r"--notes M\udcfcller: this text is not UTF-8"),
         (("--operator", "M\udcfcller"), r"--operator M\udcfcller: this text is not UTF-8"),
         (("--sensor", "x" * 201), "--sensor has 201 characters: a record keeps at most 200"),

@@ -157,8 +157,8 @@ def test_parameters_may_be_given_otherwise(rig: Any, runs: list[str]) -> None:
     [
         ("fire = 2.0\n", "fire: unknown key"),
         ("[low_pass]\nstop = 2.0\n", "low_pass.stop: unknown key"),
-        ("fire_mV = -1\n", "fire_mV = -1 mV: has to be above 0 mV"),
-        ("fire_mV = nan\n", "fire_mV = nan mV: has to be a finite number"),
+        ("fire_mV = -1\n", "fire_mV = -1 mV: must be above 0 mV"),
+        ("fire_mV = nan\n", "fire_mV = nan mV: must be a finite number"),
         ('fire_mV = "2"\n[[low_pass]]\n', "low_pass"),
         ('logic = "rig"\n', "--detector names the logic"),
         ("fire_mV 2\n", "correct the TOML syntax"),
@@ -181,7 +181,7 @@ def test_an_unknown_detector_is_refused_with_the_known_ones(rig: Any, runs: list
     done = rig.run("detect", "--detector", "paper", runs[0])
     assert done.code == 2
     assert (
-        "--detector paper: has to be one of impulse, paper-hp, paper-literal, rig" in done.errors[0]
+        "--detector paper: must be one of impulse, paper-hp, paper-literal, rig" in done.errors[0]
     )
 
 
@@ -422,11 +422,11 @@ def test_a_specification_of_ones_own_takes_units_and_replaces_the_lag(rig: Any) 
         (("--lag", "2"), "--lag 2 deg at 1 Hz must be at least"),
         (("--lag", "9", "--stop-from", "60"), "--lag 9.0 and --stop-from 60.0: give exactly one"),
         (("--stop-from", "20"), "--stop-from 20 Hz must be above --half-power 28 Hz"),
-        (("--attenuation", "5"), "--attenuation = 5.0 dB: has to be at least 21 dB"),
+        (("--attenuation", "5"), "--attenuation = 5.0 dB: must be at least 21 dB"),
         (("--half-power", "28V"), "'V' does not convert to Hz"),
         (("--rate", "50"), "--half-power 28 Hz must be below half the sampling rate of 50 Hz"),
-        (("--rate", "nan"), "--rate nan Hz: has to be above 0 Hz"),
-        (("slow",), "low-pass slow: has to be one of paper, fast, faster"),
+        (("--rate", "nan"), "--rate nan Hz: must be above 0 Hz"),
+        (("slow",), "low-pass slow: must be one of paper, fast, faster"),
     ],
 )
 @pytest.mark.thorough

@@ -218,7 +218,7 @@ def test_labels_that_cannot_be_are_refused(
 @pytest.mark.parametrize(
     ("text", "reason"),
     [
-        ("file\na.csv\n", "its first line has to name the column 'file' and one of label"),
+        ("file\na.csv\n", "its first line must name the column 'file' and one of label"),
         ("file,slip\na.csv,1\n", "unknown column 'slip'"),
         ("file,label\na.csv,hold\na.csv,hold\n", "line 3: a.csv appears twice"),
     ],

@@ -279,12 +279,12 @@ def test_every_figure_says_that_it_is_simulated(tmp_path: Path, monkeypatch):
     [
         (
             ["slide", "--normal-force", "-1"],
-            "--normal-force -1: has to be above 0 N",
+            "--normal-force -1: must be above 0 N",
         ),
         (["slide", "--normal-force", "4s"], "--normal-force 4s: 's' does not convert to N"),
-        (["slide", "--speed", "0"], "--speed 0: has to be above 0 mm/s"),
-        (["slide", "--speed", "nan"], "--speed nan: has to be a finite number"),
-        (["roll", "--start", "inf"], "--start inf: has to be a finite number"),
+        (["slide", "--speed", "0"], "--speed 0: must be above 0 mm/s"),
+        (["slide", "--speed", "nan"], "--speed nan: must be a finite number"),
+        (["roll", "--start", "inf"], "--start inf: must be a finite number"),
         (
             ["roll", "--start", "1e9mm"],
             "--start 1e9mm: an object with a radius of 30 mm touches no ridge there; the",
@@ -295,7 +295,7 @@ def test_every_figure_says_that_it_is_simulated(tmp_path: Path, monkeypatch):
         (["slide", "--settings", "nowhere.json"], "nowhere.json: No such file"),
         (["history", "--at", "600"], "--at 600 (a step) must lie between 1 and 550"),
         (["slide", "--elements", "2", "--at", "9s"], "--at 9 s must lie between 0 s and 0.8501 s"),
-        (["history", "--at", "1.5"], "--at 1.5 (a step) has to be a whole number"),
+        (["history", "--at", "1.5"], "--at 1.5 (a step) must be a whole number"),
         (
             ["slide", "--show-settings", "--show-skin"],
             "--show-settings and --show-skin print one object each; give one of them",

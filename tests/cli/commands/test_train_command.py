@@ -131,12 +131,12 @@ def test_what_cannot_be_learnt_from_is_refused_in_one_line(tmp_path: Path, argum
         (
             "--population",
             {"speed_mm_s": {"low": 0, "high": 1}},
-            "ranges.json: speed_mm_s: low 0: has to be above 0",
+            "ranges.json: speed_mm_s: low 0: must be above 0",
         ),
         (
             "--population",
             {"tap_s": {"low": 0, "high": 1, "logarithmic": True}},
-            "ranges.json: tap_s: low 0 of a logarithmic range: has to be above 0; or set",
+            "ranges.json: tap_s: low 0 of a logarithmic range: must be above 0; or set",
         ),
         (
             "--front-end",

@@ -82,7 +82,7 @@ def test_a_quantity_may_carry_any_unit_that_converts(
         ("3 1/0", "N", "'1/0' is not a unit"),
         ("3 N/0", "N", "is not a unit; write it as N"),
         ("3 ((", "N", "is not a unit"),
-        ("four", "N", "is not a number of N"),
+        ("four", "N", "is not a number in N"),
         ("", None, "is not a number$"),
         ("3N", None, "takes a bare number, not 'N'"),
         ("1.2.3", "N", "is not a unit"),
@@ -341,7 +341,7 @@ def test_an_acceptance_without_a_reason_is_refused_before_a_bench_is_started(
     ended = rig.run("path-trial", "--accept", reason)
     assert (ended.code, ended.stderr.splitlines()) == (ExitCode.USAGE, ended.errors)
     (error,) = ended.errors
-    assert f"--accept {reason!r}: has to be a reason" in error
+    assert f"--accept {reason!r}: must be a reason" in error
 
 
 def test_bounds_in_the_help_are_words(rig) -> None:

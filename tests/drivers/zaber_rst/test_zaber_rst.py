@@ -164,7 +164,7 @@ def test_a_stage_that_does_not_tell_its_turn_is_known_by_its_resolution() -> Non
     ("wrong", "words"),
     [
         ({"port": "socket://localhost"}, "socket://HOST:NUMBER"),
-        ({"low_limit_deg": 90.0}, "low_limit_deg = 90 deg has to be below"),
+        ({"low_limit_deg": 90.0}, "low_limit_deg = 90 deg must be below"),
         ({"high_limit_deg": 1e6}, "high_limit_deg = 1e\\+06 deg do not fit .* reach .* deg"),
         ({"max_speed_deg_s": 1e-5}, "max_speed_deg_s = 1e-05 deg/s is below .*, 9.54e-05 deg/s"),
         ({"max_acceleration_deg_s2": 0.9}, "max_acceleration_deg_s2 = 0.9 deg/s.2 is below"),

@@ -124,8 +124,8 @@ def test_what_is_no_recording_is_refused_by_its_line(
 @pytest.mark.parametrize(
     ("columns", "reason"),
     [
-        ({"v_1": "0", "v_2": "3"}, "column 0 of 4"),
-        ({"v_1": "2", "v_2": "5"}, "column 5 of 4"),
+        ({"v_1": "0", "v_2": "3"}, "column 0: the file has 4"),
+        ({"v_1": "2", "v_2": "5"}, "column 5: the file has 4"),
         ({"v_1": "S", "v_2": "2"}, "columns 2, 3 have the name 'S'; name it by its number"),
         ({"v_1": "s", "v_2": "2"}, "no column 's'; the header has S, t, v \\(mV\\)"),
         ({"v_1": "2", "v_2": "2"}, "v_1 and v_2 are both column 2"),
@@ -242,7 +242,7 @@ def test_printed_times_give_their_round_rate(
         (np.linspace(0, 1, 100) ** 1.1, "line 2: .* after the row above|off even spacing"),
         (np.arange(400) / 1000 + 4e-4 * np.sin(np.arange(400) / 30), "line .* off even spacing"),
         ([0, 1e12], "s is not a time"),
-        ([0, 10.0, 20.0], "the times say 0.1 Hz: has to be 1 to 1e\\+07 Hz"),
+        ([0, 10.0, 20.0], "the times say 0.1 Hz: must be 1 to 1e\\+07 Hz"),
     ],
 )
 def test_uneven_times_are_refused_where_they_are(

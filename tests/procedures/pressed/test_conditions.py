@@ -268,8 +268,8 @@ CREEP = Column("creep", "um", "Travel of z")
 @pytest.mark.parametrize(
     ("columns", "reported"),
     [
-        (CREEP, "columns has to be a tuple of Column(name, unit, meaning), with a comma after one"),
-        (("creep_um",), "columns has to be a tuple of Column"),
+        (CREEP, "columns must be a tuple of Column(name, unit, meaning), with a comma after one"),
+        (("creep_um",), "columns must be a tuple of Column"),
         ((CREEP, CREEP), "columns has 'creep' twice; rename one of them"),
     ],
 )
