@@ -82,11 +82,15 @@ def contents_in_words(
 
 def with_results_in_words(said: dict[str, Any]) -> dict[str, Any]:
     """Return the description of a model's file with a line for each result, such as
-    ``8501 time: -0.4 to 4.01 N (normal force)``."""
+    ``8501 over time: -0.4 to 4.01 N (normal force)``."""
 
     def line(one: Mapping[str, Any]) -> str:
         if "shape" in one:
-            value = f"{one['shape']}: {in_words(one['lowest'])} to {in_words(one['highest'])}"
+            sizes, axes = zip(
+                *(part.split(" ", 1) for part in one["shape"].split(", ")), strict=True
+            )
+            many = f"{' x '.join(sizes)} over {' and '.join(axes)}"
+            value = f"{many}: {in_words(one['lowest'])} to {in_words(one['highest'])}"
         else:
             values = one["value"] if "value" in one else one["values"]
             value = "; ".join(map(in_words, values if isinstance(values, list) else [values]))

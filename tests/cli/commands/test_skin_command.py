@@ -131,7 +131,7 @@ def test_rig_show_sums_up_what_was_computed(kept_slide: Path):
     assert "settings.press.loading_s 0.05" in settings
     assert "speed_mm_s" not in settings, "it has its default"
     assert "speed_mm_s: 0.5" in shown("show", "--all", kept_slide)
-    assert re.search(r"  F_n: \d+ time: \S+ to 1\S* N \(normal force\)", results)
+    assert re.search(r"  F_n: \d+ over time: \S+ to 1\S* N \(normal force\)", results)
     everything = shown("show", "--all", kept_slide)
     assert re.search(r"  ridge_whole_slip: (\S+; ){8}\S+ s \(slip of the whole ridge\)", everything)
 
