@@ -27,6 +27,9 @@ USED_S = 0.1
 PRESSED_SHARE = 0.5
 """Share of the normal force above which F_t/F_n is a coefficient and not noise."""
 
+LONGER_SHARE, LONGER_S = 0.1, 0.1
+"""Share and time by which a slide has to take longer than expected for a warning."""
+
 
 @dataclass
 class SlipTrialRecord(TrialRecord):
@@ -57,11 +60,28 @@ def reading_of(run: Run, record: SlipTrialRecord) -> Reading:
         "slide_from_s": record.motion_from_s,
         "slide_to_s": record.motion_to_s,
     }
+    _warn_of_slow_slide(run, record)
     reading |= _ramp(settings, record, t, force)
     reading |= _friction(run, record, t[held], force[held])
     reading |= grip_reading(record) | _weight(settings, record, reading, t[held], force[held])
     run.check_stop()  # Computing takes a while, so a sign of life is due.
     return reading
+
+
+def _warn_of_slow_slide(run: Run, record: SlipTrialRecord) -> None:
+    """Record a warning where x took longer for a slide than its speed allows."""
+    settings: SlipTrialSettings = run.settings
+    took_s, expected_s = record.motion_to_s - record.motion_from_s, settings.slide_s
+    if settings.loading == "slide" and took_s > (1 + LONGER_SHARE) * expected_s + LONGER_S:
+        run.event(
+            "warning",
+            "slow-slide",
+            f"{record.point}: the slide took {took_s:.2f} s; {settings.distance_mm:g} mm at "
+            f"{settings.speed_mm_s:g} mm/s take {expected_s:.2f} s. What was recorded belongs to a "
+            "slower slide; check what slows the stage, and whether its drive has the acceleration "
+            f"of {settings.acceleration_mm_s2:g} mm/s^2 that --acceleration states, or ask for a "
+            "lower --speed",
+        )
 
 
 def _weight(
