@@ -60,7 +60,7 @@ def reading_of(run: Run, record: SlipTrialRecord) -> Reading:
         "slide_from_s": record.motion_from_s,
         "slide_to_s": record.motion_to_s,
     }
-    _warn_of_slow_slide(run, record)
+    warn_of_slow_slide(run, record)
     reading |= _ramp(settings, record, t, force)
     reading |= _friction(run, record, t[held], force[held])
     reading |= grip_reading(record) | _weight(settings, record, reading, t[held], force[held])
@@ -68,7 +68,7 @@ def reading_of(run: Run, record: SlipTrialRecord) -> Reading:
     return reading
 
 
-def _warn_of_slow_slide(run: Run, record: SlipTrialRecord) -> None:
+def warn_of_slow_slide(run: Run, record: SlipTrialRecord) -> None:
     """Record a warning where x took longer for a slide than its speed allows."""
     settings: SlipTrialSettings = run.settings
     took_s, expected_s = record.motion_to_s - record.motion_from_s, settings.slide_s
