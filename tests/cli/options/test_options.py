@@ -149,12 +149,11 @@ def test_given_texts_become_settings() -> None:
     )
 
 
-def test_has_to_begin_is_not_taken_for_has_to_be() -> None:
-    """Found by an attack: "must begin and to end with 0 deg"."""
+def test_what_a_curve_must_be_is_one_sentence() -> None:
     angles = {"profile_times_s": "0,1,2", "profile_angles_deg": "0,1,1"}
     with pytest.raises(ConfigurationError) as caught:
         settings_from(RollTrialSettings, angles)
-    assert "--profile-angles has to begin and to end with 0 deg" in caught.value.one_line()
+    assert "--profile-angles must begin and end with 0 deg, upright" in caught.value.one_line()
 
 
 @pytest.mark.parametrize(

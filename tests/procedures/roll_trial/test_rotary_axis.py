@@ -64,7 +64,7 @@ def test_x_that_compensates_already_is_not_the_remedy():
         require_small_offset(offset, True, 1.0)
     line = compensated.value.one_line()
     assert "the rotary axis lies 10.92 mm below the point of contact" in line
-    assert "8 mm at most, and 2.92 mm are more than the 1 mm that may remain" in line
+    assert "8 mm at most, so 2.92 mm remain, more than --largest-offset 1 mm" in line
     assert "--alignment" not in line
     with pytest.raises(LimitError) as measured:
         require_small_offset(offset, False, 1.0)
