@@ -40,6 +40,8 @@ class Claim:
     repeat: int
     condition: BatchCondition
     estimate_s: float
+    """Expected duration: as planned, or that of the longest of the latest complete runs of the
+    condition, if that is longer."""
     spread_s: float
     size_B: int = 0
     """Size of its run file at most, as planned."""

@@ -25,6 +25,8 @@ ROW = (
 """Columns of a `RunRow`."""
 AT_ONCE = 1000
 """Number of runs that are read at once."""
+LATEST = 20
+"""Number of complete runs of a condition from which it is seen how long a run takes."""
 
 
 class QueueView:
@@ -249,10 +251,22 @@ class QueueView:
             before + further,
             row["repeat"],
             _condition_of(condition),
-            condition["estimate_s"],
+            max(condition["estimate_s"], self._longest_s(row["condition"])),
             condition["spread_s"],
             condition["size_B"],
         )
+
+    def _longest_s(self, condition: str) -> float:
+        """Return the longest bench time of the latest complete runs of a condition, in s, without
+        those that were interrupted or tried again; 0 if there are none."""
+        found = self._sql.execute(
+            "SELECT coalesce(max(bench_s), 0) FROM (SELECT r.bench_s FROM run r"
+            " WHERE r.condition = ? AND r.state = 'done'"
+            " AND (SELECT count(*) FROM attempt a WHERE a.run = r.number) = 1"
+            " ORDER BY r.number DESC LIMIT ?)",
+            (condition, LATEST),
+        )
+        return float(found.fetchone()[0])
 
 
 def _condition_of(row: sqlite3.Row) -> BatchCondition:

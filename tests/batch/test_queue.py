@@ -56,6 +56,29 @@ def test_runs_are_claimed_in_order_and_each_once(tmp_path: Path) -> None:
         assert queue.bench_s() == 30.0
 
 
+def test_a_run_is_expected_to_take_as_long_as_others_of_its_condition_have_taken(
+    tmp_path: Path,
+) -> None:
+    """A run that was tried again does not show how long one takes."""
+    with created(tmp_path, plan(conditions=1, repeats=5)) as queue:
+
+        def take(bench_s: float, *, tries: int = 1) -> float:
+            for further in reversed(range(tries)):
+                upcoming = queue.upcoming()
+                assert upcoming is not None
+                claim = queue.claim(upcoming.number)
+                assert claim.estimate_s == upcoming.estimate_s
+                ended = AttemptResult("failed" if further else "complete", bench_s=bench_s)
+                queue.finish(claim, ended, "queued" if further else "done")
+            return claim.estimate_s
+
+        assert take(7.0) == 10.0, "as planned"
+        assert take(15.5) == 10.0
+        assert take(12.0, tries=2) == 15.5
+        assert take(14.0) == 15.5
+        assert take(1.0) == 15.5
+
+
 def test_a_run_that_is_taken_is_nobody_elses(tmp_path: Path) -> None:
     with created(tmp_path, plan()) as queue, Queue.open(queue.path) as other:
         assert taken(queue) == 1
