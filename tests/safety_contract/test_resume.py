@@ -21,14 +21,18 @@ FORTY_POINTS = ("--frequencies", ",".join(f"{300 * 1.07**k:.6g}" for k in range(
 """No round numbers: what remains of mains and ringing would be alike at all of them."""
 
 
+def interrupted_at(line, running):
+    """Press Ctrl-C at a line of a sweep under way; its end."""
+    running.wait_for(line)
+    running.send(signal.SIGINT)
+    return running.finish()
+
+
 @pytest.mark.thorough
 def test_a_resumed_sweep_equals_an_uninterrupted_one(rig):
     whole = rig.sweep(*FORTY_POINTS)
     assert whole.code == 0, whole.stderr
-    running = rig.start_sweep(*FORTY_POINTS)
-    running.wait_for(r"^8/40 ")
-    running.send(signal.SIGINT)
-    stopped = running.finish()
+    stopped = interrupted_at(r"^8/40 ", rig.start_sweep(*FORTY_POINTS))
     resumed_from = stopped.object["points_done"]
     resumed = rig.run("resume", stopped.object["journal"], "--no-figures", "--json")
 
@@ -60,10 +64,7 @@ def test_a_resumed_sweep_equals_an_uninterrupted_one(rig):
 @pytest.mark.thorough
 def test_a_run_of_an_earlier_version_is_refused_for_what_has_changed_since(rig):
     """Its bench file, which the journal holds, need not be one that would be accepted now."""
-    running = rig.start_sweep(*FORTY_POINTS)
-    running.wait_for(r"^3/40 ")
-    running.send(signal.SIGINT)
-    stopped = running.finish()
+    stopped = interrupted_at(r"^3/40 ", rig.start_sweep(*FORTY_POINTS))
     assert stopped.code == 130, stopped.stderr
     header = read_journal(rig.folder / stopped.object["journal"]).header
     was = header.bench_toml
@@ -92,9 +93,7 @@ def test_a_sweep_interrupted_in_its_second_plan_continues_there(rig):
     running = rig.start_sweep(*GRID)
     second = running.wait_for(r"^sweep: \d+ further points \(\d+ done\), about ")
     to_take, grid = map(int, re.findall(r"(\d+) further points \((\d+) done", second)[0])
-    running.wait_for(rf"^{grid + 3}/{grid + to_take} ")
-    running.send(signal.SIGINT)
-    stopped = running.finish()
+    stopped = interrupted_at(rf"^{grid + 3}/{grid + to_take} ", running)
     assert stopped.code == 130, stopped.stderr
     with RunFile.open(rig.folder / stopped.object["file"]) as run:
         before = dict(zip(run.point_ids(), run.column("gain"), strict=True))
@@ -124,10 +123,7 @@ def test_a_complete_run_is_not_resumed(rig):
 
 @pytest.mark.thorough
 def test_a_journal_that_was_edited_is_not_resumed(rig):
-    running = rig.start_sweep(*FORTY_POINTS)
-    running.wait_for(r"^5/40 ")
-    running.send(signal.SIGINT)
-    stopped = running.finish()
+    stopped = interrupted_at(r"^5/40 ", rig.start_sweep(*FORTY_POINTS))
     journal = rig.folder / stopped.object["journal"]
     content = journal.read_bytes()
     # The header's checksum protects it: an edited journal is refused, not resumed.
@@ -142,10 +138,9 @@ def test_a_journal_that_was_edited_is_not_resumed(rig):
 
 @pytest.mark.thorough
 def test_a_simulated_run_is_resumed_on_a_simulated_bench_whatever_lies_beside(rig):
-    running = rig.start_sweep("--frequencies", "300,400,500,600,700,800", *SETTLING)
-    running.wait_for(r"^1/6 ")
-    running.send(signal.SIGINT)
-    stopped = running.finish()
+    stopped = interrupted_at(
+        r"^1/6 ", rig.start_sweep("--frequencies", "300,400,500,600,700,800", *SETTLING)
+    )
     assert stopped.code == 130, stopped.stderr
     (rig.folder / "bench.toml").write_text("[no bench file at all")
     resumed = rig.run("resume", stopped.object["journal"], "--no-figures", "--json")

@@ -93,6 +93,7 @@ def _world_of(bench_toml: str) -> Iterator[tuple[Path | None, str | None]]:
     """
     from rig.core.toml_files import toml_value
 
+    # Not as a bench file of today: an earlier version may have taken what is refused now.
     simulation = dict(tomllib.loads(bench_toml).get("simulation") or {})
     if not simulation or ("::0::" not in bench_toml and ",0::" not in bench_toml):
         yield None, None

@@ -89,7 +89,7 @@ def show(
                     raise
                 failures.append(error if isinstance(error, RigError) else of_the_computer(error))
                 report(failures[-1], debug, as_json, path)
-        if draws and len({path.resolve() for path in files}) == 2 == len(files) and not failures:
+        if draws and len(files) == 2 and not failures:
             _draw_beside(files, figures_to, pdf, say if as_json else _print)
         for line in not_drawn:
             say(f"no figure was drawn: {line}")
@@ -236,6 +236,8 @@ def _draw_beside(
     from rig.files.model_file import is_model
     from rig.files.processed.reader import is_processed
 
+    if files[0].resolve() == files[1].resolve():
+        return
     if any(kind_of(path) == "journal" or is_processed(path) or is_model(path) for path in files):
         return
     for drawn in draw_pair(files, folder, pdf):
