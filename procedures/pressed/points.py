@@ -12,7 +12,8 @@ from procedures.pressed.approach.contact import (
 )
 from procedures.pressed.approach.tare import TARE_S
 from procedures.pressed.approach.unload import SETTLED_S
-from procedures.pressed.settings import AFTER_S, DELAY_S, TAP_S, NEAR_mm, POLL_RATE_Hz
+from procedures.pressed.settings import AFTER_S, CONTACT_N, DELAY_S, TAP_S, NEAR_mm, POLL_RATE_Hz
+from rig.core.errors import ConfigurationError
 from rig.run.points import Move, Point
 
 if TYPE_CHECKING:
@@ -33,7 +34,11 @@ def trial_points(
     """Return one point for each trial. `motion_s` is the expected time of the motion under the held
     force with its preparation, `first_s` an additional time of the first trial. There are
     `settings.trials` for each of `places` along x. The ways in z depend on the fixture:
-    `pressed_overhead_s`."""
+    `pressed_overhead_s`.
+
+    Raises ConfigurationError as `refuse_below_contact`.
+    """
+    refuse_below_contact(settings.normal_force_N)
     asked = (
         Move("force_sensor.force", settings.largest_force_N, ("largest_force_N",)),
         Move("stage_z.update_rate", settings.updates_Hz, ("tick_Hz",)),
@@ -51,6 +56,16 @@ def trial_points(
         )
         for number in range(1, settings.trials * places + 1)
     )
+
+
+def refuse_below_contact(normal_force_N: float) -> None:
+    """Raise ConfigurationError for a normal force that is held before contact is felt."""
+    if normal_force_N < CONTACT_N:
+        raise ConfigurationError(
+            f"a normal force of {normal_force_N:g} N is less than the force that means contact, "
+            f"{CONTACT_N:g} N",
+            f"press with {CONTACT_N:g} N or more",
+        )
 
 
 def point_name(number: int) -> str:

@@ -37,7 +37,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from procedures.pressed.approach.way_down import require_possible
 from procedures.pressed.grip import GripSettings, grip_reading
-from procedures.pressed.points import pressed_overhead_s, trial_points
+from procedures.pressed.points import pressed_overhead_s, refuse_below_contact, trial_points
 from procedures.pressed.record.layout import ASKED, CALIBRATED, GRIP, HELD, RECORDED, TOUCHED
 from procedures.pressed.settings import PressedSettings
 from procedures.pressed.trial_procedure import TrialProcedure
@@ -176,8 +176,8 @@ class PressedProcedure(TrialProcedure):
         """Return the normal forces in N that the trials press with, one after the other.
 
         Each of them gets ``--trials`` trials at every place of `offsets_mm`. The default is one,
-        ``--normal-force``. A force that is not above 0 N and below ``--largest-force`` is refused
-        before anything moves.
+        ``--normal-force``. A force below what means contact (`CONTACT_N`), or not below
+        ``--largest-force``, is refused before anything moves.
         """
         return (self.settings.normal_force_N,)
 
@@ -330,6 +330,7 @@ class PressedProcedure(TrialProcedure):
                     f"--largest-force {largest_N:g} N",
                     "press with another force, or raise --largest-force if skin and bench bear it",
                 )
+            refuse_below_contact(force_N)
         return forces
 
     def _refuse_force_without_effect(self) -> None:

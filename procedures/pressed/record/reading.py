@@ -176,12 +176,24 @@ def _warn_of_clipping(run: Run, record: TrialRecord) -> None:
             )
 
 
+def _touch_frame(force_N: npt.NDArray[np.float64], tap_frame: int) -> int:
+    """Return the frame of the touch-down that leads to the held force.
+
+    A disturbance in free air, or an object that is felt and lost again, is not it: the stretch from
+    there to the tap would be long, and the clocks are compared in all of it.
+    """
+    away = np.flatnonzero(force_N[:tap_frame] < CONTACT_N / 2)
+    first = int(away[-1]) + 1 if away.size else 0
+    touched = np.flatnonzero(force_N[first:] > CONTACT_N)
+    return first + int(touched[0]) if touched.size else first
+
+
 def _touch_down(run: Run, record: TrialRecord, force: npt.NDArray[np.float64]) -> Reading:
     """Return the offset of the force sensor's clock from the DAQ's, and each strip's gain, from
     touch-down and tap. Raises InstrumentError as `EarlierPress.judge_gains`."""
     volts = np.concatenate(record.volts)
     rate_S_s = record.force_rate_S_s
-    touch_s = float(np.argmax(force[:, 0] > CONTACT_N)) / rate_S_s
+    touch_s = _touch_frame(force[:, 0], round(record.tapped_s * rate_S_s)) / rate_S_s
     begin_s = touch_s - CLOCKS_SEEN_S
     end_s = min(record.tapped_s + CLOCKS_SEEN_S, record.motion_from_s)
     wider_s = CLOCKS_SEARCHED_S + CLOCKS_SEEN_S

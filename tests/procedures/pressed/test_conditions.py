@@ -86,6 +86,9 @@ def test_trials_press_with_forces_of_their_own_and_hold_their_place(relaxation: 
     assert "a normal force of 20 N is not above 0 N and below --largest-force 15 N" in (
         refused.stderr
     )
+    refused = relaxation.run("relaxation", "--forces", "2,0.08", "--no-figures")
+    assert refused.code == 2
+    assert "of 0.08 N is less than the force that means contact, 0.1 N" in refused.stderr
 
 
 @pytest.mark.thorough

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from procedures.pressed.record.reading import reading_of
+from procedures.pressed.record.reading import _touch_frame, reading_of
 from procedures.pressed.record.trial_record import TrialRecord
 from procedures.pressed.settings import PressedSettings
 from procedures.slip_trial.settings import SlipTrialSettings
@@ -71,3 +71,13 @@ def test_a_servo_that_could_tell_its_drive_too_seldom_says_so() -> None:
         "trial-003: z was busy in 101 of 200 ticks: the servo held the force with fewer targets "
         "than its 100 a second"
     ]
+
+
+def test_the_touch_down_is_the_one_that_leads_to_the_held_force() -> None:
+    force_N = np.zeros(3000)
+    force_N[100] = 0.3  # an impulse in free air
+    force_N[1500:1510] = 0.15  # felt, and lost again
+    force_N[2000:] = np.minimum(4.0, 0.02 * np.arange(1000))
+    assert _touch_frame(force_N, tap_frame=2900) == 2006
+    assert _touch_frame(force_N, tap_frame=0) == 100
+    assert _touch_frame(np.zeros(50), tap_frame=60) == 50
