@@ -37,9 +37,10 @@ KEYS: dict[bytes, Key] = {
 """Bytes that terminals send (ECMA-48, and the application mode of VT100 cursor keys): up and left
 mean less, down and right mean more. Everything else stops."""
 HELP = (
-    "Up/Left/-: towards smaller position (z: up)   Down/Right/+: towards larger   Tab: next axis   "
-    "h: home   space or any other key: stop   q/Esc: leave"
+    "Up/Left/-: towards smaller position (z: up)   Down/Right/+: towards larger",
+    "Tab: next axis   h: home   space or any other key: stop   q/Esc: leave",
 )
+"""Lines that fit a terminal of 80 columns."""
 _CLEAR = "\r\x1b[K"
 
 

@@ -226,7 +226,8 @@ def _at_the_bench(
         guard.done()
         raise
     with terminal:
-        say(HELP)
+        for line in HELP:
+            say(line)
         ended = session.go(guard, marks)
     if not ended.off_failures:
         guard.done()
