@@ -49,7 +49,9 @@ class Rig(_OwnDetector):
         """Return the parameters with the odds of a slip multiplied by the square of `factor`."""
         own = cast(RigSettings, settings)
         changed = {}
-        for name in ("fire_probability", "fire_probability_with_x", "first_probability"):
+        for name in (
+            "fire_probability", "fire_probability_with_x", "first_probability", "turn_probability",
+        ):  # fmt: skip
             probability = getattr(own, name)
             if probability is not None:
                 odds = factor**2 * probability / (1 - probability)

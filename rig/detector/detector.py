@@ -96,9 +96,11 @@ class IncipientSlipDetector(Detector):
         self.saturation_V = settings.saturation_V
         self._low_pass = design_low_pass(settings.low_pass, rate_Hz)
         self._kernel = _KernelArrays(settings, rate_Hz, self._low_pass)
-        self._braking_rows = 0
+        self._braking_rows = self._turning_rows = 0
         if isinstance(settings, ImpulseSettings):
             self._braking_rows = round(settings.braking_s * rate_Hz)
+        elif isinstance(settings, RigSettings):
+            self._turning_rows = round((settings.turn_s or 0.0) * rate_Hz)
         self._knows_forces = (
             settings.network is not None and settings.network.inputs == kernel.INPUTS
         )
@@ -125,6 +127,7 @@ class IncipientSlipDetector(Detector):
         self._first = self.rows
         self._state = np.zeros(1, kernel.STATE)
         self._x_before_force: float | None = None
+        self._x_moved_mm_s = 0.0
 
     def judge(self, volts: Reals) -> list[SlipEvent]:
         """Return the events decided in further rows (n, 2) of v_1 and v_2 in V."""
@@ -139,6 +142,10 @@ class IncipientSlipDetector(Detector):
 
     def commanded(self, before_mm_s: float, after_mm_s: float) -> None:
         """Note what x is commanded to do, for the logics ``impulse`` and ``rig``."""
+        if after_mm_s:
+            if after_mm_s * self._x_moved_mm_s < 0:
+                self._state["turning_rows"] = self._turning_rows
+            self._x_moved_mm_s = after_mm_s
         if self._knows_forces and not self._state["force_known"]:
             # Files from before decision 0123 have the moves of x alone, with which a network of
             # `kernel.INPUTS` was not taught: for it, the commands are known once both are.
@@ -285,6 +292,7 @@ def _constants(settings: DetectorSettings, rate_Hz: float, low_pass: LowPass) ->
         if settings.fire_probability_with_x is not None:
             c["fire_probability"][0, 1] = settings.fire_probability_with_x
         c["first_probability"] = settings.first_probability or 0.0
+        c["turn_probability"] = settings.turn_probability or 0.0
         c["over_probability"] = settings.over_probability or 0.0
         if settings.again_s is not None:
             again_ms = 1e3 * settings.again_s

@@ -95,6 +95,12 @@ class RigSettings(DetectorSettings):
     """Probability above which the first slip since the detector was last disarmed is reported, if
     it is larger than that of further ones: it is disarmed when a motion under load has been over
     for `armed_s` (decision 0147). None: the same as for further ones."""
+    turn_probability: float | None = Field(None, gt=0, lt=1)
+    """Probability above which a slip is reported within `turn_s` after x was commanded to move
+    against its latest direction, if it is larger than that of others: v_d turns round then as in a
+    slip (decision 0150). None: the same as for others."""
+    turn_s: float | None = Field(None, gt=0)
+    """Time after a commanded turn in which `turn_probability` applies."""
     over_probability: float | None = Field(None, gt=0, lt=1)
     """A slip is over once its probability has fallen below this. A further one may then be reported
     before `silence_s` has passed: an alarm at a partial slip must not hide the slip of the whole
@@ -102,6 +108,12 @@ class RigSettings(DetectorSettings):
     again_s: float | None = Field(None, gt=0)
     """Time between two reported slips that passes in any case. None: 40 ms, as it always was before
     decision 0136."""
+
+    @model_validator(mode="after")
+    def _states_both(self) -> Self:
+        if (self.turn_probability is None) != (self.turn_s is None):
+            raise ValueError("turn_probability and turn_s have an effect only together")
+        return self
 
     @model_serializer(mode="wrap")
     def _as_before(self, serialize: SerializerFunctionWrapHandler) -> dict[str, Any]:
@@ -111,7 +123,8 @@ class RigSettings(DetectorSettings):
         """
         plain: dict[str, Any] = serialize(self)
         for later in (
-            "fire_probability_with_x", "first_probability", "over_probability", "again_s",
+            "fire_probability_with_x", "first_probability", "turn_probability", "turn_s",
+            "over_probability", "again_s",
         ):  # fmt: skip
             if plain[later] is None:
                 del plain[later]
@@ -166,6 +179,8 @@ def named_detectors() -> dict[str, DetectorSettings]:
         network=trained_network(),
         fire_probability=0.95,
         fire_probability_with_x=0.9,
+        turn_probability=0.98,
+        turn_s=0.05,
         over_probability=0.2,
         again_s=0.02,
     )

@@ -257,7 +257,7 @@ def test_a_first_slip_that_is_not_sure_enough_is_not_said_to_be_unlike_a_slip():
     events = reported(volts, chosen)
     (withheld,) = [one for one in events if one.kind == "rejected"]
     assert withheld.reason == (
-        "like a slip, but less probable than the first one of a motion has to be"
+        "like a slip, but less probable than the first of a motion, or one after a turn, must be"
     )
     assert 0.01 < withheld.confidence < 0.2, "that it is not a slip"
     (other,) = [
@@ -266,6 +266,38 @@ def test_a_first_slip_that_is_not_sure_enough_is_not_said_to_be_unlike_a_slip():
         if one.kind == "rejected"
     ]
     assert other.reason == "unlike a slip"
+
+
+def test_a_slip_after_a_turn_of_x_may_have_to_be_surer_than_others():
+    """An impulse at 1.5 s, shortly after x was commanded to turn, or long after it, or to go on."""
+    network = by_hand().network
+    assert network is not None
+    gradual = tuple(0.3 if weight else 0.0 for weight in network.hidden[0][:-1])
+    less_sure = network.model_copy(
+        update={"hidden": ((*gradual, 0.0),), "output": ((8.0, -3.0), (0.0, -50.0))}
+    )
+    chosen = RigSettings(
+        network=less_sure, fire_probability=0.8, turn_probability=0.99, turn_s=0.05
+    )
+
+    def detected(*moves: XMove) -> list[SlipEvent]:
+        detector = IncipientSlipDetector(chosen, RATE_Hz)
+        for notice in (HeldForce(600, 4.0), *moves):
+            detector.notice(notice)
+        return [*detector.add(pressed_and_sheared()), *detector.end()]
+
+    moved = XMove(1200, 0.5, 1390)
+    found = pytest.approx([1500], abs=8)
+    assert samples(detected()) == found
+    assert samples(detected(XMove(1480, 0.5, 1900))) == found, "the first move is not a turn"
+    assert samples(detected(moved, XMove(1480, 0.5, 1900))) == found
+    assert samples(detected(moved, XMove(1400, -0.5, 1900))) == found, "long ago"
+    turned = detected(moved, XMove(1480, -0.5, 1900))
+    assert samples(turned) == []
+    (withheld,) = [one for one in turned if one.kind == "rejected"]
+    assert withheld.reason.endswith("or one after a turn, must be")
+    with pytest.raises(ValueError, match="together"):
+        RigSettings(network=less_sure, turn_probability=0.99)
 
 
 def test_the_detector_for_grips_is_rig_with_a_surer_first_alarm():
