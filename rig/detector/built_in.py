@@ -34,6 +34,13 @@ class _OwnDetector(IncipientSlipDetector):
         return None if network is None else (network.first_seed, network.last_seed)
 
 
+TURNS_SEEN_ON = 1_013_303, 1_013_522
+"""First and last seed of the reporting seeds on which the alarms after turns were seen that
+`turn_probability` avoids (decision 0150)."""
+FIRST_CHOSEN_ON = 1_006_446, 1_006_560
+"""The same of those on which `first_probability` of ``rig-grip`` was chosen (decision 0147)."""
+
+
 class Rig(_OwnDetector):
     """A small network judges v_1 - v_2 and v_1 + v_2; it distinguishes rolls from slips."""
 
@@ -58,19 +65,24 @@ class Rig(_OwnDetector):
                 changed[name] = odds / (1 + odds)
         return settings.model_copy(update=changed)
 
+    @classmethod
+    def seeds_seen(cls, settings: core_settings.Settings) -> list[tuple[int, int]]:
+        """Return the seeds on which the network was trained, and the reporting seeds on which a
+        threshold was chosen: these are not reported of it."""
+        own = cast(RigSettings, settings)
+        assert own.network is not None, "the logic rig has one"
+        seen = [(own.network.first_seed, own.network.last_seed)]
+        if own.turn_probability is not None:
+            seen.append(TURNS_SEEN_ON)
+        if own.first_probability is not None:
+            seen.append(FIRST_CHOSEN_ON)
+        return seen
+
 
 class RigForGrips(Rig):
     """The detector rig with a higher threshold for the first slip of a motion: for --regrip."""
 
     name = "rig-grip"
-
-    @classmethod
-    def seeds_seen(cls, settings: core_settings.Settings) -> list[tuple[int, int]]:
-        """Return the seeds of the network, and those on which `first_probability` was chosen
-        (decision 0147): reporting seeds, which are not reported of it."""
-        network = cast(DetectorSettings, settings).network
-        assert network is not None, "the logic rig has one"
-        return [(network.first_seed, network.last_seed), (1_006_446, 1_006_560)]
 
 
 class _Published(_OwnDetector):

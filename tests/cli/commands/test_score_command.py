@@ -122,6 +122,12 @@ def test_a_detector_is_not_scored_on_trials_that_it_has_seen(tmp_path):
     assert "wavelet was tuned on seeds 1000005:1000006 and is to be scored on" in line
 
 
+def test_rig_is_not_scored_on_the_reporting_seeds_of_its_threshold_after_turns(tmp_path):
+    given = ("--seeds", "1013522:1013530", "--detector", "rig", "--out", tmp_path / "out")
+    line = refused(*given, "--wire")
+    assert "rig was tuned on seeds 1013303:1013523 and is to be scored on" in line
+
+
 @pytest.mark.parametrize("more", [(), ("--wire",)])
 def test_rig_grip_is_not_scored_on_the_reporting_seeds_of_its_threshold(more, tmp_path):
     """They were scored without a mark (decision 0147)."""
