@@ -34,11 +34,7 @@ def trial_points(
     """Return one point for each trial. `motion_s` is the expected time of the motion under the held
     force with its preparation, `first_s` an additional time of the first trial. There are
     `settings.trials` for each of `places` along x. The ways in z depend on the fixture:
-    `pressed_overhead_s`.
-
-    Raises ConfigurationError as `refuse_below_contact`.
-    """
-    refuse_below_contact(settings.normal_force_N)
+    `pressed_overhead_s`."""
     asked = (
         Move("force_sensor.force", settings.largest_force_N, ("largest_force_N",)),
         Move("stage_z.update_rate", settings.updates_Hz, ("tick_Hz",)),
@@ -58,12 +54,12 @@ def trial_points(
     )
 
 
-def refuse_below_contact(normal_force_N: float) -> None:
-    """Raise ConfigurationError for a normal force that is held before contact is felt."""
-    if normal_force_N < CONTACT_N:
+def refuse_below_contact(procedure: str, force_N: float) -> None:
+    """Raise ConfigurationError for a normal force that is less than what means contact."""
+    if force_N < CONTACT_N:
         raise ConfigurationError(
-            f"a normal force of {normal_force_N:g} N is less than the force that means contact, "
-            f"{CONTACT_N:g} N",
+            f"{procedure}: a normal force of {force_N:g} N must be at least {CONTACT_N:g} N, the "
+            "force that means contact",
             f"press with {CONTACT_N:g} N or more",
         )
 

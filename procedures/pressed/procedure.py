@@ -176,7 +176,7 @@ class PressedProcedure(TrialProcedure):
         """Return the normal forces in N that the trials press with, one after the other.
 
         Each of them gets ``--trials`` trials at every place of `offsets_mm`. The default is one,
-        ``--normal-force``. A force below what means contact (`CONTACT_N`), or not below
+        ``--normal-force``. A force below 0.1 N, which means contact, or one that is not below
         ``--largest-force``, is refused before anything moves.
         """
         return (self.settings.normal_force_N,)
@@ -330,7 +330,7 @@ class PressedProcedure(TrialProcedure):
                     f"--largest-force {largest_N:g} N",
                     "press with another force, or raise --largest-force if skin and bench bear it",
                 )
-            refuse_below_contact(force_N)
+            refuse_below_contact(self.name, force_N)
         return forces
 
     def _refuse_force_without_effect(self) -> None:

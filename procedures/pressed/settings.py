@@ -37,7 +37,8 @@ class PressedSettings(BaseSettings):
     """Settings that all trials with the skin pressed on an object share."""
 
     normal_force_N: float = Field(default=4.0, gt=0)
-    """Set point of the normal force (paper 2.2: all nine ridges touch at 4 N)."""
+    """Set point of the normal force, at least 0.1 N, which means contact (paper 2.2: all nine
+    ridges touch at 4 N)."""
     acceleration_mm_s2: float = Field(default=200.0, ge=1, le=50_000)
     """Acceleration that is configured in the stage drives, for the force servo and the expected
     times. It is only stated here: nothing is set in the drives."""

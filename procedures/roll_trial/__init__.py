@@ -17,7 +17,12 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from procedures.pressed.arming import arm_pressed
-from procedures.pressed.points import pressed_overhead_s, pressing_s, trial_points
+from procedures.pressed.points import (
+    pressed_overhead_s,
+    pressing_s,
+    refuse_below_contact,
+    trial_points,
+)
 from procedures.pressed.trial_procedure import TrialProcedure
 from procedures.roll_trial import layout as roll_layout
 from procedures.roll_trial.settings import (
@@ -109,6 +114,7 @@ class RollTrial(TrialProcedure):
                 ("turn_acceleration_deg_s2",),
             ),
         )
+        refuse_below_contact(self.name, settings.normal_force_N)
         return trial_points(settings, moves, motion_s, first_s)
 
     def overhead_s(self, fixture: FixtureSettings, homed: bool) -> float:

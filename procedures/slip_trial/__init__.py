@@ -15,7 +15,12 @@ from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
-from procedures.pressed.points import pressed_overhead_s, pressing_s, trial_points
+from procedures.pressed.points import (
+    pressed_overhead_s,
+    pressing_s,
+    refuse_below_contact,
+    trial_points,
+)
 from procedures.pressed.settings import AFTER_S
 from procedures.pressed.trial_procedure import TrialProcedure
 from procedures.slip_trial import layout as slip_layout
@@ -74,6 +79,7 @@ class SlipTrial(TrialProcedure):
             Move("stage_x.position", settings.end_mm, ("start_mm", "distance_mm", "direction")),
             Move("stage_x.speed", settings.speed_mm_s, ("speed_mm_s",)),
         )
+        refuse_below_contact(self.name, settings.normal_force_N)
         return trial_points(settings, moves, motion_s, first_s)
 
     def overhead_s(self, fixture: FixtureSettings, homed: bool) -> float:

@@ -65,7 +65,17 @@ def parse(text: str, annotation: Any, unit: str | None) -> Any:
             raise ValueError("the list is empty; leave the option out for its default")
         if not all(item.strip() for item in items):
             raise ValueError("a value is missing between two commas or at an end")
-        return tuple(_item(item, arguments[0], unit) for item in items)
+        values = []
+        for item in items:
+            try:
+                values.append(parse(item, arguments[0], unit))
+            except ValueError as error:
+                if len(items) == 1:
+                    raise
+                # The message may be a sentence of its own, which begins with the unit.
+                between = ": " if str(error).startswith("'") else " "
+                raise ValueError(f"{item.strip()!r}{between}{error}") from error
+        return tuple(values)
     if type(None) in arguments:
         if text.strip().lower() == "none":
             return None
@@ -76,13 +86,6 @@ def parse(text: str, annotation: Any, unit: str | None) -> Any:
     if annotation is float:
         return quantity(text, unit)
     return text
-
-
-def _item(text: str, annotation: Any, unit: str | None) -> Any:
-    try:
-        return parse(text, annotation, unit)
-    except ValueError as error:
-        raise ValueError(f"{text.strip()!r} in the list: {error}") from error
 
 
 def is_unit(text: str) -> bool:

@@ -107,6 +107,8 @@ class IncipientSlipDetector(Detector):
         self._shown: list[NetworkInputs] | None = None
         """Inputs of the network so far, while `network_inputs` collects them."""
         self._state, self._touch_before = np.zeros(1, kernel.STATE), False
+        self._x_moved_mm_s = 0.0
+        """Speed of the latest commanded move of x; a gap in the rows is none in the commands."""
         self.reset()
 
     @property
@@ -127,7 +129,6 @@ class IncipientSlipDetector(Detector):
         self._first = self.rows
         self._state = np.zeros(1, kernel.STATE)
         self._x_before_force: float | None = None
-        self._x_moved_mm_s = 0.0
 
     def judge(self, volts: Reals) -> list[SlipEvent]:
         """Return the events decided in further rows (n, 2) of v_1 and v_2 in V."""
@@ -142,9 +143,9 @@ class IncipientSlipDetector(Detector):
 
     def commanded(self, before_mm_s: float, after_mm_s: float) -> None:
         """Note what x is commanded to do, for the logics ``impulse`` and ``rig``."""
-        if after_mm_s:
-            if after_mm_s * self._x_moved_mm_s < 0:
-                self._state["turning_rows"] = self._turning_rows
+        turns = False
+        if abs(after_mm_s) >= kernel.LEAST_SPEED_mm_s:  # slower ones keep a weight at rest
+            turns = after_mm_s * self._x_moved_mm_s < 0
             self._x_moved_mm_s = after_mm_s
         if self._knows_forces and not self._state["force_known"]:
             # Files from before decision 0123 have the moves of x alone, with which a network of
@@ -152,6 +153,8 @@ class IncipientSlipDetector(Detector):
             self._x_before_force = after_mm_s
             return
         self._state["x_known"], self._state["x_speed"] = 1, after_mm_s
+        if turns:
+            self._state["turning_until"] = self._state["row"] + self._turning_rows
         if after_mm_s and before_mm_s * after_mm_s <= 0:
             self._state["x_started"] = 1.0
         if before_mm_s * after_mm_s < BRAKES_BELOW * before_mm_s**2:

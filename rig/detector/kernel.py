@@ -49,7 +49,7 @@ REASONS = (
     "mains hum: thresholds rise with it",
     "too noisy: a slip would not stand out from the noise",
     "cut off: a strip's voltage left the range of the DAQ",
-    "like a slip, but less probable than the first of a motion, or one after a turn, must be",
+    "like a slip, but not probable enough for the first of a motion or just after x has turned",
 )
 """Reasons of events that reject or cannot judge, in the order of the constants above."""
 RIG, LITERAL, HIGH_PASSED, IMPULSE = range(4)
@@ -197,7 +197,7 @@ STATE = np.dtype(
         ("x_gain", "f8"),  # largest v_d for the speed of x, mV s/mm, decaying
         ("x_braked", "f8"),  # 1 where x was commanded to brake, decaying
         ("x_started", "f8"),  # 1 where x was commanded to start or turn, decaying
-        ("turning_rows", "i8"),  # rows for which x counts as turning by command
+        ("turning_until", "i8"),  # row before which x counts as turning by command
         ("force_known", "i8"),  # 1 from the first command of the normal force on
         ("force_share", "f8"),  # commanded normal force over the first one since the reset
         ("force_changes", "f8", (2,)),  # sums of its relative changes, decaying over FORCE_ms
@@ -1122,9 +1122,6 @@ def _decide(looks: bool, s: Any, c: Any, events: Any, reported: int) -> int:
     threshold = max(c.fire[0] * _unit(s, c), c.fire[1] * s.fast_noise[0])
     level = abs(s.fast[0])
     judges = s.unjudged == NO_REASON
-    turns = s.turning_rows > 0
-    if turns:
-        s.turning_rows -= 1
     if level > threshold and judges and s.mute_rows == 0 and s.silent_rows == 0:
         if not s.armed:
             s.mute_rows = c.silent_rows
@@ -1140,7 +1137,7 @@ def _decide(looks: bool, s: Any, c: Any, events: Any, reported: int) -> int:
     enough = of_others = c.fire_probability[s.x_known]
     if not s.slip_reported:
         enough = max(enough, c.first_probability)
-    if turns:
+    if s.row < s.turning_until:
         enough = max(enough, c.turn_probability)
     if looks and s.slip > enough:
         s.suspect_rows = 0
@@ -1152,14 +1149,14 @@ def _decide(looks: bool, s: Any, c: Any, events: Any, reported: int) -> int:
     if s.suspect_rows > 0:
         s.suspect[0] = max(s.suspect[0], level)
         s.suspect[2] = max(s.suspect[2], s.peak[3])
-        if looks:
+        if looks and s.slip > of_others:
             s.suspect[3] = max(s.suspect[3], s.slip)
         s.suspect_rows -= 1
         if s.suspect_rows == 0:
             s.mute_rows = c.silent_rows
             reason = UNLIKE
             confidence = 1.0 - s.slip
-            if s.suspect[3] > of_others:
+            if s.suspect[3] > 0.0:
                 reason = NOT_SURE
                 confidence = 1.0 - s.suspect[3]
             elif s.roll > 0.5:

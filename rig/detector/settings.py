@@ -112,7 +112,7 @@ class RigSettings(DetectorSettings):
     @model_validator(mode="after")
     def _states_both(self) -> Self:
         if (self.turn_probability is None) != (self.turn_s is None):
-            raise ValueError("turn_probability and turn_s have an effect only together")
+            raise ValueError("turn_probability and turn_s must be stated together")
         return self
 
     @model_serializer(mode="wrap")

@@ -257,7 +257,7 @@ def test_a_first_slip_that_is_not_sure_enough_is_not_said_to_be_unlike_a_slip():
     events = reported(volts, chosen)
     (withheld,) = [one for one in events if one.kind == "rejected"]
     assert withheld.reason == (
-        "like a slip, but less probable than the first of a motion, or one after a turn, must be"
+        "like a slip, but not probable enough for the first of a motion or just after x has turned"
     )
     assert 0.01 < withheld.confidence < 0.2, "that it is not a slip"
     (other,) = [
@@ -295,7 +295,13 @@ def test_a_slip_after_a_turn_of_x_may_have_to_be_surer_than_others():
     turned = detected(moved, XMove(1480, -0.5, 1900))
     assert samples(turned) == []
     (withheld,) = [one for one in turned if one.kind == "rejected"]
-    assert withheld.reason.endswith("or one after a turn, must be")
+    assert withheld.reason.endswith("just after x has turned")
+    kept = XMove(1395, -0.002, 1900)  # a weight is kept at rest by such moves
+    assert samples(detected(moved, kept, XMove(1480, 0.5, 1900))) == found
+    without_force = IncipientSlipDetector(chosen, RATE_Hz)
+    for notice in (moved, XMove(1480, -0.5, 1900)):
+        without_force.notice(notice)
+    assert samples(without_force.add(pressed_and_sheared())) == found, "no commands are known"
     with pytest.raises(ValueError, match="together"):
         RigSettings(network=less_sure, turn_probability=0.99)
 
@@ -305,7 +311,9 @@ def test_the_detector_for_grips_is_rig_with_a_surer_first_alarm():
     assert isinstance(grip, RigSettings)
     assert grip.first_probability == 0.99
     assert grip.model_copy(update={"first_probability": None}) == rig
-    assert "first_probability" not in rig.model_dump(), "the fingerprint of rig is as it was"
+    assert "first_probability" not in rig.model_dump(), (
+        "not stated, so that the fingerprint is that without it"
+    )
 
 
 def test_before_the_first_touch_the_gain_is_not_known_and_that_is_an_input():

@@ -176,13 +176,15 @@ def _warn_of_clipping(run: Run, record: TrialRecord) -> None:
             )
 
 
-def _touch_frame(force_N: npt.NDArray[np.float64], tap_frame: int) -> int:
+def _touch_frame(force_N: npt.NDArray[np.float64], rate_S_s: float, tapped_s: float) -> int:
     """Return the frame of the touch-down that leads to the held force.
 
-    A disturbance in free air, or an object that is felt and lost again, is not it: the stretch from
-    there to the tap would be long, and the clocks are compared in all of it.
+    Neither a disturbance in free air is taken nor an object that was felt and lost again: the
+    clocks would be compared over a long stretch, which takes long.
     """
-    away = np.flatnonzero(force_N[:tap_frame] < CONTACT_N / 2)
+    away = np.flatnonzero(
+        _smoothed(force_N, rate_S_s)[: round(tapped_s * rate_S_s)] < CONTACT_N / 2
+    )
     first = int(away[-1]) + 1 if away.size else 0
     touched = np.flatnonzero(force_N[first:] > CONTACT_N)
     return first + int(touched[0]) if touched.size else first
@@ -193,7 +195,7 @@ def _touch_down(run: Run, record: TrialRecord, force: npt.NDArray[np.float64]) -
     touch-down and tap. Raises InstrumentError as `EarlierPress.judge_gains`."""
     volts = np.concatenate(record.volts)
     rate_S_s = record.force_rate_S_s
-    touch_s = _touch_frame(force[:, 0], round(record.tapped_s * rate_S_s)) / rate_S_s
+    touch_s = _touch_frame(force[:, 0], rate_S_s, record.tapped_s) / rate_S_s
     begin_s = touch_s - CLOCKS_SEEN_S
     end_s = min(record.tapped_s + CLOCKS_SEEN_S, record.motion_from_s)
     wider_s = CLOCKS_SEARCHED_S + CLOCKS_SEEN_S

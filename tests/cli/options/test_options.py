@@ -108,8 +108,10 @@ def test_lists_are_separated_by_commas_and_each_item_may_have_its_unit() -> None
     assert parse("1, 2cm/s ,3 mm/s", floats, "mm/s") == (1.0, 20.0, 3.0)
     assert parse("none", float | None, "1/s") is None
     assert parse("5", float | None, "1/s") == 5.0
-    with pytest.raises(ValueError, match=r"^'abc' in the list: is not a number in mm/s$"):
+    with pytest.raises(ValueError, match=r"^'abc' is not a number in mm/s$"):
         parse("1, abc", floats, "mm/s")
+    with pytest.raises(ValueError, match=r"^'3 kg': 'kg' does not convert to mm/s$"):
+        parse("1, 3 kg", floats, "mm/s")
 
 
 @pytest.mark.parametrize("text", ["1,,2", "1,", ",1"])

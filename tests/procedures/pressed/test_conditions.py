@@ -88,7 +88,7 @@ def test_trials_press_with_forces_of_their_own_and_hold_their_place(relaxation: 
     )
     refused = relaxation.run("relaxation", "--forces", "2,0.08", "--no-figures")
     assert refused.code == 2
-    assert "of 0.08 N is less than the force that means contact, 0.1 N" in refused.stderr
+    assert "a normal force of 0.08 N must be at least 0.1 N, the force that means" in refused.stderr
 
 
 @pytest.mark.thorough

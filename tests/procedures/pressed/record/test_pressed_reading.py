@@ -78,6 +78,7 @@ def test_the_touch_down_is_the_one_that_leads_to_the_held_force() -> None:
     force_N[100] = 0.3  # an impulse in free air
     force_N[1500:1510] = 0.15  # felt, and lost again
     force_N[2000:] = np.minimum(4.0, 0.02 * np.arange(1000))
-    assert _touch_frame(force_N, tap_frame=2900) == 2006
-    assert _touch_frame(force_N, tap_frame=0) == 100
-    assert _touch_frame(np.zeros(50), tap_frame=60) == 50
+    force_N[2500] = 0.0  # one frame that is lost
+    assert _touch_frame(force_N, 1000.0, tapped_s=2.9) == 2006
+    assert _touch_frame(force_N, 1000.0, tapped_s=0.0) == 100, "no tap was recorded"
+    assert _touch_frame(np.zeros(50), 1000.0, tapped_s=0.06) == 50
