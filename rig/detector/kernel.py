@@ -170,7 +170,7 @@ STATE = np.dtype(
         ("suppressed_rows", "i8"),
         ("suspect_rows", "i8"),
         ("mute_rows", "i8"),
-        ("suspect", "f8", (4,)),  # impulse, its threshold, common part, probability of a slip
+        ("suspect", "f8", (4,)),  # impulse, its threshold, common part, probability if withheld
         ("slip", "f8"),
         ("roll", "f8"),
         ("unjudged", "i8"),  # reason for which nothing is judged, or NO_REASON
