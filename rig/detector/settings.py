@@ -97,8 +97,8 @@ class RigSettings(DetectorSettings):
     for `armed_s` (decision 0147). None: the same as for further ones."""
     turn_probability: float | None = Field(None, gt=0, lt=1)
     """Probability above which a slip is reported within `turn_s` after x was commanded to move
-    against its latest direction, if it is larger than that of others: v_d turns round then as in a
-    slip (decision 0150). None: the same as for others."""
+    against its latest direction, if it is larger than that of others: most false alarms in
+    reversals came then (decision 0150). None: the same as for others."""
     turn_s: float | None = Field(None, gt=0)
     """Time after a commanded turn in which `turn_probability` applies."""
     over_probability: float | None = Field(None, gt=0, lt=1)

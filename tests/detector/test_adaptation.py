@@ -222,20 +222,24 @@ def test_a_slip_that_follows_another_is_reported_once_the_first_is_over():
     assert samples(reported(volts, sooner)) == pytest.approx([1500, 1560, 1580], abs=8)
 
 
+def less_sure() -> Network:
+    """A network whose probability of a slip grows gradually with the impulse, up to 0.99."""
+    network = by_hand().network
+    assert network is not None
+    gradual = tuple(0.3 if weight else 0.0 for weight in network.hidden[0][:-1])
+    return network.model_copy(
+        update={"hidden": ((*gradual, 0.0),), "output": ((8.0, -3.0), (0.0, -50.0))}
+    )
+
+
 def test_the_first_slip_of_a_motion_may_have_to_be_surer_than_further_ones():
     """Impulses at 1.5 s, 1.56 s and 1.62 s, of which the second is the largest by far."""
     volts, rows = pressed_and_sheared(), np.arange(2200)
     for later, size_V in ((1560, 0.1), (1620, 0.015)):
         pulse = size_V * np.exp(-(((rows - later) / 1.2) ** 2))
         volts += np.column_stack([-pulse, pulse])
-    network = by_hand().network
-    assert network is not None
-    gradual = tuple(0.3 if weight else 0.0 for weight in network.hidden[0][:-1])
-    less_sure = network.model_copy(
-        update={"hidden": ((*gradual, 0.0),), "output": ((8.0, -3.0), (0.0, -50.0))}
-    )
     chosen = RigSettings(
-        network=less_sure, fire_probability=0.8, over_probability=0.2, again_s=0.018
+        network=less_sure(), fire_probability=0.8, over_probability=0.2, again_s=0.018
     )
     assert samples(reported(volts, chosen)) == pytest.approx([1500, 1560, 1620], abs=8)
     surer = chosen.model_copy(update={"first_probability": 0.94})
@@ -247,13 +251,7 @@ def test_the_first_slip_of_a_motion_may_have_to_be_surer_than_further_ones():
 def test_a_first_slip_that_is_not_sure_enough_is_not_said_to_be_unlike_a_slip():
     """It was "unlike a slip", as what the network finds improbable."""
     volts = pressed_and_sheared()
-    network = by_hand().network
-    assert network is not None
-    gradual = tuple(0.3 if weight else 0.0 for weight in network.hidden[0][:-1])
-    less_sure = network.model_copy(
-        update={"hidden": ((*gradual, 0.0),), "output": ((8.0, -3.0), (0.0, -50.0))}
-    )
-    chosen = RigSettings(network=less_sure, fire_probability=0.8, first_probability=0.99)
+    chosen = RigSettings(network=less_sure(), fire_probability=0.8, first_probability=0.99)
     events = reported(volts, chosen)
     (withheld,) = [one for one in events if one.kind == "rejected"]
     assert withheld.reason == (
@@ -270,14 +268,8 @@ def test_a_first_slip_that_is_not_sure_enough_is_not_said_to_be_unlike_a_slip():
 
 def test_a_slip_after_a_turn_of_x_may_have_to_be_surer_than_others():
     """An impulse at 1.5 s, shortly after x was commanded to turn, or long after it, or to go on."""
-    network = by_hand().network
-    assert network is not None
-    gradual = tuple(0.3 if weight else 0.0 for weight in network.hidden[0][:-1])
-    less_sure = network.model_copy(
-        update={"hidden": ((*gradual, 0.0),), "output": ((8.0, -3.0), (0.0, -50.0))}
-    )
     chosen = RigSettings(
-        network=less_sure, fire_probability=0.8, turn_probability=0.99, turn_s=0.05
+        network=less_sure(), fire_probability=0.8, turn_probability=0.99, turn_s=0.05
     )
 
     def detected(*moves: XMove) -> list[SlipEvent]:
@@ -303,7 +295,7 @@ def test_a_slip_after_a_turn_of_x_may_have_to_be_surer_than_others():
         without_force.notice(notice)
     assert samples(without_force.add(pressed_and_sheared())) == found, "no commands are known"
     with pytest.raises(ValueError, match="together"):
-        RigSettings(network=less_sure, turn_probability=0.99)
+        RigSettings(network=less_sure(), turn_probability=0.99)
 
 
 def test_the_detector_for_grips_is_rig_with_a_surer_first_alarm():
