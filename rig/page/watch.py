@@ -360,13 +360,21 @@ class BenchWatch:
         `end_the_run` asks for the end of a run only, whose process continues: it is given the
         locked file and returns the process that holds it. Raises RigError; then nothing was sent.
         """
-        wider = end_the_run is None and self.stop is not None and self.stop.run_only
+        before = self.stop
+        wider = end_the_run is None and before is not None and before.run_only
         again = self.press_again()
         if again is not None and not wider:
             return again
         target, journal = self._target()
         holder = (end_the_run or ask_to_stop)(target)
         with self.lock:
+            # Presses do not wait for each other: one may hang in the queue of a batch. Of two at
+            # the same time both reach the process, and the second counts as a further one.
+            same = self.stop
+            if same is not None and same is not before and not same.over and same.holder == holder:
+                same.presses += 1
+                same.run_only &= end_the_run is not None
+                return same
             self.stop = Stop(holder, journal, run_only=end_the_run is not None)
             self.stop.after_end = journal is not None and holder.pid == self._ended_pid
             return self.stop

@@ -11,6 +11,7 @@ from typing import Any
 
 from selenium import webdriver
 from selenium.webdriver.chrome.service import Service
+from selenium.webdriver.support.color import Color
 
 DRIVER = shutil.which("chromedriver")
 PATIENCE_S = 90.0
@@ -80,3 +81,24 @@ def wait_for(browser: Any, what: str, until: Callable[[str], bool]) -> str:
             return text
         time.sleep(LOOK_EVERY_S)
     raise AssertionError(f"{what} still shows {text!r}")
+
+
+NOTE_CHANGES = """
+const noted = document.querySelector(arguments[0]);
+window.seen = [];
+const note = () => seen.push([noted.innerText, getComputedStyle(noted).backgroundColor]);
+new MutationObserver(note).observe(noted,
+  {subtree: true, childList: true, characterData: true, attributes: true});
+"""
+
+
+def note_changes(browser: Any, what: str) -> None:
+    """From now on note each text and background colour that an element has, however short it is
+    shown: a state may be over before a test looks again. `noted` returns them."""
+    browser.execute_script(NOTE_CHANGES, what)
+
+
+def noted(browser: Any) -> list[tuple[str, str]]:
+    """Text and background colour that `note_changes` has noted, in their order."""
+    seen = browser.execute_script("return window.seen")
+    return [(text, Color.from_string(colour).rgba) for text, colour in seen]

@@ -280,6 +280,28 @@ def test_a_further_press_counts_and_only_an_explicit_one_reaches_the_process(
         assert (sent, watch.stop is not None and watch.stop.presses) == ([path], 2)
 
 
+@pytest.mark.parametrize("first_for_the_run_only", [False, True])
+def test_of_two_presses_at_the_same_time_the_second_counts_and_what_was_seen_is_kept(
+    results: Path, monkeypatch: pytest.MonkeyPatch, first_for_the_run_only: bool
+) -> None:
+    path = journal_in(results, ended=False)
+    watch = BenchWatch(results)
+    holder = LockHolder(os.getpid(), "", True)
+
+    def signal_to(target: Path) -> LockHolder:
+        """Meanwhile another press has reached the process, which has reacted."""
+        watch.stop = Stop(holder, target, run_only=first_for_the_run_only)
+        watch.stop.reacted = True
+        return holder
+
+    monkeypatch.setattr("rig.page.watch.ask_to_stop", signal_to)
+    with held(path):
+        words(watch)
+        stop = watch.ask_to_stop()
+    assert stop is watch.stop
+    assert (stop.presses, stop.reacted, stop.run_only) == (2, True, False)
+
+
 def test_the_word_of_a_journal_that_is_still_read_is_unknown(results: Path) -> None:
     journal_in(results)
     watch = BenchWatch(results)
