@@ -110,6 +110,12 @@ def score(
                     f"--files cannot be combined with {given[0]}, which is of random trials",
                     "leave it out: the trials of the list are scored as they are",
                 )
+            if jobs > 1:
+                raise ConfigurationError(
+                    f"--files cannot be combined with --jobs {jobs}: files are scored one after "
+                    "the other",
+                    "leave it out",
+                )
             contenders += map(BaselineContender, beside)
             stack.enter_context(reserved(out))
             listed = judge_files(

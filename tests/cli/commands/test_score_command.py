@@ -105,6 +105,7 @@ def population(tmp_path: Path) -> Path:
         (["--files", "list.csv", "--seeds", "1000000:1000010"], "combined with --seeds, which is"),
         (["--files", "list.csv", "--kinds", "tap"], "combined with --kinds, which is of random"),
         (["--files", "list.csv", "--swapped-gains"], "combined with --swapped-gains, which is"),
+        (["--files", "list.csv", "--jobs", "2"], "combined with --jobs 2: files are scored one"),
     ],
 )
 def test_what_cannot_be_scored_is_refused_in_one_line(arguments, words, tmp_path):
