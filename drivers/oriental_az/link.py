@@ -48,6 +48,8 @@ RESPONSE_WAIT_S = 0.003
 parameter."""
 BITS_A_BYTE = 11
 """Start, eight data, parity or a second stop, stop."""
+MOST_SHOWN = 64
+"""Bytes without an answer among them that a message shows; more are a stream."""
 READ_WAIT_S = 0.005
 HELD_UP_S = 0.1
 """Longest wait in s for the line in normal operation. A longer wait has another cause, such as
@@ -291,20 +293,20 @@ class AzLine:
         while time.monotonic() < self._listen_until_s:
             self._port.read(self._port.in_waiting or 1)
         request = echoing(unit, next(self._numbers))
-        give_up = self._send(request) + timeout_s
+        coming = self._bytes_until(self._send(request) + timeout_s)
         got = b""
         while request.frame not in got:
-            got += self._receive(give_up, got)
+            got += next(coming)
         self._answered(request)
         self._trusted.add(unit)
 
     def _ask(self, request: AzRequest, timeout_s: float) -> bytes:
-        give_up = self._send(request) + timeout_s
+        coming = self._bytes_until(self._send(request) + timeout_s)
         got = b""
         while True:
             frame, got = _first_frame(got)
             if frame is None:
-                got += self._receive(give_up, got)
+                got += next(coming)
             elif request.answered_by(frame):
                 self._answered(request)
                 return frame[1:-2]
@@ -319,13 +321,21 @@ class AzLine:
         self._port.write(request.frame)
         return sent
 
-    def _receive(self, give_up: float, got: bytes) -> bytes:
-        """Return the bytes that have come, waiting a little. Raises NoAnswerError after the
-        deadline."""
-        data: bytes = self._port.read(self._port.in_waiting or 1)
-        if not data and time.monotonic() > give_up:
-            raise NoAnswerError(f"only {got.hex(' ')} came" if got else "")
-        return data
+    def _bytes_until(self, give_up: float) -> Iterator[bytes]:
+        """Yield the bytes that come, without an end and waiting a little for each. After the
+        deadline they are yielded once more: on a busy computer the answer may have waited in the
+        port. Then raises NoAnswerError, or BrokenAnswerError where bytes keep coming, as from an
+        instrument that streams on this port."""
+        came = b""
+        while True:
+            late = time.monotonic() > give_up
+            data: bytes = self._port.read(self._port.in_waiting or 1)
+            came += data
+            yield data
+            if late and len(came) > MOST_SHOWN:
+                raise BrokenAnswerError(f"{len(came)} bytes came, none of them its answer")
+            if late:
+                raise NoAnswerError(f"only {came.hex(' ')} came" if came else "")
 
     def _answered(self, request: AzRequest) -> None:
         now_s = self._clock.now()

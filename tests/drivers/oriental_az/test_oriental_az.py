@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import termios
 import threading
 import time
+import tty
 from typing import Any
 
 import pytest
@@ -13,7 +15,7 @@ from pydantic import ValidationError
 from stages.az import OWN, STEPS, service
 
 from drivers.oriental_az import driver as oriental_az
-from drivers.oriental_az.link import AzLine
+from drivers.oriental_az.link import AzLine, BrokenAnswerError, echoing
 from drivers.oriental_az.settings import OrientalAzSettings
 from drivers.simulated.instruments.oriental_az import (
     HIGH_LIMIT,
@@ -22,6 +24,7 @@ from drivers.simulated.instruments.oriental_az import (
     LINE_TIMEOUT_ms,
 )
 from drivers.simulated.transports.modbus_tcp import ILLEGAL_ADDRESS, ModbusError
+from rig.core.clock import WallClock
 from rig.core.errors import InstrumentError, InstrumentTimeoutError
 
 
@@ -210,6 +213,7 @@ def test_settings_that_contradict_each_other_are_refused() -> None:
         ({"high_limit_mm": 3e6}, "do not fit the drive's steps"),
         ({"unit_id": 32}, "less than or equal to 31"),
         ({"baudrate": 12_345}, "baudrate"),
+        ({"torque_limit_percent": 0.04}, "greater than or equal to 0.1"),
     ):
         with pytest.raises(ValidationError, match=words):
             OrientalAzSettings(**{**good, **change})
@@ -468,6 +472,33 @@ def test_late_answers_of_the_other_drive_are_passed_over() -> None:
                 except InstrumentTimeoutError:
                     failures += 1
         assert failures == 1
+
+
+@pytest.mark.parametrize("stream", [b"\xaa", echoing(2, 1).frame])
+def test_a_line_on_which_something_keeps_streaming_is_given_up_and_let_go(stream: bytes) -> None:
+    """An instrument that streams on this port, or answers of another unit without an end."""
+    ours, theirs = os.openpty()
+    over = threading.Event()
+
+    def keep_streaming() -> None:
+        while not over.wait(0.001):
+            os.write(ours, stream)
+
+    streaming = threading.Thread(target=keep_streaming, daemon=True)
+    line = AzLine(os.ttyname(theirs), 115_200, "N", WallClock())
+    try:
+        tty.setraw(theirs)
+        streaming.start()
+        with pytest.raises(BrokenAnswerError, match="bytes came, none of them its answer"):
+            line.exchange(echoing(1, 7), timeout_s=0.3)
+        with pytest.raises(BrokenAnswerError):
+            line.exchange(echoing(1, 7), timeout_s=0.3, trusting=True)
+    finally:
+        over.set()
+        streaming.join()
+        line.close()
+        os.close(ours)
+        os.close(theirs)
 
 
 def test_a_refusal_tells_the_exception_and_what_it_means() -> None:
