@@ -29,6 +29,9 @@ HIGHEST_FREQUENCY_HZ = 20e6  # sine, 33511B/33512B; the 3352xB go to 30 MHz
 LOWEST_AMPLITUDE_V = 1e-3  # 2 mVpp into an open circuit [unconfirmed]
 HIGHEST_AMPLITUDE_V = 10.0  # 20 Vpp into an open circuit [unconfirmed]
 OPEN_CIRCUIT_REPLY = 9.9e37
+MODES = ("AM", "FM", "PM", "FSK", "BPSK", "PWM", "SUM", "BURS")
+"""Modulations and the burst mode: what would shape a sine, while frequency and amplitude still read
+back as they were set."""
 READBACK_TOLERANCE = 1e-5  # relative; the 16-bit amplitude and 1 uHz frequency are finer
 
 
@@ -67,7 +70,9 @@ class Generator33500B:
         return self._identity
 
     def prepare(self) -> None:
-        """Identify, switch off, set load and voltage limits, and read all of it back.
+        """Identify, switch off, end what the front panel or another program has left switched on
+        (bursts, modulation, a sweep or list of frequencies), set load and voltage limits, and read
+        all of it back.
 
         Raises InstrumentError for another model, and for a setting that reads back differently.
         """
@@ -81,6 +86,9 @@ class Generator33500B:
             )
         self._link.command("*CLS")
         self.output(False)
+        for mode in MODES:
+            self._set(f"{self._source}:{mode}:STAT", "0", 0)
+        self._set_one_frequency()
         highest = self._settings.max_amplitude_V
         self._set(f"{self._output}:LOAD", "INF", OPEN_CIRCUIT_REPLY)
         self._set(f"{self._source}:VOLT:LIM:STAT", "0", 0)
@@ -146,6 +154,17 @@ class Generator33500B:
     def _set(self, header: str, value: str, expected: float) -> None:
         (reply,) = self._link.command(f"{header} {value}", then=(f"{header}?",))
         self._verify(header, reply, expected)
+
+    def _set_one_frequency(self) -> None:
+        header = f"{self._source}:FREQ:MODE"
+        (reply,) = self._link.command(f"{header} CW", then=(f"{header}?",))
+        if reply != "CW":
+            raise InstrumentError(
+                "generator",
+                header,
+                f"set to CW but reads back {reply}",
+                "switch off its sweep or list of frequencies at the front panel",
+            )
 
     def _verify(self, header: str, reply: str, wanted: float) -> None:
         got = self._link.number(f"{header}?", reply)

@@ -5,8 +5,9 @@ not open connections or wait. Voltages are kept as an open circuit would see the
 behind 50 ohm does not change when the load *setting* does, only the displayed volts do, so a value
 set for 50 ohm reads twice as large once the load is INF.
 
-Limits of the simulation: bursts are set and read back but not played. While a burst is switched on
-the terminals rest at the offset, so that nothing mistakes an endless wave for a burst. Arbitrary
+Limits of the simulation: bursts, modulations, sweeps and lists of frequencies are set and read back
+but not played. While one is switched on the terminals rest at the offset, so that nothing mistakes
+an endless wave for what the instrument would give. Arbitrary
 waveforms are stored; the World gets the function ``ARB``, not its samples.
 
 ScpiCommand set: Keysight 33500 series Operating and Service Guide as two public clients use it
@@ -51,6 +52,8 @@ HIGHEST_FREQUENCY_Hz = {
     "SIN": 20e6, "SQU": 20e6, "TRI": 200e3, "RAMP": 200e3, "PULS": 20e6,
     "PRBS": 20e6, "NOIS": 20e6, "ARB": 20e6, "DC": 20e6,
 }  # fmt: skip
+MODULATIONS = ("AM", "FM", "PM", "FSKey", "BPSK", "PWM", "SUM")
+_FREQUENCY_MODES = Choice("CW", "LIST", "SWEep", "FIXed")
 _FUNCTIONS = Choice("SINusoid", "SQUare", "TRIangle", "RAMP", "PULSe", "PRBS", "NOISe", "ARB", "DC")
 PEAK_TO_PEAK_PER_RMS = {
     "SIN": 2 * math.sqrt(2), "SQU": 2.0, "PULS": 2.0, "PRBS": 2.0,
@@ -73,6 +76,9 @@ class ChannelState:
     phase_deg: float = 0.0
     inverted: bool = False
     burst: bool = False
+    modulation: str = ""
+    """Name of the modulation that is switched on; empty for none. There is one at a time."""
+    frequency_mode: str = "CW"
     load_ohm: float = 50.0
     limited: bool = False
     limit_high_V: float = LARGEST_PEAK_V
@@ -99,7 +105,8 @@ class ChannelState:
 
     def excitation(self) -> Excitation:
         """Return the excitation at the terminals."""
-        resting = self.burst or self.function == "DC"
+        shaped = self.burst or self.modulation or self.frequency_mode not in ("CW", "FIX")
+        resting = shaped or self.function == "DC"
         return Excitation(
             on=self.on,
             function=self.function,
@@ -160,7 +167,6 @@ STORED_NUMBERS = (
     StoredNumber("TRIGger#:TIMer", SettingBounds(1e-6, 8000, 1), _SECONDS),
 )
 STORED_WORDS = (
-    StoredWord("[SOURce#:]FREQuency:MODE", Choice("CW", "LIST", "SWEep", "FIXed"), "CW"),
     StoredWord("[SOURce#:]FUNCtion:PULSe:HOLD", Choice("WIDTh", "DCYCle"), "WIDT"),
     StoredWord("[SOURce#:]FUNCtion:ARBitrary:FILTer", Choice("NORMal", "STEP", "OFF"), "STEP"),
     StoredWord("[SOURce#:]FUNCtion:ARBitrary:ADVance", Choice("TRIGger", "SRATe"), "SRAT"),
@@ -292,6 +298,11 @@ class Keysight33500B(ScpiInstrument):
                 lambda state: state.burst,
                 lambda state, on: replace(state, burst=on),
             ),
+            *(row for name in MODULATIONS for row in self._modulation(name)),
+            ScpiCommand("[SOURce#:]FREQuency:MODE", self._set_frequency_mode, (_FREQUENCY_MODES,)),
+            ScpiCommand(
+                "[SOURce#:]FREQuency:MODE?", lambda call: self._state_of(call).frequency_mode
+            ),
         ]
 
     def _voltage_commands(self) -> list[ScpiCommand]:
@@ -404,6 +415,13 @@ class Keysight33500B(ScpiInstrument):
             ScpiCommand(pattern + "?", lambda call: str(int(get(self._state_of(call))))),
         ]
 
+    def _modulation(self, name: str) -> list[ScpiCommand]:
+        def put(state: ChannelState, on: bool) -> ChannelState:
+            others = "" if state.modulation == name else state.modulation
+            return replace(state, modulation=name if on else others)
+
+        return self._flag(f"[SOURce#:]{name}:STATe", lambda state: state.modulation == name, put)
+
     def _stored_number(self, row: StoredNumber) -> list[ScpiCommand]:
         def write(call: Call) -> None:
             asked: ScpiQuantity = call.arguments[0]
@@ -450,6 +468,10 @@ class Keysight33500B(ScpiInstrument):
         if not low <= state.offset_V - state.swing <= state.offset_V + state.swing <= high:
             raise ScpiError(-221, "amplitude or offset too large for this function")
         self._become(_channel(call), state, call.by)
+
+    def _set_frequency_mode(self, call: Call) -> None:
+        mode = call.arguments[0]
+        self._become(_channel(call), replace(self._state_of(call), frequency_mode=mode), call.by)
 
     def _synchronise(self, call: Call) -> None:
         for channel in CHANNELS:

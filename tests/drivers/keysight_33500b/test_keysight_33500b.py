@@ -21,6 +21,11 @@ CONNECT = (
     ("*IDN?", IDENTITY),
     ("*CLS;:SYST:ERR?", NO_ERROR),
     ("OUTP1 0;:OUTP1?;:SYST:ERR?", f"0;{NO_ERROR}"),
+    *(
+        (f"SOUR1:{mode}:STAT 0;:SOUR1:{mode}:STAT?;:SYST:ERR?", f"0;{NO_ERROR}")
+        for mode in ("AM", "FM", "PM", "FSK", "BPSK", "PWM", "SUM", "BURS")
+    ),
+    ("SOUR1:FREQ:MODE CW;:SOUR1:FREQ:MODE?;:SYST:ERR?", f"CW;{NO_ERROR}"),
     ("OUTP1:LOAD INF;:OUTP1:LOAD?;:SYST:ERR?", f"+9.9E+37;{NO_ERROR}"),
     ("SOUR1:VOLT:LIM:STAT 0;:SOUR1:VOLT:LIM:STAT?;:SYST:ERR?", f"0;{NO_ERROR}"),
     ("SOUR1:FUNC SIN;:SOUR1:VOLT:UNIT VPP;:SYST:ERR?", NO_ERROR),

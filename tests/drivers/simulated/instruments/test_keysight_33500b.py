@@ -169,6 +169,30 @@ def test_burst_settings_read_back_and_the_terminals_rest(say: Talk, bench: Ideal
     assert value(say("BURS:NCYC INF;NCYC?")) == 9.9e37
 
 
+@pytest.mark.parametrize("header", ["AM:STAT", "FSK:STAT", "SUM:STATE", "SOUR1:PM:STATe"])
+def test_a_modulation_ends_another_and_the_terminals_rest(
+    say: Talk, bench: IdealBench, header: str
+) -> None:
+    say("OUTP1 1;:FM:STAT 1")
+    say(f"{header} 1")
+    assert (say(f"{header}?"), say("FM:STAT?")) == ("1", "0")
+    assert bench.excitations[-1][1].amplitude_V == 0.0
+    say("FM:STAT 0")
+    assert bench.excitations[-1][1].amplitude_V == 0.0
+    say(f"{header} 0")
+    assert bench.excitations[-1][1].amplitude_V > 0.0
+
+
+def test_the_terminals_rest_while_frequencies_are_swept_or_of_a_list(
+    say: Talk, bench: IdealBench
+) -> None:
+    say("OUTP1 1;:FREQ:MODE LIST")
+    assert say("FREQ:MODE?") == "LIST"
+    assert bench.excitations[-1][1].amplitude_V == 0.0
+    say("FREQ:MODE FIX")
+    assert bench.excitations[-1][1].amplitude_V > 0.0
+
+
 def test_trigger_that_nothing_waits_for_is_an_error(say: Talk) -> None:
     say("*TRG")
     assert say.errors() == [-211]
