@@ -65,14 +65,18 @@ def check_telegram(link: CmmtLink) -> None:
 def check_units(link: CmmtLink, settings: FestoCmmtSettings) -> None:
     """Raise InstrumentError where the drive has other units than the bench file, or does not
     report them and no one has checked them (``trust_units``)."""
-    _check_unit(link, settings, POSITION_UNIT, settings.position_unit_mm, 0x00)
-    _check_unit(link, settings, SPEED_UNIT, settings.speed_unit_mm_s, 0x03)
+    for parameter, name, unit, per in (
+        (POSITION_UNIT, "position_unit_mm", "mm", 0x00),
+        (SPEED_UNIT, "speed_unit_mm_s", "mm/s", 0x03),
+    ):
+        _check_unit(link, settings, parameter, name, unit, per)
 
 
 def _check_unit(
-    link: CmmtLink, settings: FestoCmmtSettings, parameter: int, wanted_mm: float, per: int
+    link: CmmtLink, settings: FestoCmmtSettings, parameter: int, name: str, unit: str, per: int
 ) -> None:
     """Check the drive's unit as CiA 402 codes it: power of ten, metre (01h), and the divisor."""
+    wanted = getattr(settings, name)
     try:
         code = int.from_bytes(link.parameter(parameter), "little")
     except ParameterRefusedError as refused:
@@ -85,15 +89,20 @@ def _check_unit(
             "check them in the vendor's software, then set trust_units = true",
         ) from refused
     power = int.from_bytes(bytes([code >> 24]), "little", signed=True)
-    unit, divisor = code >> 16 & 0xFF, code >> 8 & 0xFF
-    millimetres = 1000.0 * 10.0**power
-    agrees = abs(millimetres / wanted_mm - 1) < 1e-9
-    if (unit, divisor) != (0x01, per) or not agrees:
+    if (code >> 16 & 0xFF, code >> 8 & 0xFF) != (0x01, per):
         raise InstrumentError(
             link.device,
             f"read parameter {parameter}",
-            f"the drive's unit is {code:#010x} ({millimetres:g} mm), not {wanted_mm:g} mm",
-            "correct position_unit_mm and speed_unit_mm_s in the bench file",
+            f"the drive's unit is {code:#010x} (CiA 402), which cannot be stated in {unit}",
+            f"set a unit in metres that agrees with {name} = {wanted:g} in the vendor's software",
+        )
+    steps = 1000.0 * 10.0**power
+    if abs(steps / wanted - 1) >= 1e-9:
+        raise InstrumentError(
+            link.device,
+            f"read parameter {parameter}",
+            f"the drive's unit is {steps:g} {unit}, not {wanted:g} {unit}",
+            f"correct {name} in the bench file",
         )
 
 

@@ -111,9 +111,9 @@ class OrientalAzSettings(Settings):
     """Deceleration of every motion and of a stop."""
     communication_timeout_ms: CommunicationTimeout[int] = Field(default=1000, ge=200, le=10_000)
     """Time without a request over its line after which the drive stops by itself."""
-    torque_limit_percent: float | None = Field(default=None, gt=0, le=100)
-    """Operating current of every motion: the barrier behind the force limit. Left out, the drive
-    pushes with all it has; an axis that presses needs it."""
+    torque_limit_percent: float | None = Field(default=None, ge=0.1, le=100)
+    """Operating current of every motion, in steps of 0.1 %: the barrier behind the force limit.
+    Left out, the drive pushes with all it has; an axis that presses needs it."""
     position_tolerance_mm: float = Field(default=0.02, gt=0, le=1)
     """Largest distance from its target at which a motion may end."""
     following_limit_mm: float = Field(default=0.2, gt=0, le=10)

@@ -31,11 +31,27 @@ def test_another_telegram_is_refused() -> None:
 
 
 @pytest.mark.parametrize(
-    "drive", [{"position_unit_mm": 0.01}, {"speed_unit_mm_s": 0.01}, {"position_unit_mm": 1.0}]
+    ("drive", "words"),
+    [
+        ({"position_unit_mm": 0.01}, "the drive's unit is 0.01 mm, not 0.001 mm"),
+        ({"speed_unit_mm_s": 0.01}, "the drive's unit is 0.01 mm/s, not"),
+        ({"position_unit_mm": 1.0}, "the drive's unit is 1 mm, not 0.001 mm"),
+    ],
 )
-def test_another_unit_is_refused(drive: dict[str, float]) -> None:
-    with service(drive=drive) as it, pytest.raises(InstrumentError, match="the drive's unit is"):
+def test_another_unit_is_refused(drive: dict[str, float], words: str) -> None:
+    with service(drive=drive) as it, pytest.raises(InstrumentError, match=words) as caught:
         it.connect()
+    (setting,) = drive
+    assert caught.value.hint == f"correct {setting} in the bench file"
+
+
+@pytest.mark.parametrize(("parameter", "code"), [(12698, 0xFD41_0000), (12699, 0xFD01_4700)])
+def test_a_unit_that_is_not_one_of_metres_is_refused(parameter: int, code: int) -> None:
+    """Degrees, and metres per minute."""
+    with service() as it:
+        it.drive.parameters.values[parameter] = struct.pack("<I", code)
+        with pytest.raises(InstrumentError, match=f"{code:#010x} .CiA 402., which cannot be"):
+            it.connect()
 
 
 def test_a_unit_that_agrees_is_used() -> None:
