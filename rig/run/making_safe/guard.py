@@ -38,7 +38,7 @@ from rig.run.making_safe.guard_report import in_words, write
 
 if TYPE_CHECKING:
     from rig.bench.plan import BenchPlan
-    from rig.run.arming import Arming
+    from rig.run.arming import Act, Arming
     from rig.run.making_safe.still_pressed import PressedState
 
 
@@ -206,8 +206,13 @@ def _add_what_is_pressed(order: dict[str, Any], report: dict[str, Any]) -> None:
     # An instrument that hangs must not prevent the compilation of the data. A lift ends itself
     # before this gives up: nothing moves when the guard has ended and its locks are free.
     thread = threading.Thread(target=measure, name="still pressed", daemon=True)
-    thread.start()
-    thread.join(PRESSED_S + REST_S)
+    try:
+        thread.start()
+    except RuntimeError:  # the limit on threads is reached: without the deadline, but lifted
+        with contextlib.suppress(Exception):
+            measure()
+    else:
+        thread.join(PRESSED_S + REST_S)
     if not found:
         report["pressed"] = (
             "not known whether something is still pressed: the instruments gave no answer within "
@@ -260,7 +265,9 @@ def longest_take_over_s(plan: BenchPlan) -> float:
 
 def make_bench_safe(bench_toml: str, source: str, again_s: float = 0.0) -> MadeSafe:
     """Call every driver's `make_safe` in the order of the roles, each isolated from the others'
-    failures and each with a deadline. What failed is tried again for `again_s` seconds.
+    failures and each with a deadline. What failed is tried again for `again_s` seconds. Where the
+    computer's limit on threads is reached, those for which none is left are called one after the
+    other and without a deadline.
 
     An instrument whose driver or settings cannot be used is reported as a failure; the others are
     made safe. Raises ConfigurationError if the text describes no instrument at all.
@@ -271,14 +278,19 @@ def make_bench_safe(bench_toml: str, source: str, again_s: float = 0.0) -> MadeS
 
     described = parse_to_make_safe(bench_toml, source)
     arming = Arming()
+    without_thread: dict[str, Act] = {}
     for part in reversed(described.instruments):
         off = partial(part.driver.make_safe, part.settings)
-        arming.register(part.role, off, longest_make_safe_s(part.settings))
-    failed = _make_safe(arming)
+        try:
+            arming.register(part.role, off, longest_make_safe_s(part.settings))
+        except RigError:
+            without_thread[part.role] = off
+    failed = _make_safe(arming) | _make_safe_here(without_thread)
     give_up_s = time.monotonic() + again_s
     while failed and time.monotonic() < give_up_s:
         time.sleep(AGAIN_EVERY_S)
-        failed = _make_safe(arming)  # what has worked is not armed any more
+        # What has worked is not armed any more.
+        failed = _make_safe(arming) | _make_safe_here(without_thread)
     safe = not described.failures and all(role in MEASURING_ROLES for role in failed)
     return MadeSafe(failed | described.failures, safe)
 
@@ -286,6 +298,22 @@ def make_bench_safe(bench_toml: str, source: str, again_s: float = 0.0) -> MadeS
 def _make_safe(arming: Arming) -> dict[str, str]:
     """Run what is armed; return the reasons of what failed, by role."""
     return {f.name: f.reason.removeprefix(f"{f.name}: ") for f in arming.make_safe()}
+
+
+def _make_safe_here(calls: dict[str, Act]) -> dict[str, str]:
+    """Make these calls in the present thread, the latest first, and forget those that have worked;
+    return the reasons of the others, by role."""
+    from rig.run.arming import Task
+
+    failed = {}
+    for role in reversed(tuple(calls)):
+        task = Task(calls[role])
+        task.run()
+        if task.reason is None:
+            del calls[role]
+        else:
+            failed[role] = task.reason.removeprefix(f"{role}: ")
+    return failed
 
 
 def _make_safe_as_ordered(order: dict[str, Any]) -> MadeSafe:

@@ -315,6 +315,57 @@ def test_an_instrument_that_hangs_keeps_no_other_from_being_made_safe(
     assert done == ["stage_z"]
 
 
+@pytest.mark.parametrize("left", [0, 1])
+def test_without_a_thread_to_be_had_every_instrument_is_made_safe_all_the_same(
+    monkeypatch: pytest.MonkeyPatch, left: int
+) -> None:
+    asked: list[str] = []
+
+    def part(role: str, tries: int) -> Any:
+        def make_safe(settings: object) -> None:
+            asked.append(role)
+            if asked.count(role) < tries:
+                raise InstrumentError(role, "stop", "no answer", "switch it on")
+
+        driver = SimpleNamespace(make_safe=make_safe)
+        return SimpleNamespace(role=role, driver=driver, settings=SimpleNamespace(timeout_s=1.0))
+
+    parts = part("generator", 2), part("daq", 9999), part("stage_z", 1)
+    described = SimpleNamespace(instruments=parts, failures={})
+    monkeypatch.setattr("rig.bench.plan.parse_to_make_safe", lambda *_: described)
+    monkeypatch.setattr("rig.run.making_safe.guard.AGAIN_EVERY_S", 0.01)
+    started, start_really = [], threading.Thread.start
+
+    def refuse(thread: threading.Thread) -> None:
+        if len(started) >= left:
+            raise RuntimeError("can't start new thread")
+        started.append(thread)
+        start_really(thread)
+
+    monkeypatch.setattr(threading.Thread, "start", refuse)
+    made = make_bench_safe("", "bench.toml", again_s=0.05)
+    assert made.failures == {"daq": "stop: no answer; switch it on"}
+    assert made.safe, "a DAQ drives nothing"
+    assert asked.count("generator") == 2
+    assert asked.count("stage_z") == 1
+    assert len(started) == left
+
+
+def test_without_a_thread_to_be_had_the_bench_is_switched_off_and_its_data_are_compiled(
+    monkeypatch: pytest.MonkeyPatch, bench: Bench
+) -> None:
+    monkeypatch.setattr(threading.Thread, "start", _no_thread)
+    report = act(bench.order(), "a test")
+    assert bench.outputs()[-1][0] is False
+    assert report["failures"] == {}
+    assert report["pressed"]
+    assert "not compiled" in report["file"]
+
+
+def _no_thread(thread: threading.Thread) -> None:
+    raise RuntimeError("can't start new thread")
+
+
 @pytest.mark.thorough
 def test_an_instrument_that_only_measures_leaves_no_bench_unsafe(
     monkeypatch: pytest.MonkeyPatch, bench: Bench
