@@ -16,7 +16,7 @@ from rig.core.errors import ConfigurationError
 from rig.core.text import in_shell
 from rig.files.errors import LOCKS_NEEDED
 from rig.files.naming import JOURNAL_SUFFIX, RUN_SUFFIX
-from rig.run.locks.lock_holder import holder_of, locked_inodes
+from rig.run.locks.lock_holder import holder_of, lives, locked_inodes
 
 QUEUE = "queue.sqlite"
 
@@ -99,7 +99,7 @@ class BatchFolder:
                 if time.monotonic() > give_up:
                     pid = os.pread(file, 20, 0).decode("ascii", "replace").strip() or "?"
                     raise ConfigurationError(
-                        f"{self.path}: the batch has a {who} already (process {pid})",
+                        f"{self.path}: {_in_the_way(who, pid)}",
                         f"see: rig batch status {in_shell(self.path)}",
                     )
                 time.sleep(0.05)
@@ -215,6 +215,17 @@ def _batches_in(results: Path) -> tuple[list[BatchFolder], list[BatchFolder]]:
     folders = [BatchFolder(queue.parent) for queue in found]
     locked = locked_inodes()
     return folders, [one for one in folders if holder_of(one.supervisor_lock, locked) is not None]
+
+
+def _in_the_way(who: str, pid: str) -> str:
+    """Say what holds a lock that process `pid` took: what it has started, such as the guard of its
+    bench, may hold the lock longer than itself."""
+    if not pid.isdecimal() or lives(int(pid)):
+        return f"the batch has a {who} already (process {pid})"
+    return (
+        f"the {who} before (process {pid}) has died, and a process that it started, such as the "
+        "guard of its bench, still acts"
+    )
 
 
 def _locked(file: int, path: Path) -> bool:

@@ -27,7 +27,7 @@ from pathlib import Path
 from typing import Any, Concatenate, ParamSpec, Self, TypeVar
 
 from rig.batch.plan.conditions import BatchCondition, BatchPlan
-from rig.batch.queue_file import QueueWriteError, connected
+from rig.batch.queue_file import QueueWriteError, connected, remedy
 from rig.batch.queue_records import AttemptResult, Claim, RunEstimate, RunState
 from rig.batch.queue_view import QueueView
 from rig.core.atomic import replacing
@@ -281,7 +281,7 @@ class Queue(QueueView):
         except sqlite3.OperationalError as error:
             raise QueueWriteError(
                 f"{self.path}: the queue cannot be written: {error}",
-                "free some disk space, then: rig batch resume",
+                remedy(error.sqlite_errorname, self.path.parent, "then: rig batch resume"),
             ) from error
 
 

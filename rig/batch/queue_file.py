@@ -26,15 +26,15 @@ class QueueNotOpenedError(ConfigurationError):
     user's, on a disk that is read only or full, locked. `name` is SQLite's name of the error."""
 
     def __init__(self, why: str, path: Path, name: str):
-        super().__init__(f"{path} cannot be opened: {why}", _remedy(name, path.parent))
+        super().__init__(f"{path} cannot be opened: {why}", remedy(name, path.parent))
 
 
-def _remedy(name: str, folder: Path) -> str:
+def remedy(name: str, folder: Path, then: str = "then give the command again") -> str:
     """Return what to do about an error of this name, which is not due to what is in the file."""
     if name.startswith(("SQLITE_FULL", "SQLITE_IOERR_WRITE", "SQLITE_IOERR_FSYNC")):
-        return "free some disk space, then give the command again"
+        return f"free some disk space, {then}"
     if name.startswith(("SQLITE_BUSY", "SQLITE_LOCKED")):
-        return "another program has it open: wait for it or close it, then give the command again"
+        return f"another program has it open: wait for it or close it, {then}"
     if name == "SQLITE_READONLY_ROLLBACK":
         resume = f"rig batch resume {in_shell(folder)}"
         return f"a write to it was interrupted; roll that back with: {resume}"

@@ -261,6 +261,18 @@ def test_a_disk_that_takes_no_more_is_reported_with_the_remedy(tmp_path: Path) -
         assert queue.counts()["queued"] == 6, "and it goes on being read"
 
 
+def test_a_queue_that_another_program_has_locked_is_reported_with_the_remedy(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("rig.batch.queue_file.BUSY_S", 0.05)
+    with created(tmp_path, plan()) as queue, sqlite3.connect(queue.path) as other:
+        other.execute("BEGIN EXCLUSIVE")
+        with pytest.raises(RigError, match="cannot be written: database is locked") as raised:
+            queue.set_meta("state", "running")
+        assert str(raised.value.hint).startswith("another program has it open: wait for it")
+        assert str(raised.value.hint).endswith("then: rig batch resume")
+
+
 def _fill(queue: Queue) -> None:
     for _ in range(10_000):
         queue.add_event("info", 1000 * "x")

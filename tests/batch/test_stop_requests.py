@@ -365,24 +365,31 @@ def test_a_stop_is_heard_while_the_last_files_are_made(
     with supervision(tmp_path, "stop-after-point") as finishing:
         monkeypatch.setattr(finishing, "_make_files", one_more_round)
         finishing._files = NeverReady()  # type: ignore[assignment]
-        finishing._finish_files()
+        assert finishing._finish_files() is signal.SIGTERM
     assert len(given_up) == 1
 
 
+@pytest.mark.parametrize("by_request", [False, True])
 @pytest.mark.parametrize(("missing", "code"), [([7], ExitCode.SIGTERM), ([], ExitCode.DONE)])
-def test_a_signal_that_leaves_files_of_finished_runs_out_is_the_exit_code_of_the_batch(
-    missing: list[int], code: ExitCode, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_a_stop_that_leaves_files_of_finished_runs_out_is_the_exit_code_of_the_batch(
+    missing: list[int],
+    code: ExitCode,
+    by_request: bool,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    """By a signal, or by a request from another terminal while the files are made."""
     stop = StopFlag()
 
     def workers() -> ExitCode:
-        stop.requested = signal.SIGTERM
+        stop.requested = None if by_request else signal.SIGTERM
         monkeypatch.setattr(Queue, "unprocessed", lambda _: missing)
         return ExitCode.DONE
 
     with supervision(tmp_path, stop=stop) as finishing:
         monkeypatch.setattr(finishing, "_workers", workers)
-        monkeypatch.setattr(finishing, "_finish_files", lambda: None)
+        left_by = signal.SIGTERM if by_request else None
+        monkeypatch.setattr(finishing, "_finish_files", lambda: left_by)
         assert finishing.to_the_end() == code
 
 

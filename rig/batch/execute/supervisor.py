@@ -193,8 +193,8 @@ class _Supervision:
         self._reports.say_that_it_waits()
         code = self._workers()
         with contextlib.suppress(QueueDamagedError):
-            self._finish_files()
-            number = self._terminal.requested
+            left_by = self._finish_files()
+            number = self._terminal.requested or left_by
             if code in FINISHED and number is not None and self._queue.unprocessed():
                 code = ExitCode(128 + number)
         self._write_heartbeat("ended")
@@ -331,15 +331,18 @@ class _Supervision:
         wanted = start and self._terminal.requested is None and not self._writes.why
         self._files.poll(start=wanted)
 
-    def _finish_files(self) -> None:
+    def _finish_files(self) -> signal.Signals | None:
         """Make the files of all finished runs. A stop request leaves out those that are not under
-        way; `rig batch resume` makes them."""
+        way; `rig batch resume` makes them. Return SIGTERM where another terminal has asked for
+        that."""
+        left_by = None
         if self._reports.files_were_left:
             self._files.add_all(self._queue.unprocessed())
         if self._terminal.requested is None and len(self._files):
             self._say(f"finishing: making the files of {counted(len(self._files), 'run')} ...")
         while len(self._files) and self._terminal.requested is None:
             if any(_ends_the_batch(command) for command in requests_in(self._queue)):
+                left_by = signal.SIGTERM
                 break
             self._write_heartbeat("finishing")
             self._make_files(start=True)
@@ -353,6 +356,7 @@ class _Supervision:
         if compiled := len(unprocessed) - missing:
             runs = counted(compiled, "run")
             self._say(f"figures and results still to be made: {runs}; make them with: {again}")
+        return left_by
 
 
 def requests_in(queue: Queue) -> list[str]:

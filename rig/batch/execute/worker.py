@@ -59,9 +59,9 @@ if TYPE_CHECKING:
     from rig.bench.settings import BenchSettings
     from rig.run.outcome import RunOutcome
 
-GUARD_PATIENCE_S = 60.0
-"""Longest time in s that the guard of an earlier worker that died may take to make the bench
-safe."""
+GUARD_PATIENCE_S = 600.0
+"""Longest time in s that the guard of an earlier worker that died may take: with every instrument
+silent some minutes (`longest_take_over_s`), and a long journal to be compiled."""
 
 GIVEN_UP = "stopped by a person, who let the batch continue"
 """Reason of a run that was ended alone. It is not taken again."""

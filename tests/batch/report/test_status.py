@@ -5,6 +5,9 @@ from __future__ import annotations
 import errno
 import fcntl
 import os
+import signal
+import subprocess
+import sys
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -69,6 +72,33 @@ def test_the_lock_of_a_batch_can_be_opened_by_its_owner_alone(tmp_path: Path) ->
     with folder.held_by("supervisor", 0.0):
         assert folder.is_held("supervisor")
         assert (tmp_path / "supervisor.lock").stat().st_mode & 0o777 == 0o600
+
+
+HOLDER = """
+import os, subprocess, sys
+from pathlib import Path
+from rig.batch.folder import BatchFolder
+with BatchFolder(Path(sys.argv[1])).held_by("worker", 0.0) as lock:
+    void = subprocess.DEVNULL
+    child = subprocess.Popen(["sleep", "60"], pass_fds=[lock], stdout=void, stderr=void)
+    print(os.getpid(), child.pid, flush=True)
+    os._exit(0)
+"""
+
+
+def test_the_guard_of_a_worker_that_has_died_is_not_taken_for_a_worker(tmp_path: Path) -> None:
+    """What a worker has started holds its lock until it has ended as well."""
+    given = [sys.executable, "-c", HOLDER, str(tmp_path)]
+    died, child = subprocess.run(given, capture_output=True, text=True, check=True).stdout.split()
+    said = rf"the worker before \(process {died}\) has died, and a process that it started, such"
+    try:
+        with (
+            pytest.raises(ConfigurationError, match=said),
+            BatchFolder(tmp_path).held_by("worker", 0.0),
+        ):
+            pass
+    finally:
+        os.kill(int(child), signal.SIGKILL)
 
 
 def test_the_batch_of_another_user_is_running_although_its_lock_may_not_be_opened(
