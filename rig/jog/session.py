@@ -141,12 +141,12 @@ class JogSession:
         """Jog until the operator leaves, a signal comes or something fails; then stop everything,
         and mark the bench as it was left. Never raises a RigError."""
         ended = JogOutcome()
-        with self._watch.in_every_wait(guard):
+        # Until everything is at rest: with its own action Ctrl-Z would suspend the process.
+        with self._watch.in_every_wait(guard), PauseSwitch(self._watch.holds):
             try:
-                with PauseSwitch(self._watch.holds):
-                    self._begin()
-                    while not self._left:
-                        self._survive_pass()
+                self._begin()
+                while not self._left:
+                    self._survive_pass()
             except RigError as error:
                 ended.code = error.code
                 ended.failures.extend(error.parts())

@@ -71,8 +71,8 @@ SLOW_SAVING_S = 10.0
 SLOW_SAVING = {
     True: "the bench is safe; the data are still being saved: the file is large, or the disk "
     "does not answer",
-    False: "the bench could NOT be made safe in full: look before you go near it; the data are "
-    "still being saved: the file is large, or the disk does not answer",
+    False: "the bench could NOT be made safe in full: look before you go near it; its guard is "
+    "trying, then the data are saved",
 }
 """What is shown then, by whether the bench is safe."""
 
@@ -209,39 +209,41 @@ class _Execution:
         unregister_interlocks = self.bench.clock.each_slice(self.run.interlocks.poll)
         unregister = self.bench.clock.each_slice(self.checks.each_slice)
         self.bench.clock.while_computing(self.guard.beat)
-        try:
-            self.marks.running(self.guard.pid)  # before anything is switched on
-            with PauseSwitch(self.run.holds), self._hang_watch():
-                self._begin_interlocks()
-                self.loop.record_all(points)
-            self.outcome.status, self.outcome.code = "complete", self._judge()
-        except StopRequestedError as stopped:
-            self.outcome.end_with(stopped)
-        except TooSlowError as late:
-            self._stopped_or_too_slow(late)
-        except RigError as error:
-            # Where a driver or a procedure has said itself what is wrong, that stands.
-            blamed = isinstance(error, (UnexpectedFaultError, ProcedureFaultError))
-            unexpected = error.__cause__ if blamed else None
-            self.outcome.end_with(driver_fault(self.bench.plan, unexpected) or error)
-        except KeptBackError as kept:
-            self.outcome.end_with(self._cause_of(kept))
-            self.outcome.warnings.append(self.procedure.kept_back(kept))
-        except BaseException as error:  # noqa: BLE001 - a bug ends a run as safely as anything else
-            self.outcome.end_with(driver_fault(self.bench.plan, error) or internal(error))
-        finally:
-            unregister()
-            self._make_safe()
-            unregister_interlocks()
-            self._end_interlocks()
+        # Until the bench is safe: with its own action Ctrl-Z would suspend the process meanwhile.
+        with PauseSwitch(self.run.holds):
+            try:
+                self.marks.running(self.guard.pid)  # before anything is switched on
+                with self._hang_watch():
+                    self._begin_interlocks()
+                    self.loop.record_all(points)
+                self.outcome.status, self.outcome.code = "complete", self._judge()
+            except StopRequestedError as stopped:
+                self.outcome.end_with(stopped)
+            except TooSlowError as late:
+                self._stopped_or_too_slow(late)
+            except RigError as error:
+                # Where a driver or a procedure has said itself what is wrong, that stands.
+                blamed = isinstance(error, (UnexpectedFaultError, ProcedureFaultError))
+                unexpected = error.__cause__ if blamed else None
+                self.outcome.end_with(driver_fault(self.bench.plan, unexpected) or error)
+            except KeptBackError as kept:
+                self.outcome.end_with(self._cause_of(kept))
+                self.outcome.warnings.append(self.procedure.kept_back(kept))
+            except BaseException as error:  # noqa: BLE001 - a bug ends a run as safely as anything else
+                self.outcome.end_with(driver_fault(self.bench.plan, error) or internal(error))
+            finally:
+                unregister()
+                self._make_safe()
+                unregister_interlocks()
+                self._end_interlocks()
         safe = self.outcome.safe
         self.observers.unless_over(SLOW_SAVING_S, SLOW_SAVING[safe], "info" if safe else "warning")
+        if self.outcome.off_failures:
+            self._hand_over()
         self.phases.enter(RunPhase.SAVING)
         self.saving.save()
         self.observers.end()
-        if self.outcome.off_failures:
-            self._hand_over()
-        else:
+        if not self.outcome.off_failures:
             self.guard.done()
 
     def _cause_of(self, kept: KeptBackError) -> RigError:
@@ -267,7 +269,9 @@ class _Execution:
             self.run.event("warning", "late-ticks", f"while the run stopped: {late.one_line()}")
 
     def _hand_over(self) -> None:
-        """Leave the bench to the guard, and mark the bench as that leaves it."""
+        """Leave the bench to the guard, and mark the bench as that leaves it. Before the data are
+        saved, which may take long; the recorder writes meanwhile, and the guard finds the journal
+        in use."""
         self.bench.hand_over()
         failures = self.outcome.off_failures
         reasons = "; ".join(f"{off.name}: {off.reason}" for off in failures)

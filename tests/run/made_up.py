@@ -121,11 +121,14 @@ def run_of(
     *observers: RunObserver,
     stop: StopFlag | None = None,
     clock: Clock | None = None,
+    pauses: bool = False,
 ) -> RunOutcome:
     """Execute a procedure on a bench with one instrument; nothing else is replaced but the guard,
-    which is a process of its own."""
+    which is a process of its own, and unless it `pauses` the handler of Ctrl-Z, which only the main
+    thread may set."""
     patch.setattr(execution, "GuardLink", lambda *_: Guard(procedure.log))
-    patch.setattr(execution, "PauseSwitch", lambda _: contextlib.nullcontext())
+    if not pauses:
+        patch.setattr(execution, "PauseSwitch", lambda _: contextlib.nullcontext())
     driver: Any = SimpleNamespace(connect=lambda settings, clock: Instrument())
     part = InstrumentPlan("generator", "made-up", driver, Settings())
     own = BenchSettings.model_validate({"name": "b", "fixture": {"mounted": "film-clamp"}})

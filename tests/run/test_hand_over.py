@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import signal
 from pathlib import Path
 
 import made_up
@@ -11,6 +13,7 @@ from rig.core.errors import ExitCode, InstrumentError, RigError, UnsafeError
 from rig.core.settings import Settings
 from rig.run.context import Run
 from rig.run.making_safe.guard_link import judged
+from rig.run.saving import RunSaving
 
 STILL_OVER = UnsafeError("stage_z: unload: 20 N, over the limit of 15 N", "move it away by hand")
 NO_ANSWER = InstrumentError("stage_z", "stop", "no answer within 1 s", "check its cable")
@@ -37,6 +40,50 @@ def test_the_guard_hears_what_is_still_pressed_over_its_limit(
     outcome = made_up.run_of(procedure, tmp_path, monkeypatch)
     assert outcome.code is ExitCode.UNSAFE
     assert procedure.log[-1] == f"guard: take over {named}"
+
+
+def test_the_guard_is_given_the_bench_before_the_data_are_saved(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """To save may take minutes, for which what could not be switched off would stay on."""
+    procedure = Pressing(Settings())
+    procedure.why = NO_ANSWER
+    save = RunSaving.save
+
+    def noting(saving: RunSaving) -> None:
+        procedure.log.append("saving")
+        save(saving)
+
+    monkeypatch.setattr(RunSaving, "save", noting)
+    outcome = made_up.run_of(procedure, tmp_path, monkeypatch)
+    assert outcome.file is not None
+    assert procedure.log[-2:] == ["guard: take over ", "saving"]
+
+
+class Paused(made_up.Example):
+    """Is paused by Ctrl-Z while the bench is made safe."""
+
+    switched_off = False
+
+    def arm(self, run: Run) -> None:
+        def off() -> None:
+            assert callable(signal.getsignal(signal.SIGTSTP)), "the process would be suspended"
+            os.kill(os.getpid(), signal.SIGTSTP)
+            run.clock.sleep(0.1)
+            self.switched_off = True
+
+        run.arm("normal force", off, done="normal force released")
+
+
+def test_ctrl_z_while_the_bench_is_made_safe_suspends_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    procedure = Paused(Settings())
+    before = signal.getsignal(signal.SIGTSTP)
+    outcome = made_up.run_of(procedure, tmp_path, monkeypatch, pauses=True)
+    assert outcome.code is ExitCode.DONE
+    assert procedure.switched_off
+    assert signal.getsignal(signal.SIGTSTP) is before
 
 
 @pytest.mark.parametrize(

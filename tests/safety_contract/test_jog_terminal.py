@@ -234,6 +234,31 @@ def test_a_killed_program_leaves_at_most_a_step_and_the_guard_tells(rig, jogs, b
 
 
 @pytest.mark.thorough
+def test_an_axis_that_could_not_be_stopped_is_reached_by_the_guard(rig, jogs):
+    """Its serial port serves one program at a time: the session closes it first."""
+    unheard = 'device = "rotary"\nkind = "silence"\ncommand = "stop"\nmove = 1\ncount = 3\n'
+    fault = rig.fault(f"[[fault]]\n{unheard}")
+    fixture = ("--fixture", "semi-spherical-object", "--write", "sim.toml", "--fault", fault)
+    serving = rig.start("simulate", *fixture, "--world-log", str(rig.world_log))
+    serving.wait_for("Ctrl-C ends it")
+    typist = jogs("--bench", "sim.toml", "--axis", "rotary")
+    typist.types_after(r"rotary .*not homed\)", b"h")
+    typist.types_after(r"Press y within", b"y")
+    typist.sees(r"rotary is homed")
+    time.sleep(2 * SILENCE_S)
+    typist.holds(MORE, r"rotary [\d.]+ deg moving")
+    typist.types(b"q")
+    code, shown = typist.ends()
+    assert code == 7, shown
+    assert "NOT SAFE: rotary could not be stopped" in shown
+    assert "the guard then made the bench safe" in shown, shown
+    report = json.loads((rig.results / "guard-simulated.json").read_text())
+    assert "could not stop every axis: rotary: " in report["cause"]
+    serving.send(signal.SIGINT)
+    assert serving.finish().code == 0
+
+
+@pytest.mark.thorough
 def test_a_terminal_that_goes_away_ends_it(rig, jogs, bench_file):
     typist = jogs("--bench", bench_file)
     typist.sees(r"stage_z 10\.000 mm \|")

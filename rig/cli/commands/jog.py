@@ -232,7 +232,10 @@ def _at_the_bench(
     if not ended.off_failures:
         guard.done()
         return ended
-    taken_over = guard.take_over()
+    connected.hand_over()
+    reasons = "; ".join(f"{off.name}: {off.reason}" for off in ended.off_failures)
+    cause = f"the session could not stop every axis: {reasons}"
+    taken_over = guard.take_over([off.name for off in ended.off_failures if off.over_limit], cause)
     say(taken_over.summary)
     if taken_over.safe and taken_over.released:
         marks.clear()
