@@ -185,6 +185,11 @@ class JogSession:
         try:
             if ended.off_failures:
                 marks.unsafe({off.name: off.reason for off in ended.off_failures})
+            elif self._jog.pressed:
+                marks.stopped(
+                    f"`rig jog` ended with a force that was over {self._settings.largest_force_N:g}"
+                    " N and had not fallen: something may be pressed; free it"
+                )
             else:
                 marks.clear()
         except RigError as error:

@@ -116,6 +116,21 @@ def test_force_over_the_limit_stops_everything_and_leaves_only_the_way_off(rig, 
 
 
 @pytest.mark.thorough
+def test_a_session_that_is_left_pressed_is_said_by_the_next_command(rig, jogs, bench_file):
+    typist = jogs("--bench", bench_file, "--largest-force", "4N")
+    typist.sees(r"stage_z 10\.000 mm \|")
+    typist.holds(MORE, r"stopped: force along z of .* N is over the limit of 4 N")
+    typist.types(b"q")
+    code, shown = typist.ends()
+    assert code == 0, shown
+    again = jogs("--bench", bench_file, "--largest-force", "30N")
+    again.sees(r"`rig jog` ended with a force that was over 4 N and had not fallen")
+    again.sees(r"stage_z 1\d\.\d+ mm \|")
+    again.types(b"q")
+    assert again.ends()[0] == 0
+
+
+@pytest.mark.thorough
 def test_a_second_trip_on_the_way_off_ends_it(rig, jogs):
     """The sensor's zero is over this limit from the beginning; then something pushes."""
     fault = rig.fault(
