@@ -32,9 +32,9 @@ SILENT_S = 5.0
 """Longest time in s for which a guard may leave heartbeats unread. After it the run reports that
 the guard is stopped or gets no processor time, since it normally reads each at once."""
 MOST_UNREAD_BYTES = 4096
-"""Number of unread bytes from which no further heartbeats are sent. A pipe holds 65536 bytes, and a
-write to a full one would wait for ever; so there is always room for the messages that the bench is
-safe and that the run is done."""
+"""Number of unread bytes from which nothing that may be repeated is sent. A pipe holds 65536 bytes,
+and a write to a full one would wait for ever; so there is always room for the messages that the
+bench is safe and that the run is done."""
 ENDING_S = 5.0
 """Longest time in s that a guard with nothing left to do may take to end before it is killed."""
 
@@ -120,6 +120,8 @@ class GuardLink:
             ) from error
         self._zero: Sequence[float] | None = None
         self._limit_N = math.inf
+        self._unsent: dict[str, str] = {}
+        """The latest zero and limit that were not sent yet."""
         self._heard_s = time.monotonic()
         """Time at which the guard had last read everything that was sent to it."""
         self._send(json.dumps(order))
@@ -148,22 +150,23 @@ class GuardLink:
         unread = self._unread_bytes()
         if unread == 0:
             self._heard_s = time.monotonic()
-        if unread < MOST_UNREAD_BYTES:
-            self._send("beat")
+        self._send_if_read("beat")
 
     def zero(self, raw: Sequence[float]) -> None:
         """Send the force sensor's raw reading without force, if it is another than before. The
         guard needs it to say what is still pressed."""
         if raw != self._zero:
             self._zero = raw
-            self._send(f"zero {json.dumps(list(raw))}")
+            self._unsent["zero"] = json.dumps(list(raw))
+        self._send_unsent()
 
     def limit(self, limit_N: float) -> None:
         """Send the force that the run watches for, if it is another than before: one above it that
         remains is not safe."""
         if limit_N != self._limit_N and math.isfinite(limit_N):
             self._limit_N = limit_N
-            self._send(f"limit {limit_N!r}")
+            self._unsent["limit"] = repr(limit_N)
+        self._send_unsent()
 
     def safe(self) -> None:
         """Report that everything is off, so that a slow compilation does not make the guard act."""
@@ -181,11 +184,12 @@ class GuardLink:
     def hangs(self, what: str) -> None:
         """Send what keeps the run from its next heartbeat. From any thread; a heartbeat that comes
         after all ends it."""
-        self._send(f"hangs {json.dumps(what)}")
+        self._send_if_read(f"hangs {json.dumps(what)}")
 
     def kill(self) -> NoReturn:
         """Have the guard kill this run and make the bench safe. This process ends as well if the
         guard does not react."""
+        self._send_unsent(needed=True)
         self._send("kill")
         self._process.send_signal(signal.SIGCONT)  # one that was stopped is needed now
         if not self.died:
@@ -210,6 +214,7 @@ class GuardLink:
         """Leave the bench to the guard for this cause, and return the result of its try; see
         `judged`."""
         assert self._process.stdin is not None
+        self._send_unsent(needed=True)
         if cause:
             self.cause(cause)
         with contextlib.suppress(OSError):
@@ -238,6 +243,19 @@ class GuardLink:
         assert self._process.stdin is not None
         count = fcntl.ioctl(self._process.stdin, termios.FIONREAD, struct.pack("i", 0))
         return int(struct.unpack("i", count)[0])
+
+    def _send_if_read(self, word: str) -> None:
+        """Send a message, unless the guard has left many unread."""
+        if self._unread_bytes() < MOST_UNREAD_BYTES:
+            self._send(word)
+
+    def _send_unsent(self, *, needed: bool = False) -> None:
+        """Send the latest zero and limit where the guard does not have them: unless it has left
+        many messages unread, or if they are `needed` now."""
+        if self._unsent and (needed or self._unread_bytes() < MOST_UNREAD_BYTES):
+            for word, value in self._unsent.items():
+                self._send(f"{word} {value}")
+            self._unsent.clear()
 
     def _send(self, word: str) -> None:
         assert self._process.stdin is not None

@@ -134,13 +134,16 @@ def test_a_run_that_is_done_leaves_its_guard_nothing_to_do(bench: Bench) -> None
 def test_a_guard_that_is_stopped_never_blocks_its_run_is_reported_and_ends_with_it(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """More heartbeats than a pipe holds: the next one would wait for ever."""
+    """More messages than a pipe holds: the next one would wait for ever."""
     monkeypatch.setattr("rig.run.making_safe.guard_link.SILENT_S", 0.1)
     monkeypatch.setattr("rig.run.making_safe.guard_link.ENDING_S", 0.1)
     link = GuardLink(bench.plan, bench.journal, bench.report)
     os.kill(link._process.pid, signal.SIGSTOP)
-    for _ in range(14_000):
+    for number in range(14_000):
         link.beat()
+        link.hangs("a package" * 10)
+        link.zero([float(number)] * 3)
+        link.limit(10.0 + number)
     time.sleep(0.1)
     assert f"process {link._process.pid}" in str(link.trouble())
     link.safe()
@@ -155,7 +158,13 @@ def test_a_guard_that_is_stopped_is_continued_when_it_is_needed(bench: Bench) ->
     link = GuardLink(bench.plan, bench.journal, bench.report)
     link.beat()
     os.kill(link._process.pid, signal.SIGSTOP)
+    for _ in range(2000):
+        link.beat()
+    link.zero([1.0, 2.0, 3.0])
+    link.limit(11.0)
+    assert link._unsent == {"zero": "[1.0, 2.0, 3.0]", "limit": "11.0"}
     taken_over = link.take_over()
+    assert link._unsent == {}
     assert taken_over.safe, taken_over.summary
     assert taken_over.summary.startswith("the guard then made the bench safe, ")
     assert [on for on, _ in bench.outputs()] == [True, False]
