@@ -32,7 +32,7 @@ class Run:
         bench: Bench,
         recorder: Recorder,
         streams: Mapping[str, int],
-        elapsed_s: float,
+        start_s: float,
         readings: Mapping[str, Reading] | None = None,
         interlock_records: InterlockStore | None = None,
     ):
@@ -68,7 +68,7 @@ class Run:
         )
         """Longest time that one call on an instrument may wait for its link."""
         self._recorder = recorder
-        self._start_s = bench.clock.now() - elapsed_s
+        self._start_s = start_s
 
     def elapsed_s(self) -> float:
         """Return the bench time since the run's start in seconds; a resumed run continues from its

@@ -169,7 +169,7 @@ class _Execution:
             bench,
             self.recorder,
             journal.stream_index,
-            journal.elapsed_s,
+            journal.start_s,
             self.readings,
             InterlockStore(bench.plan, lasting=job.lock is not None),
         )

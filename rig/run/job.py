@@ -20,6 +20,7 @@ from rig.core.errors import ConfigurationError
 from rig.core.settings import Settings, fingerprint, leaves, name_without_unit, unit_of
 from rig.core.text import listed
 from rig.files.journal.reader import JournalContents
+from rig.files.journal.values import RunHeader
 from rig.files.journal.writer import JournalWriter, begin_journal, begin_journal_at
 from rig.run.changed_since import changes
 from rig.run.locks.lock import BenchLock
@@ -42,8 +43,8 @@ class Journal:
     recorded: Mapping[str, Reading]
     """Readings of the points that an earlier attempt recorded, by point id."""
     time_of_day: TimeOfDay
-    elapsed_s: float = 0.0
-    """Seconds from the run's start to the start of this attempt."""
+    start_s: float
+    """Bench time of the run's start: the zero of the times in the journal."""
 
     @property
     def path(self) -> Path:
@@ -139,10 +140,10 @@ class RunJob:
         changed since the interrupted run began.
         """
         if self.resume is None:
-            time_of_day = TimeOfDay()
-            return Journal(
-                self._begin(self._header(bench, points, time_of_day)), 1, {}, time_of_day
-            )
+            # Together: what follows until the first sample waits for the disk.
+            time_of_day, start_s = TimeOfDay(), bench.clock.now()
+            header = self._header(bench, points, time_of_day)
+            return Journal(self._begin(header), 1, {}, time_of_day, start_s)
         time_of_day = TimeOfDay(_latest(self.resume))
         header, begun = self._header(bench, points, time_of_day), self.resume.header
         had = [column.key for column in begun.layout.columns]
@@ -157,6 +158,7 @@ class RunJob:
         if begun.program.version != header["program"]["version"]:
             version = header["program"]["version"]
             changed.append(f"program version ({begun.program.version} then, {version} now)")
+        changed += _other_parts(begun, RunHeader.model_validate(header))
         if changed:
             raise ConfigurationError(
                 f"{self.resume.path}: changed since the run began: {'; '.join(changed)}: its "
@@ -168,7 +170,7 @@ class RunJob:
             len(self.resume.ends) + 1,
             self.recorded,
             time_of_day,
-            self._elapsed_s(),
+            bench.clock.now() - self._elapsed_s(),
         )
 
     def _begin(self, header: dict[str, Any]) -> JournalWriter:
@@ -267,6 +269,24 @@ def _package(what: str, group: str, name: str) -> dict[str, str]:
     of this program."""
     found = foreign_package(group, name)
     return {} if found is None else {f"{what}_package": found[0], f"{what}_version": found[1]}
+
+
+def _other_parts(begun: RunHeader, now: RunHeader) -> list[str]:
+    """Return what else the points of a run have in common and has changed: the instruments, and the
+    versions of procedure and drivers that are not this program's own."""
+    instruments = {one.name: one for one in now.instruments}
+    pairs = [("version of the procedure's package", begun.procedure_version, now.procedure_version)]
+    for was in begun.instruments:
+        if (one := instruments.get(was.name)) is None:
+            continue  # the bench file, which names it, has changed
+        unit = f"{was.model} {was.serial_number}", f"{one.model} {one.serial_number}"
+        pairs.append((was.name, *unit))
+        pairs.append((f"version of {was.name}'s driver", was.driver_version, one.driver_version))
+    return [
+        f"{what} ({had or 'none'} then, {has or 'none'} now)"
+        for what, had, has in pairs
+        if had != has
+    ]
 
 
 def present_program() -> dict[str, str]:

@@ -120,7 +120,7 @@ def test_a_minute_of_a_million_samples_a_second_loses_none(tmp_path: Path) -> No
     # The run needs a bench file; what is measured is the stream of its DAQ alone.
     plan = replace(parse_bench(BENCH, "bench.toml"), instruments=())
     bench: Any = SimpleNamespace(clock=clock, plan=plan, settings=plan.settings, instruments={})
-    run = Run(None, bench, recorder, {"strips": 0}, 0.0)
+    run = Run(None, bench, recorder, {"strips": 0}, bench.clock.now())
     resource = f"TCPIP::127.0.0.1::hislip0,{int(unit.stdout.readline())}::INSTR"
     daq = keysight_u2300a.connect(
         keysight_u2300a.Settings(resource=resource, channels=CHANNELS), clock

@@ -71,7 +71,7 @@ def run(sensor: Sensor) -> Iterator[Run]:
     bench = SimpleNamespace(
         clock=WallClock(), force_sensor=sensor, plan=plan, settings=plan.settings
     )
-    made = Run(None, bench, None, {}, 0.0)  # type: ignore[arg-type]
+    made = Run(None, bench, None, {}, bench.clock.now())  # type: ignore[arg-type]
     yield made
     made.arming.make_safe()
 

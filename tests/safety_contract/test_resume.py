@@ -83,6 +83,22 @@ def test_a_run_of_an_earlier_version_is_refused_for_what_has_changed_since(rig):
     assert "[stage_z] timeout_s of the bench file (3.5 then, " in error
     assert "start a new run" in error
 
+    instruments = tuple(
+        one.model_copy(update={"serial_number": "MY1"}) if one.name == "daq" else one
+        for one in header.instruments
+    )
+    parts = {"instruments": instruments, "procedure_version": "0.9"}
+    swapped = rig.folder / "swapped.rigj"
+    with JournalWriter.create(swapped, header.model_copy(update=parts)) as journal:
+        journal.end(end("stopped", 0))
+    refused = rig.run("resume", str(swapped), "--no-figures", "--allow-expired")
+    assert refused.code == 2, refused.stderr
+    (error,) = refused.errors
+    assert re.search(
+        r"changed since the run began: .*; daq \(\S+ MY1 then, \S+ SIM\S* now\)", error
+    )
+    assert "version of the procedure's package (0.9 then, none now)" in error
+
 
 GRID = ("--lowest", "200", "--fine-per-decade", "20", "--highest", "12000", *SETTLING)
 """A grid of its own, with two drops that a second plan looks at."""

@@ -17,6 +17,7 @@ from rig.cli.options.groups import group_parameters, option_group
 from rig.cli.options.settings import SimulatedStages, parameters, settings_from, texts_of
 from rig.cli.options.shared import (
     RESULTS,
+    AllowExpired,
     AsJson,
     BenchFile,
     Debug,
@@ -70,9 +71,7 @@ class ProcedureRequest(BenchRequest):
         ),
     ] = None
     figures: Annotated[bool, typer.Option(help="Draw the figures of the run.")] = True
-    allow_expired: Annotated[
-        bool, typer.Option("--allow-expired", help="Use calibration records that have expired.")
-    ] = False
+    allow_expired: AllowExpired = False
     debug: Debug = False
 
 

@@ -12,7 +12,7 @@ from typing import Annotated
 
 import typer
 
-from rig.cli.options.shared import AsJson, Debug, WorldLog
+from rig.cli.options.shared import AllowExpired, AsJson, Debug, WorldLog
 from rig.cli.outcome import reported
 from rig.core.errors import ConfigurationError, finding
 
@@ -23,6 +23,7 @@ def resume(
     ],
     as_json: AsJson = False,
     figures: Annotated[bool, typer.Option(help="Draw the figures of the run.")] = True,
+    allow_expired: AllowExpired = False,
     world_log: WorldLog = None,
     debug: Debug = False,
 ) -> None:
@@ -78,6 +79,7 @@ def resume(
                 figures=figures,
                 stages=stages,
                 world=world,
+                allow_expired=allow_expired,
                 world_log=world_log,
                 debug=debug,
             )

@@ -25,6 +25,9 @@ BenchFile = Annotated[
 ]
 BenchToml = Annotated[Path, typer.Option(help="Bench file.", metavar="FILE")]
 AsJson = Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")]
+AllowExpired = Annotated[
+    bool, typer.Option("--allow-expired", help="Use calibration records that have expired.")
+]
 Debug = Annotated[bool, typer.Option("--debug", help="Show tracebacks.")]
 Seed = Annotated[
     int,
