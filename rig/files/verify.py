@@ -23,7 +23,8 @@ from rig.files.file_kind import described, kind_of
 from rig.files.hdf5.nexus import plain_text
 from rig.files.hdf5.safe_reading import DAMAGE, checked, text_of, whole
 from rig.files.journal.format import to_json
-from rig.files.journal.reader import read_journal
+from rig.files.journal.reader import JournalContents, read_journal
+from rig.files.journal.segments import RECORDED_BEFORE
 from rig.files.journal.values import IMPORTED, SIMULATED
 from rig.files.naming import journal_path
 from rig.files.runfile.read_back import differences
@@ -123,10 +124,24 @@ def _verdict_on_journal(file: Path, noun_of: Callable[[RunHeader], Noun]) -> Fil
     extent = ending_of(contents).extent(noun_of(contents.header))
     if contents.end is None:
         extent += ", never closed: `rig recover` makes its run file"
+    findings = tuple(_contradictions(contents))
     if contents.problem is None:
-        return FileVerdict((), extent)
+        return FileVerdict(findings, extent)
     where = "torn at its end" if contents.torn else "damaged, with sound records behind that"
-    return FileVerdict((f"{where}: {contents.problem}; what is before it can be used",), extent)
+    damage = f"{where}: {contents.problem}; what is before it can be used"
+    return FileVerdict((*findings, damage), extent)
+
+
+def _contradictions(contents: JournalContents) -> Iterator[str]:
+    """Yield what no run writes: each record is sound by itself, but not with those before it."""
+    for attempt in contents.attempts:
+        if not attempt.begin:
+            yield f"point {attempt.id}: its end is recorded ({attempt.status}), but no begin"
+        if attempt.reason == RECORDED_BEFORE:
+            yield f"point {attempt.id}: recorded twice"
+    kept = len(contents.kept_ids())
+    if contents.end is not None and contents.end.points_done != kept:
+        yield f"its end states {contents.end.points_done} points, {kept} are recorded"
 
 
 def _verdict_on_processed(file: Path, findings: list[str]) -> FileVerdict:

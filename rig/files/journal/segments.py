@@ -12,6 +12,9 @@ from dataclasses import dataclass, field
 from rig.files.journal.format import Block, JournalRecord, PointBegin, PointDiscard, PointKeep
 from rig.files.journal.values import End, RunHeader, StreamState
 
+RECORDED_BEFORE = "recorded before"
+"""Why a further record of a point that was kept is discarded."""
+
 
 @dataclass(slots=True)
 class Attempt:
@@ -97,7 +100,7 @@ class Grouping:
 
     def _keep(self, record: PointKeep) -> None:
         if record.id in self.kept:
-            self._finish(record.id, "discarded", "recorded before", record.text)
+            self._finish(record.id, "discarded", RECORDED_BEFORE, record.text)
             return
         index = self._finish(record.id, "kept", "", record.text)
         self.kept[record.id] = index

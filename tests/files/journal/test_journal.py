@@ -37,6 +37,7 @@ from rig.files.journal.values import JournalEvent, RunHeader
 from rig.files.journal.writer import JournalWriter, begin_journal
 from rig.files.runfile.compile import compile_run
 from rig.files.runfile.reader import RunFile
+from rig.files.verify import verify
 
 JSON_VALUES = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats() | st.text(),
@@ -250,6 +251,19 @@ def test_a_point_kept_twice_in_a_journal_counts_once(tmp_path: Path) -> None:
     contents = read_journal(path)
     assert [point.reading["gain_dB"] for point in contents.kept()] == [-20.0]
     assert contents.attempts[-1].status == "discarded"
+    (no_begin, twice) = verify(path)
+    assert no_begin == f"point {run.POINTS[0]}: its end is recorded (discarded), but no begin"
+    assert twice == f"point {run.POINTS[0]}: recorded twice"
+
+
+def test_a_journal_whose_end_states_other_points_than_are_recorded_is_not_sound(
+    tmp_path: Path,
+) -> None:
+    path = tmp_path / "a.rigj"
+    with JournalWriter.create(path, run.header()) as journal:
+        run.take_point(journal, 0)
+        journal.end(run.end(points=3))
+    assert verify(path) == ["its end states 3 points, 1 are recorded"]
 
 
 def test_reopen_refuses_to_cut_off_sound_records(tmp_path: Path) -> None:
