@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import json
 import threading
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,12 @@ from rig.files.naming import JOURNAL_SUFFIX
 from rig.run.locks.bench_mark import BenchMark, read_marks
 from rig.run.locks.lock_holder import LockHolder, holder_of, lock_file
 from rig.run.making_safe.guard_report import GUARD_SUFFIX, report_path
+
+
+def is_last(report: Mapping[str, Any]) -> bool:
+    """Return whether this is the last report of a guard, which names the file of the run's data.
+    Those before come while it still measures and lifts z."""
+    return "file" in report
 
 
 class BenchSigns:
@@ -88,13 +95,14 @@ class BenchSigns:
         holder = None
         marks: list[BenchMark] = []
         problem = ""
+        # Before the marks: a guard writes its mark first, so these are not older than its report.
+        report = {} if shown is None else self._guard_report(shown, run_pid)
         try:
             for name in self.names:
                 holder = holder or holder_of(lock_file(name), locked)
             marks = read_marks(self.names)
         except RigError as error:  # no folder that can be trusted: nothing is believed of it
             problem = error.one_line()
-        report = {} if shown is None else self._guard_report(shown, run_pid)
         with self._lock:
             self.holder, self.marks, self.report = holder, marks, report
             self._locks_problem = problem
@@ -141,6 +149,8 @@ class BenchSigns:
         """What was reported to be still pressed; empty for nothing."""
         marks = (mark for mark in self.marks if mark.state == "stopped" and not mark.released)
         pressed = [mark.report for mark in marks]
-        if self.report.get("pressed") and self.report.get("released") is not True:
-            pressed.append(str(self.report["pressed"]))
+        said = str(self.report.get("pressed") or "")
+        # The guard's mark says what its report says.
+        if said and self.report.get("released") is not True and not any(said in x for x in pressed):
+            pressed.append(said)
         return "; ".join(pressed)[:500]

@@ -3,10 +3,10 @@
     asked          the signal was sent; nothing has been seen of it yet
     switching off  the run has given up its point, or recorded that it stops
     ended          its END record is there: the bench is safe, or the run says that it is not
-    guard          the run's process has ended without an END: its guard acts, or has reported
+    guard          the run's process has ended without an END: its guard acts, or has finished
     hanging        nothing has been seen for longer than a run that works needs
 
-Red until `ended` or the guard's report.
+Red until `ended` or the guard's last report.
 """
 
 from __future__ import annotations
@@ -42,6 +42,8 @@ class StopSigns:
     """After so long without a sign of life the guard kills the run; 0 if not known."""
     guard_report: str = ""
     """What the guard has reported of this run; empty before."""
+    guard_done: bool = False
+    """It was the guard's last report: before that it measures, lifts z and compiles the data."""
     guard_safe: bool = False
     recording: bool = True
     """The process was recording a run, or has begun one since."""
@@ -80,7 +82,7 @@ def stop_course(signs: StopSigns) -> StopCourse:
         return StopCourse("ended", f"The run has made the bench safe: {signs.status}.", True, True)
     if not signs.process_lives:
         if signs.guard_report:
-            return StopCourse("guard", signs.guard_report, True, signs.guard_safe)
+            return _by_the_guard(signs)
         # A batch that rested has no END. The END of a run was perhaps read before it could be taken
         # for this one's: while a long journal was still read, or before the press.
         if signs.bench_safe or (signs.guard_pid is None and not signs.recording):
@@ -101,6 +103,20 @@ def stop_course(signs: StopSigns) -> StopCourse:
     if signs.since_s >= REACTS_WITHIN_S:
         return StopCourse("hanging", _hanging(signs) + again, False, False)
     return StopCourse("asked", f"Process {signs.pid} was asked to stop.{again}", False, False)
+
+
+def _by_the_guard(signs: StopSigns) -> StopCourse:
+    """Return what to say once the guard has reported: it reports first that everything stands, and
+    only then measures what is pressed and lifts z off it."""
+    text = signs.guard_report
+    if not signs.guard_safe:
+        text += "; it could not make the bench safe"
+    if signs.pressed:
+        text += f"; but: {signs.pressed}"
+    if not signs.guard_done:
+        text += ". It still measures what is pressed, lifts z off it, or saves the data."
+    safe = signs.guard_done and signs.guard_safe and not signs.pressed
+    return StopCourse("guard", text, signs.guard_done, safe)
 
 
 def _hanging(signs: StopSigns) -> str:

@@ -17,7 +17,7 @@ from rig.files.journal.follow import UNSOUND, JournalTail
 from rig.files.journal.format import JournalRecord, PointDiscard
 from rig.files.journal.values import End, JournalEvent, Results
 from rig.files.naming import JOURNAL_SUFFIX, RUN_SUFFIX
-from rig.page.bench_signs import BenchSigns
+from rig.page.bench_signs import BenchSigns, is_last
 from rig.page.folder import FoundFile, ResultsFolder
 from rig.page.latest_file import LatestFile
 from rig.page.stop_course import StopCourse, StopSigns, stop_course
@@ -298,7 +298,7 @@ class BenchWatch:
             unsafe="; ".join(signs.refusals)[:1000],
             pressed=signs.pressed,
             unfinished=bool(unfinished),
-            guard_reported=bool(signs.report) and not signs.guard_failed,
+            guard_reported=is_last(signs.report) and not signs.guard_failed,
             problem=self._problem or ("the journal is still being read" if self.behind else ""),
             bench_problem=signs.problem or self._files_problem(),
         )
@@ -313,7 +313,9 @@ class BenchWatch:
         if stop is None:
             return None
         report = self.signs.report
-        said = f"{report.get('cause', '')}; {report.get('pressed', '')}".strip("; ")
+        said = str(report.get("cause", ""))
+        if report.get("released") is True:  # what is still pressed is said by `pressed`
+            said = f"{said}; {report.get('pressed', '')}".strip("; ")
         return stop_course(
             StopSigns(
                 since_s=time.monotonic() - stop.at_s,
@@ -330,6 +332,7 @@ class BenchWatch:
                 guard_pid=stop.guard_pid,
                 heartbeat_timeout_s=self.signs.heartbeat_timeout_s,
                 guard_report=f"The guard of the run had to act: {said}" if report else "",
+                guard_done=is_last(report),
                 guard_safe=report.get("safe") is True,
                 recording=stop.journal is not None,
                 bench_safe=self.word.word == "safe",

@@ -57,7 +57,7 @@ class Facts:
     unfinished: bool = False
     """The bench still has the mark of a run that has died."""
     guard_reported: bool = False
-    """The guard of the run that died has reported a bench that is stopped."""
+    """The guard of the run that died has finished, and has reported a bench that is stopped."""
     problem: str = ""
     """Why the journal cannot be followed any further."""
     bench_problem: str = ""

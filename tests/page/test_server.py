@@ -277,7 +277,7 @@ def test_a_run_that_was_killed_is_unsafe_until_its_guard_has_reported(page):
         dead = page.frames(lambda f: f["word"] == "UNSAFE")
         assert "guard has not reported" in dead["reason"]
         report = {"journal": str(path.resolve()), "run_pid": writer.pid, "safe": True,
-                  "stopped": True, "cause": "died",
+                  "stopped": True, "cause": "died", "file": "a.h5",
                   "pressed": "nothing is pressed at 1.00 mm, 0.0 N", "released": True}  # fmt: skip
         path.with_suffix(".guard.json").write_text(json.dumps(report))
         assert "guard reported" in page.frames(lambda f: f["word"] == "safe")["reason"]

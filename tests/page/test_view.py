@@ -223,8 +223,15 @@ def test_a_stop_is_red_from_the_press_to_the_end_record_or_the_guards_report():
     assert (gone.phase, gone.over, gone.safe) == ("guard", False, False)
     caught_up = stop_course(signs(process_lives=False, bench_safe=True))  # its END was read late
     assert (caught_up.phase, caught_up.over, caught_up.safe) == ("ended", True, True)
-    stated = stop_course(signs(process_lives=False, guard_report="it acted", guard_safe=True))
+    acted = {"process_lives": False, "guard_report": "it acted", "guard_safe": True}
+    stated = stop_course(signs(**acted, guard_done=True))
     assert (stated.phase, stated.over, stated.safe) == ("guard", True, True)
+    lifts = stop_course(signs(**acted))  # it has stopped everything, and now z moves
+    assert (lifts.phase, lifts.over, lifts.safe) == ("guard", False, False)
+    refused = stop_course(signs(**acted, guard_done=True, pressed="still pressed at 12 mm"))
+    assert (refused.over, refused.safe, "12 mm" in refused.text) == (True, False, True)
+    failed = stop_course(signs(**acted | {"guard_safe": False}, guard_done=True))
+    assert (failed.over, failed.safe, "could not make" in failed.text) == (True, False, True)
     assert stop_course(signs(ended=True, exit=143, status="stopped")).safe
     assert not stop_course(signs(ended=True, exit=7)).safe
     rested = signs(process_lives=False, guard_pid=None, recording=False)

@@ -105,9 +105,10 @@ def lock_of(number: int = 0) -> Path:
     return lock_file(name)
 
 
-def report(path: Path, pid: int, older_s: float = 0.0) -> None:
-    """Have the guard of a run's process report that the bench is safe."""
+def report(path: Path, pid: int, older_s: float = 0.0, **changes: object) -> None:
+    """Have the guard of a run's process report, at its end, that the bench is safe."""
     said = {"journal": str(path.resolve()), "run_pid": pid, "safe": True, "stopped": True}
+    said |= {"cause": "no sign of life", "file": "a.h5"} | changes
     beside = path.with_suffix(".guard.json")
     beside.write_text(json.dumps(said))
     at_ns = path.stat().st_mtime_ns - round(older_s * 1e9)
@@ -256,6 +257,41 @@ def test_a_stop_after_the_run_died_says_that_its_guard_makes_the_bench_safe(resu
     words(watch)
     with pytest.raises(NotStoppedError, match="no run holds the bench"):
         watch.ask_to_stop()
+
+
+def test_a_guard_that_still_lifts_z_or_could_not_leaves_the_stop_red_and_no_bench_green(
+    results: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its first report says that everything stands; up to 35 s later it says what is pressed."""
+    path = journal_in(results, ended=False)
+    watch = BenchWatch(results)
+    words(watch)
+    watch.stop = Stop(LockHolder(4242, "", True), path)
+    monkeypatch.setattr("rig.page.watch.lives", lambda _: False)
+
+    def shown(said: dict[str, object]) -> tuple[bool, bool, str]:
+        path.with_suffix(".guard.json").write_text(json.dumps(said))
+        words(watch)
+        course = watch.course()
+        assert course is not None
+        assert course.phase == "guard"
+        return course.over, course.safe, course.text
+
+    report(path, 4242, pressed="", released=False)
+    last = json.loads(path.with_suffix(".guard.json").read_text())
+    first = {key: value for key, value in last.items() if key != "file"}
+    over, safe, text = shown(first)
+    assert (over, safe, watch.word.word) == (False, False, "UNSAFE")
+    assert "lifts z" in text
+    still = "still pressed at 12.44 mm, 3.9 N; not lifted: the wire is broken"
+    assert shown(first | {"pressed": still})[:2] == (False, False)
+    over, safe, text = shown(last | {"pressed": still})
+    assert (over, safe, watch.word.word) == (True, False, "pressed")
+    assert text.count(still) == 1
+    lifted = {"pressed": "stage_z was lifted: nothing is pressed at 5.00 mm", "released": True}
+    over, safe, text = shown(last | lifted)
+    assert (over, safe, watch.word.word) == (True, True, "safe")
+    assert lifted["pressed"] in text
 
 
 def test_a_further_press_counts_and_only_an_explicit_one_reaches_the_process(
