@@ -5,6 +5,7 @@ what a guard has reported.
 from __future__ import annotations
 
 import json
+import math
 import threading
 from collections.abc import Mapping
 from pathlib import Path
@@ -13,7 +14,7 @@ from typing import Any
 from rig.core.errors import RigError
 from rig.files.journal.values import RunHeader
 from rig.files.naming import JOURNAL_SUFFIX
-from rig.run.locks.bench_mark import BenchMark, read_marks
+from rig.run.locks.bench_mark import BenchMark, made_safe_ns, read_marks
 from rig.run.locks.lock_holder import LockHolder, holder_of, lock_file
 from rig.run.making_safe.guard_report import GUARD_SUFFIX, report_path
 
@@ -22,6 +23,13 @@ def is_last(report: Mapping[str, Any]) -> bool:
     """Return whether this is the last report of a guard, which names the file of the run's data.
     Those before come while it still measures and lifts z."""
     return "file" in report
+
+
+def _changed_ns(path: Path) -> int | None:
+    try:
+        return path.stat().st_mtime_ns
+    except OSError:
+        return None
 
 
 class BenchSigns:
@@ -46,6 +54,9 @@ class BenchSigns:
         self.marks: list[BenchMark] = []
         self.report: dict[str, Any] = {}
         """What the guard of the run that is shown has reported; empty for nothing."""
+        self.made_safe = False
+        """True if ``rig make-safe`` has succeeded since the run that is shown last wrote its
+        journal, since any guard's report, and since any run began on the bench."""
         self._plan_problem = ""
         self._locks_problem = ""
 
@@ -95,16 +106,21 @@ class BenchSigns:
         holder = None
         marks: list[BenchMark] = []
         problem = ""
+        made_safe = False
         # Before the marks: a guard writes its mark first, so these are not older than its report.
         report = {} if shown is None else self._guard_report(shown, run_pid)
         try:
             for name in self.names:
                 holder = holder or holder_of(lock_file(name), locked)
             marks = read_marks(self.names)
+            noted_ns = made_safe_ns(self.names)
+            if noted_ns is not None and shown is not None:
+                made_safe = noted_ns > self._written_ns(shown)
         except RigError as error:  # no folder that can be trusted: nothing is believed of it
             problem = error.one_line()
         with self._lock:
             self.holder, self.marks, self.report = holder, marks, report
+            self.made_safe = made_safe
             self._locks_problem = problem
 
     def _guard_report(self, shown: Path, run_pid: int) -> dict[str, Any]:
@@ -116,7 +132,7 @@ class BenchSigns:
         except OSError:  # its run file is what is left of it
             written_ns = 0
         beside = journal.with_suffix(GUARD_SUFFIX)
-        for path in (beside, report_path(self._results, self._bench_name)):
+        for path in self._reports(journal):
             try:
                 report = json.loads(path.read_text(encoding="utf-8"))
                 older = path.stat().st_mtime_ns < written_ns
@@ -130,6 +146,18 @@ class BenchSigns:
                 return dict(report)
         return {}
 
+    def _reports(self, journal: Path) -> tuple[Path, Path]:
+        """Return where the guard of a run may have reported."""
+        return journal.with_suffix(GUARD_SUFFIX), report_path(self._results, self._bench_name)
+
+    def _written_ns(self, shown: Path) -> float:
+        """Return when the files that say how a run has left its bench were last written; infinity
+        if none of its own can be looked at."""
+        journal = shown.with_suffix(JOURNAL_SUFFIX)
+        own = [ns for path in {shown, journal} if (ns := _changed_ns(path)) is not None]
+        reports = [ns for path in self._reports(journal) if (ns := _changed_ns(path)) is not None]
+        return max(own + reports) if own else math.inf
+
     @property
     def guard_failed(self) -> bool:
         """True if a guard had to act and could not make the bench safe."""
@@ -139,7 +167,7 @@ class BenchSigns:
     def refusals(self) -> list[str]:
         """Reasons, in words, for which the next run on this bench is refused."""
         refuses = [mark.in_words() for mark in self.marks if mark.refuses]
-        if self.guard_failed:
+        if self.guard_failed and not self.made_safe:
             failures = self.report.get("failures")
             refuses.append(f"the guard could not make the bench safe: {failures}")
         return list(dict.fromkeys(refuses))

@@ -49,6 +49,8 @@ class StopSigns:
     """The process was recording a run, or has begun one since."""
     bench_safe: bool = False
     """The state of the bench is "safe"."""
+    made_safe: bool = False
+    """``rig make-safe`` has succeeded since the run's END and since the report of its guard."""
     pressed: str = ""
     """What is reported to be still pressed; empty for nothing."""
 
@@ -73,6 +75,9 @@ def stop_course(signs: StopSigns) -> StopCourse:
         if signs.presses > 1
         else ""
     )
+    if signs.made_safe and not signs.process_lives:
+        text = "rig make-safe has succeeded since. The state above says how the bench is."
+        return StopCourse("ended", text, True, signs.bench_safe)
     if signs.ended:
         if signs.exit == 7:
             text = "The run ended but could not switch everything off: the bench is UNSAFE."

@@ -299,6 +299,7 @@ class BenchWatch:
             pressed=signs.pressed,
             unfinished=bool(unfinished),
             guard_reported=is_last(signs.report) and not signs.guard_failed,
+            made_safe=signs.made_safe and not lives,
             problem=self._problem or ("the journal is still being read" if self.behind else ""),
             bench_problem=signs.problem or self._files_problem(),
         )
@@ -336,6 +337,7 @@ class BenchWatch:
                 guard_safe=report.get("safe") is True,
                 recording=stop.journal is not None,
                 bench_safe=self.word.word == "safe",
+                made_safe=self.signs.made_safe,
                 pressed=self.signs.pressed,
             )
         )

@@ -1,7 +1,8 @@
 """The state of a bench in one word, from what is known of it. Safe is shown only on evidence.
 
 UNSAFE    a mark or a report says so, or a run died and its guard has not reported on the bench
-unknown   the state cannot be known: a run gives no sign of life, or no run is known to judge by
+unknown   the state cannot be known: a run gives no sign of life, no run is known to judge by, or
+          only ``rig make-safe`` has made the bench safe, which lifts nothing
 holding   the run has made the bench safe and waits, or has ended and its program still holds it
 pressed   the object is under force
 running   a run is at work
@@ -21,6 +22,12 @@ SILENT_S = 3.0
 """Age of the newest sign of a living run from which its state is unknown, in s. A run synchronises
 its journal every 0.25 s while it records."""
 EXIT_UNSAFE = 7
+MADE_SAFE = (
+    "rig make-safe has stopped all motion and switched all outputs off since; it lifts nothing, so "
+    "look whether something is still pressed"
+)
+"""Said of a bench that nothing but ``rig make-safe`` is known to have made safe. It is not green:
+neither a run nor a guard has reported that nothing is pressed."""
 
 
 @dataclass(frozen=True)
@@ -58,6 +65,8 @@ class Facts:
     """The bench still has the mark of a run that has died."""
     guard_reported: bool = False
     """The guard of the run that died has finished, and has reported a bench that is stopped."""
+    made_safe: bool = False
+    """``rig make-safe`` has succeeded since the run's END and since the report of its guard."""
     problem: str = ""
     """Why the journal cannot be followed any further."""
     bench_problem: str = ""
@@ -76,7 +85,8 @@ def bench_word(facts: Facts) -> BenchWord:
     """Return the state of the bench in one word, and why."""
     if facts.unsafe:
         return BenchWord("UNSAFE", facts.unsafe)
-    if facts.off_failed or (facts.ended and facts.exit == EXIT_UNSAFE):
+    failed = facts.off_failed or (facts.ended and facts.exit == EXIT_UNSAFE)
+    if failed and not facts.made_safe:
         return BenchWord("UNSAFE", "the run could not switch everything off")
     if facts.problem:
         return BenchWord("unknown", facts.problem)
@@ -99,6 +109,8 @@ def bench_word(facts: Facts) -> BenchWord:
         return BenchWord(
             "holding", "the run has made the bench safe; its program still holds the bench"
         )
+    if facts.made_safe and (failed or not (facts.ended or facts.guard_reported)):
+        return BenchWord("unknown", MADE_SAFE)
     if facts.ended:
         return BenchWord("safe", "the latest run reported that it made the bench safe")
     if facts.guard_reported:

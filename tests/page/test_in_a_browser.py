@@ -352,6 +352,42 @@ def test_stop_after_kill_9_sends_nothing_and_says_who_makes_the_bench_safe(rig, 
     assert "its guard reported" in browser.find_element("id", "word").text
 
 
+ADDING = """
+const own = take;
+window.added = {};
+take = frame => own({...frame, ...added});
+"""
+"""Has the page take what a test adds to every frame."""
+
+
+def test_a_make_safe_after_a_stop_is_shown_and_a_later_stop_takes_its_place(browser):
+    """The result of "Make safe" was hidden by the stop before it."""
+    browser.execute_script(ADDING)
+    stop = {
+        "phase": "ended", "text": "the bench is UNSAFE", "over": True, "safe": False,
+        "asked": "10:00:00", "presses": 1, "since_s": 100.0,
+    }  # fmt: skip
+    shown = {"stop": stop, "can_make_safe": True, "word": "unknown"}
+    browser.execute_script("added = arguments[0];", shown)
+    course(browser, "ended")
+    for code, word_shown, colour_is_red in ((7, "UNSAFE", True), (0, "unknown", False)):
+        said = {"ok": True, "exit": code, "text": "what make-safe said"}
+        answering = "const [said, word] = arguments; change = async () => said; added.word = word;"
+        browser.execute_script(answering, said, word_shown)
+        browser.find_element("id", "make-safe").click()
+        wait_for(browser, "#course", lambda text, code=code: f"said (exit {code})" in text)
+        wait_for(
+            browser,
+            "#course",
+            lambda _, red=colour_is_red: (colour(browser, "#course") == RED) is red,
+        )
+    browser.execute_script("added.word = 'pressed';")
+    wait_for(browser, "#course", lambda _: colour(browser, "#course") == RED)
+    browser.execute_script("added.stop.since_s = 0.0;")
+    course(browser, "ended")
+    assert colour(browser, "#course") == RED
+
+
 def queue_of(rig: Any) -> list[tuple[int, str]]:
     """Number and state of the runs of the one batch."""
     return ask(folder_of(rig.results), "SELECT number, state FROM run ORDER BY number")

@@ -186,6 +186,15 @@ GOOD = Facts(recorded=True, ended=True)
         (Facts(recorded=True, guard_reported=True, pressed="still pressed at 12 mm"), "pressed"),
         (Facts(recorded=True, ended=True, exit=7), "UNSAFE"),
         (Facts(recorded=True, ended=True, unsafe="a mark"), "UNSAFE"),
+        # `rig make-safe` lifts nothing: it ends UNSAFE, and makes no bench green.
+        (Facts(recorded=True, ended=True, exit=7, made_safe=True), "unknown"),
+        (Facts(recorded=True, made_safe=True), "unknown"),
+        (Facts(recorded=True, off_failed=True, guard_reported=True, made_safe=True), "unknown"),
+        (Facts(recorded=True, made_safe=True, pressed="still pressed"), "pressed"),
+        (Facts(recorded=True, made_safe=True, unsafe="a mark"), "UNSAFE"),
+        (Facts(recorded=True, made_safe=True, unfinished=True), "UNSAFE"),
+        (Facts(recorded=True, ended=True, made_safe=True), "safe"),
+        (Facts(recorded=True, guard_reported=True, made_safe=True), "safe"),
         (Facts(recorded=True, ended=True, held_by_another="process 7"), "unknown"),
         (Facts(recorded=True, ended=True, problem="cannot be followed"), "unknown"),
         (Facts(recorded=True, ended=True, pressed="still pressed"), "pressed"),
@@ -237,5 +246,10 @@ def test_a_stop_is_red_from_the_press_to_the_end_record_or_the_guards_report():
     rested = signs(process_lives=False, guard_pid=None, recording=False)
     assert (stop_course(rested).over, stop_course(rested).safe) == (True, False)
     assert "process 42 has ended" in stop_course(rested).text.lower()
+    made_safe = signs(ended=True, exit=7, process_lives=False, made_safe=True)
+    assert (stop_course(made_safe).phase, stop_course(made_safe).safe) == ("ended", False)
+    assert "make-safe has succeeded since" in stop_course(made_safe).text
+    saves = signs(ended=True, exit=7, made_safe=True)  # its process may still act
+    assert "UNSAFE" in stop_course(saves).text
     still = stop_course(signs(ended=True, exit=143, pressed="still pressed at 12 mm"))
     assert (still.over, still.safe, "12 mm" in still.text) == (True, False, True)

@@ -19,7 +19,7 @@ from rig.page.folder import ResultsFolder
 from rig.page.frames import Cursor, next_frame
 from rig.page.watch import BenchWatch, Stop
 from rig.page.word import BenchWord
-from rig.run.locks.bench_mark import BenchMark, write_marks
+from rig.run.locks.bench_mark import BenchMark, clear_marks, note_made_safe, write_marks
 from rig.run.locks.lock import address_names
 from rig.run.locks.lock_holder import LockHolder, NotStoppedError, holder_of, lock_file
 from rig.run.locks.shared_folder import VARIABLE
@@ -257,6 +257,36 @@ def test_a_stop_after_the_run_died_says_that_its_guard_makes_the_bench_safe(resu
     words(watch)
     with pytest.raises(NotStoppedError, match="no run holds the bench"):
         watch.ask_to_stop()
+
+
+@pytest.mark.parametrize("ended", [True, False], ids=["exit 7", "its guard has failed"])
+def test_a_make_safe_after_the_end_or_the_report_ends_unsafe_but_makes_nothing_green(
+    results: Path, ended: bool
+) -> None:
+    names = address_names(parse_bench(bench_toml(), "bench.toml"))
+    path = journal_in(results, ended=False)
+    if ended:
+        path.unlink()
+        with JournalWriter.create(path, run.header(bench_toml=bench_toml())) as journal:
+            journal.end(run.end("failed", exit=7))
+    else:
+        report(path, 4242, safe=False, failures={"generator": "it does not answer"})
+    mark("unsafe")
+    assert words(BenchWatch(results))[0] == "UNSAFE"
+    clear_marks(names)
+    assert words(BenchWatch(results))[0] == "UNSAFE", "a mark may be removed by hand"
+    note_made_safe(names)
+    for written in (path, *path.parent.glob("*.guard.json")):
+        before_ns = written.stat().st_mtime_ns
+        os.utime(written, ns=(before_ns, time.time_ns() + 10**9))
+        assert words(BenchWatch(results))[0] == "UNSAFE", "it was made safe before that"
+        os.utime(written, ns=(before_ns, before_ns))
+    word, reason = words(BenchWatch(results))
+    assert (word, "rig make-safe has stopped all motion" in reason) == ("unknown", True)
+    mark("unsafe")
+    assert words(BenchWatch(results))[0] == "UNSAFE"
+    clear_marks(names)  # as the next run does when it begins
+    assert words(BenchWatch(results))[0] == "UNSAFE"
 
 
 def test_a_guard_that_still_lifts_z_or_could_not_leaves_the_stop_red_and_no_bench_green(

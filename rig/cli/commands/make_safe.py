@@ -190,14 +190,15 @@ def _mark_unsafe(names: Sequence[str], bench: str, failures: Mapping[str, str]) 
 
 def _clear_marks(names: Sequence[str]) -> None:
     """Remove the marks of earlier runs, also where the bench had other addresses then; that of one
-    that is still at work is its own to remove."""
-    from rig.run.locks.bench_mark import clear_marks, read_marks
+    that is still at work is its own to remove. Note what was made safe."""
+    from rig.run.locks.bench_mark import clear_marks, note_made_safe, read_marks
 
     then = {name for mark in read_marks(names) for name in mark.names}
-    clear_marks(
-        [
-            name
-            for name in (*names, *sorted(then - set(names)))
-            if not any(mark.lives for mark in read_marks([name]))
-        ]
-    )
+    cleared = [
+        name
+        for name in (*names, *sorted(then - set(names)))
+        if not any(mark.lives for mark in read_marks([name]))
+    ]
+    clear_marks(cleared)
+    with _only_warning():
+        note_made_safe([name for name in cleared if name in names])

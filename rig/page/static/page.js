@@ -359,10 +359,11 @@ function isHeld(frame) {
 
 // --- stopping -----------------------------------------------------------------------------------
 
-function showStop() {
-  const course = last.stop;
+function showStop() { // of a stop and a "Make safe" what was pressed last
+  const course = made && last.stop && made.at > lastFrameAt - 1000 * last.stop.since_s ? null : last.stop;
+  const madeSafe = !!made && made.safe && !["UNSAFE", "pressed"].includes(last.word); // it lifts nothing
   $("course").hidden = !course && !made;
-  $("course").classList.toggle("safe", !!(course && course.over && course.safe) || !!(!course && made && made.safe));
+  $("course").classList.toggle("safe", course ? course.over && course.safe : madeSafe);
   if (course) {
     say("course-phase", course.phase);
     say("course-age", `(asked at ${course.asked}, ${course.since_s.toFixed(0)} s ago)`);
@@ -414,11 +415,12 @@ for (const button of $("ask").querySelectorAll("button"))
     if (said.ok && !said.problem && said.text) notice(said.text);
   });
 $("make-safe").addEventListener("click", async () => {
-  made = {safe: false, done: false, text: "stopping all motion, switching all outputs off …"};
+  const at = performance.now();
+  made = {at, safe: false, done: false, text: "stopping all motion, switching all outputs off …"};
   if (last) showStop();
   const said = await change("/api/make-safe", {}, 200000);
   const gen = last ? last.gen : -1;
-  made = said.ok ? {safe: said.exit === 0, done: true, gen, text: `${said.text} (exit ${said.exit})`} : {safe: false, done: true, gen, text: said.problem || "no answer"};
+  made = said.ok ? {at, safe: said.exit === 0, done: true, gen, text: `${said.text} (exit ${said.exit})`} : {at, safe: false, done: true, gen, text: said.problem || "no answer"};
   if (last) showStop();
 });
 addEventListener("keydown", event => {

@@ -9,7 +9,9 @@ guard and of the folder of results, the next program that wants one of these ins
     stopped    written by the guard that made the bench safe, or by a run that ended with something
                still pressed: it is reported once and refuses nothing
 
-The first two refuse the bench until ``rig make-safe`` has succeeded.
+The first two refuse the bench until ``rig make-safe`` has succeeded. That removes the marks, and
+leaves a note of its time beside them, for who shows the state of the bench; a run removes the note
+when it begins.
 """
 
 from __future__ import annotations
@@ -28,6 +30,7 @@ from rig.core.text import in_shell, printable
 from rig.run.locks.shared_folder import SharedFolder, user_name
 
 SUFFIX = ".mark"
+MADE_SAFE_SUFFIX = ".made-safe"
 MarkState = Literal["running", "unsafe", "stopped"]
 Shown = Annotated[str, AfterValidator(printable)]
 """Text for a person. Names of files may hold bytes that no encoding of a mark has: a mark that is
@@ -203,19 +206,42 @@ def read_marks(names: Sequence[str]) -> list[BenchMark]:
 
 
 def clear_marks(names: Sequence[str]) -> None:
-    """Remove the marks of these addresses. Raises RigError if one cannot be removed."""
+    """Remove the marks of these addresses, and the notes that they were made safe. Raises RigError
+    if one cannot be removed."""
     if not names:
         return
     with SharedFolder() as folder:
-        for name in names:
+        for file in [name + suffix for name in names for suffix in (MADE_SAFE_SUFFIX, SUFFIX)]:
             try:
-                folder.remove(name + SUFFIX)
+                folder.remove(file)
             except OSError as error:
                 raise RigError(
-                    f"the mark {folder.path / (name + SUFFIX)} of a bench that is safe again "
+                    f"the mark {folder.path / file} of a bench that is safe again "
                     f"cannot be removed: {error.strerror}",
                     "have the folder's owner remove it",
                 ) from error
+
+
+def note_made_safe(names: Sequence[str]) -> None:
+    """Note that ``rig make-safe`` has succeeded now on these addresses. Raises RigError or
+    OSError."""
+    with SharedFolder() as folder:
+        for name in names:
+            folder.write(name + MADE_SAFE_SUFFIX, str(time.time_ns()))
+
+
+def made_safe_ns(names: Sequence[str]) -> int | None:
+    """Return the time, in ns since 1970, since which all of these addresses have been made safe by
+    ``rig make-safe`` and no run has begun on one of them; None if that is not known. Raises
+    RigError."""
+    noted: list[int] = []
+    with SharedFolder() as folder:
+        for name in names:
+            try:
+                noted.append(int(folder.read(name + MADE_SAFE_SUFFIX) or ""))
+            except (OSError, ValueError):
+                return None
+    return min(noted, default=None)
 
 
 def refuse_unsafe(marks: Sequence[BenchMark], bench_file: str) -> None:

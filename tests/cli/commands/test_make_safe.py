@@ -8,9 +8,12 @@ from typing import NoReturn
 import pytest
 import typer
 
+from rig.bench.plan import read_bench
 from rig.cli.commands.make_safe import make_safe
 from rig.core.errors import ExitCode
 from rig.run.locks import bench_users
+from rig.run.locks.bench_mark import made_safe_ns
+from rig.run.locks.lock import address_names
 from rig.run.making_safe.guard import MadeSafe
 
 BENCH = """
@@ -75,6 +78,23 @@ def test_where_it_is_not_known_who_uses_the_bench_it_is_not_called_safe(
     *_, made_safe, last = capfd.readouterr().err.splitlines()
     assert made_safe == "b: generator made safe"
     assert last.startswith("error: NOT SAFE: everything was stopped, but another program (")
+
+
+def test_its_success_is_noted_for_who_shows_the_state_and_a_failure_is_not(
+    acted, monkeypatch, capfd
+) -> None:
+    (name,) = address_names(read_bench(Path("bench.toml")))
+    failed = MadeSafe({"generator": "it does not answer"}, False)
+    monkeypatch.setattr("rig.run.making_safe.guard.make_bench_safe", lambda *_: failed)
+    assert ended() == ExitCode.UNSAFE
+    assert made_safe_ns([name]) is None
+    monkeypatch.setattr("rig.run.making_safe.guard.make_bench_safe", lambda *_: MadeSafe())
+    assert ended() == ExitCode.DONE
+    assert made_safe_ns([name]) is not None
+    monkeypatch.setattr("rig.run.locks.bench_mark.note_made_safe", fail)
+    assert ended() == ExitCode.DONE
+    assert made_safe_ns([name]) is None
+    assert "warning: " in capfd.readouterr().err
 
 
 def test_the_batch_of_a_run_is_ended_and_not_only_the_run(acted, monkeypatch, tmp_path) -> None:

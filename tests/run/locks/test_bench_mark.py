@@ -16,6 +16,8 @@ from rig.run.locks.bench_mark import (
     BenchMarks,
     ProcessStamp,
     clear_marks,
+    made_safe_ns,
+    note_made_safe,
     read_marks,
     refuse_unsafe,
 )
@@ -162,3 +164,23 @@ def test_a_mark_that_cannot_be_written_is_a_failure_and_the_earlier_one_stays(
     assert mark.failures == {"stage_z": "no answer"}
     clear_marks(NAMES)
     assert read_marks(NAMES) == []
+
+
+def test_a_note_that_a_bench_was_made_safe_is_of_all_its_addresses_and_ends_with_the_next_run(
+    shared,
+) -> None:
+    assert made_safe_ns(NAMES) is None
+    assert made_safe_ns(()) is None
+    note_made_safe(NAMES[:1])
+    assert made_safe_ns(NAMES) is None
+    note_made_safe(NAMES)
+    first = made_safe_ns(NAMES)
+    assert first is not None
+    note_made_safe(NAMES[1:])
+    assert made_safe_ns(NAMES) == first
+    (shared / "stage.made-safe").write_text("no number")
+    assert made_safe_ns(NAMES) is None
+    note_made_safe(NAMES)
+    clear_marks(NAMES)
+    assert made_safe_ns(NAMES) is None
+    assert list(shared.iterdir()) == []
