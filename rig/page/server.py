@@ -4,7 +4,8 @@
     GET  /api/live        server-sent events: a frame at most `rate_Hz` times a second
     GET  /api/night       the latest batch
     GET  /api/runs        the runs of the folder; /api/runs/ID one of them, /api/runs/ID/NAME a file
-    POST /api/stop        {"what": "run", "run": UUID}, {"what": "night"}, or {} without a choice
+    POST /api/stop        {"what": "run", "run": UUID}, {"what": "night"}, {} without a choice, or
+                          {"what": "again"} for a further press while a stop is under way
     POST /api/make-safe
 
 Whatever changes something is a POST with the token that may stop. No part of a request becomes a
@@ -291,16 +292,26 @@ def _changing(state: PageState, change: Change) -> Callable[[Request], Any]:
     return endpoint
 
 
+OVER = (
+    "the run that was being stopped has ended, so this press stopped nothing; press again to stop "
+    "what is at work now: in a batch its next run, or the whole of it"
+)
+"""Answer to a further press that came when the stop was over."""
+
+
 def _stop(state: PageState, wanted: dict[str, Any]) -> tuple[int, dict[str, Any]]:
     """Stop the run or the night. A page that may not know of the batch yet makes no choice: where
     the run is one of a batch, that is the night, since otherwise the next run would follow. While a
-    stop is under way a press without a choice only counts: it never widens what was chosen."""
+    stop is under way a press without a choice only counts: it never widens what was chosen. A press
+    that was meant for a stop under way stops nothing else where that is over by now."""
     what = wanted.get("what")
-    if what not in (None, "run", "night"):
-        return 400, {"problem": f"stop what: run or night, not {what!r}"}
+    if what not in (None, "run", "night", "again"):
+        return 400, {"problem": f"stop what: run, night or again, not {what!r}"}
     watch = state.watch
-    if what is None and (stop := watch.press_again()) is not None:
+    if what in (None, "again") and (stop := watch.press_again()) is not None:
         return 200, {"text": "it is stopping already", "presses": stop.presses}
+    if what == "again":
+        return 409, {"problem": OVER}
     journal = watch.path
     recording = journal is not None and holder_of(journal) is not None
     own = batch_of(journal) if journal is not None and recording else None

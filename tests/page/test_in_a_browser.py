@@ -388,6 +388,32 @@ def test_a_make_safe_after_a_stop_is_shown_and_a_later_stop_takes_its_place(brow
     assert colour(browser, "#course") == RED
 
 
+def test_a_press_while_a_stop_is_under_way_is_for_it_alone_and_the_one_after_it_is_fresh(browser):
+    """A second press reached the whole batch if the run had just ended."""
+    browser.execute_script(ADDING)
+    stop = {
+        "phase": "asked", "text": "", "over": False, "safe": False, "asked": "10:00:00",
+        "presses": 1, "since_s": 0.3,
+    }  # fmt: skip
+    browser.execute_script("added.stop = arguments[0];", stop)
+    course(browser, "asked")
+    posted = "window.posted = []; const own_ask = ask; ask = (path, options = {}) => {"
+    posted += " if (options.method) posted.push(options.body); return own_ask(path, options); };"
+    browser.execute_script(posted)
+    browser.find_element("id", "stop").click()
+    wait_for(browser, "#notice", lambda text: "press again to stop what is at work now" in text)
+    browser.find_element("id", "stop").click()  # the frames still show the stop
+    wait_for(browser, "#notice", lambda text: "no run holds the bench" in text)
+    assert browser.execute_script("return posted") == ['{"what":"again"}', "{}"]
+    runs = {"queued": 1, "running": 0, "done": 0, "failed": 0, "set-aside": 0}
+    night = {"running": True, "name": "night", "runs": runs}
+    batch_runs = "added.stop = null; night = arguments[0]; readNight = () => {};"
+    browser.execute_script(batch_runs, night)
+    wait_for(browser, "#course", lambda text: not text)
+    browser.find_element("id", "stop").click()
+    assert browser.find_element("id", "ask").is_displayed(), "a choice is never left out"
+
+
 def queue_of(rig: Any) -> list[tuple[int, str]]:
     """Number and state of the runs of the one batch."""
     return ask(folder_of(rig.results), "SELECT number, state FROM run ORDER BY number")

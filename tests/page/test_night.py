@@ -166,6 +166,22 @@ def test_a_further_press_without_a_choice_makes_no_stop_wider(
     assert (status, said["presses"], asked, signalled) == (200, 2, [], [])
 
 
+def test_a_further_press_after_the_end_of_the_run_that_was_stopped_stops_no_batch(
+    tmp_path: Path, asked: list[Any]
+) -> None:
+    """The END of the run that alone was to stop may have been read before the press arrives."""
+    signalled: list[Path] = []
+    again = {"what": "again"}
+    with recording(tmp_path) as (_, journal):
+        status, said = stop(tmp_path, journal, again, signalled, SimpleNamespace(presses=3))
+        assert (status, said["presses"]) == (200, 3)
+        status, said = stop(tmp_path, journal, again, signalled)
+        assert (status, "press again to stop what is at work now" in said["problem"]) == (409, True)
+        assert (asked, signalled) == ([], [])
+        assert stop(tmp_path, journal, {}, signalled)[0] == 200
+    assert (asked, signalled) == ([("night", "stop-now")], [journal])
+
+
 def test_a_stop_of_one_run_reaches_no_other_and_does_nothing_between_runs(
     tmp_path: Path, asked: list[Any]
 ) -> None:

@@ -6,7 +6,7 @@ const BIN_S = 0.05, KEPT = 3600, MOST_EVENTS = 200, LOST_MS = 2500, OLD_S = 2;
 const $ = id => document.getElementById(id);
 const token = takeToken();
 let series = {}, curve = [], events = [], spectrum = null, generation = -1, charts = {};
-let last = null, lastFrameAt = performance.now(), paused = false, night = {}, tab = "now", made = null, listed = "", asked = "", chosen = "", refused = false;
+let last = null, lastFrameAt = performance.now(), paused = false, night = {}, tab = "now", made = null, listed = "", asked = "", chosen = "", refused = false, fresh = false;
 
 function takeToken() {
   const given = new URLSearchParams(location.hash.slice(1)).get("token");
@@ -396,13 +396,17 @@ async function change(path, body, patience_ms = 4000) {
   }
 }
 
-function pressStop() {
+async function pressStop() {
   if ($("stop").disabled) return;
   // While a stop is under way a press only counts. One that hangs may be made wider by a choice.
-  const stopping = last && last.stop && !last.stop.over && last.stop.phase !== "hanging";
-  if (night.running && !stopping) {
+  const stopping = !fresh && last && last.stop && !last.stop.over;
+  fresh = false;
+  if (night.running && !(stopping && last.stop.phase !== "hanging")) {
     asked = (last && last.run.uuid) || ""; // the dialog may be left open until the next run
     $("ask").showModal();
+  } else if (stopping) {
+    const said = await change("/api/stop", {what: "again"});
+    fresh = !said.ok; // that stop is over, whatever the latest frame says: the next press is a new one
   } else change("/api/stop", {}); // no choice: the server knows whether the run is one of a batch
 }
 
