@@ -329,8 +329,9 @@ def _stop(state: PageState, wanted: dict[str, Any]) -> tuple[int, dict[str, Any]
         return 409, {"problem": "that run has ended; another run is shown now"}
 
     def ask_for_this_run(path: Path) -> LockHolder:
-        """Have the batch end its run: it has to know that it continues."""
-        holder = holder_of(path)
+        """Have the batch end its run: it has to know that it continues. Between the look above and
+        this one the run may have ended: the bench's lock is then held for the next."""
+        holder = holder_of(path) if path == journal else None
         if holder is None or own is None:
             raise NotStoppedError("the run has ended already")
         ask_batch(own, "stop-run" if header is None else f"stop-run {header.run_number}")

@@ -90,13 +90,15 @@ def stop(
     wanted: dict[str, Any],
     signalled: list[Path],
     under_way: Any = None,
+    target: Path | None = None,
 ) -> Any:
-    """Press STOP with this choice, while the page shows the run of `journal`, its number 7."""
+    """Press STOP with this choice, while the page shows the run of `journal`, its number 7. The
+    locked file that is found for it is `target`, if given."""
 
     def ask_to_stop(ask: Any = None) -> Any:
         if journal is None:
             raise server.NotStoppedError("no run holds the bench")
-        holder = SimpleNamespace(pid=1) if ask is None else ask(journal)
+        holder = SimpleNamespace(pid=1) if ask is None else ask(target or journal)
         if ask is None:
             signalled.append(journal)
         return SimpleNamespace(presses=1, holder=holder)
@@ -164,6 +166,17 @@ def test_a_further_press_without_a_choice_makes_no_stop_wider(
     with recording(tmp_path) as (_, journal):
         status, said = stop(tmp_path, journal, {}, signalled, SimpleNamespace(presses=2))
     assert (status, said["presses"], asked, signalled) == (200, 2, [], [])
+
+
+def test_a_run_that_ends_while_its_stop_is_asked_for_leaves_the_next_run_alone(
+    tmp_path: Path, asked: list[Any]
+) -> None:
+    """The bench's lock, which its process holds for the next run, was taken for the journal's."""
+    with recording(tmp_path) as (_, journal):
+        bench = tmp_path / "bench.lock"
+        with held(bench):
+            status, said = stop(tmp_path, journal, {"what": "run"}, [], target=bench)
+    assert (status, said["problem"], asked) == (409, "the run has ended already", [])
 
 
 def test_a_further_press_after_the_end_of_the_run_that_was_stopped_stops_no_batch(
