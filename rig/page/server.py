@@ -41,6 +41,7 @@ from starlette.routing import Route
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from rig.batch.folder import BatchFolder
+from rig.batch.queue import Queue  # noqa: F401 - else the first STOP waits for its import
 from rig.batch.running import ask_batch, batch_of, is_running
 from rig.core.errors import RigError
 from rig.core.json_text import finite, json_text
@@ -48,10 +49,17 @@ from rig.core.threads import start_thread
 from rig.page.access import HEADERS, Access, AccessRefusedError
 from rig.page.frames import Cursor, as_event, next_frame
 from rig.page.history import RunIndex
+from rig.page.in_time import NotInTimeError, in_time
 from rig.page.night import night, running_batch
 from rig.page.slips import SlipFollower
-from rig.page.watch import BenchWatch, Stop
-from rig.run.locks.lock_holder import LockHolder, NotStoppedError, holder_of
+from rig.page.watch import DISK_S, BenchWatch, Stop
+from rig.run.locks.lock_holder import (
+    LockHolder,
+    NotStoppedError,
+    ask_to_stop,
+    holder_by_path,
+    holders_by_path,
+)
 
 log = logging.getLogger("rig")
 
@@ -76,6 +84,8 @@ STUCK_S = 60.0
 """Time after which a viewer that takes nothing is dropped."""
 MOST_BODY_BYTES = 1024
 MAKE_SAFE_S = 180.0
+LONGEST_TURN_S = 10.0
+"""Time after which what was asked for is not done any more: who asked has given up long before."""
 LOOKS_FOR_END_EVERY_S = 0.1
 ENDS_WITHIN_S = 0.5
 """Time for the last message to a viewer when the server ends."""
@@ -95,7 +105,11 @@ class PageState:
     polled_s: float = field(default_factory=time.monotonic)
     making_safe: threading.Lock = field(default_factory=threading.Lock)
     changes: ThreadPoolExecutor = field(default_factory=lambda: ThreadPoolExecutor(4, "change"))
-    """Threads for STOP and making safe alone: no reader of a slow disk keeps them waiting."""
+    """Threads for STOP alone: no reader of a slow disk keeps it waiting."""
+    makes_safe: ThreadPoolExecutor = field(
+        default_factory=lambda: ThreadPoolExecutor(2, "make safe")
+    )
+    """Threads for making safe, one of which can always refuse: no STOP keeps it waiting."""
     night: dict[str, Any] | None = None
     """The latest answer about the batch, for all viewers."""
     night_s: float = -math.inf
@@ -143,8 +157,8 @@ def application(state: PageState) -> ASGIApp:
         Route("/api/runs", runs),
         Route("/api/runs/{run}", run),
         Route("/api/runs/{run}/{name}", file),
-        Route("/api/stop", _changing(state, _stop), methods=["POST"]),
-        Route("/api/make-safe", _changing(state, _make_safe), methods=["POST"]),
+        Route("/api/stop", _changing(state, _stop, state.changes), methods=["POST"]),
+        Route("/api/make-safe", _changing(state, _make_safe, state.makes_safe), methods=["POST"]),
     ]
     return _Checked(Starlette(routes=routes), state.access)
 
@@ -268,8 +282,10 @@ async def _part(request: Request) -> Response:
 Change = Callable[[PageState, dict[str, Any]], tuple[int, dict[str, Any]]]
 
 
-def _changing(state: PageState, change: Change) -> Callable[[Request], Any]:
-    """Return an endpoint that carries out a change for those who may, in a thread of its own."""
+def _changing(
+    state: PageState, change: Change, threads: ThreadPoolExecutor
+) -> Callable[[Request], Any]:
+    """Return an endpoint that carries out a change for those who may, in one of the threads."""
 
     async def endpoint(request: Request) -> Response:
         if request.scope["rig.right"] != "stop":
@@ -285,8 +301,19 @@ def _changing(state: PageState, change: Change) -> Callable[[Request], Any]:
             wanted = None
         if not isinstance(wanted, dict):
             return _json({"problem": "the request is not a JSON object"}, 400)
+        asked_s = time.monotonic()
+
+        def in_turn() -> tuple[int, dict[str, Any]]:
+            waited_s = time.monotonic() - asked_s
+            if waited_s > LONGEST_TURN_S:  # what is at work now may be another run
+                return 503, {
+                    "problem": f"nothing was done: this request waited for {waited_s:.0f} s, since "
+                    "earlier ones hang; press again, or end the run at its terminal"
+                }
+            return change(state, wanted)
+
         loop = asyncio.get_running_loop()
-        status, answer = await loop.run_in_executor(state.changes, change, state, wanted)
+        status, answer = await loop.run_in_executor(threads, in_turn)
         return _json(answer, status)
 
     return endpoint
@@ -313,15 +340,14 @@ def _stop(state: PageState, wanted: dict[str, Any]) -> tuple[int, dict[str, Any]
     if what == "again":
         return 409, {"problem": OVER}
     journal = watch.path
-    recording = journal is not None and holder_of(journal) is not None
-    own = batch_of(journal) if journal is not None and recording else None
-    batch = own or running_batch(watch.results)
+    recording = journal is not None and watch.run_holder(journal) is not None
+    own = _batch_of(watch, journal) if journal is not None and recording else None
     if what is None:
         what = "run" if recording and own is None else "night"
     if what == "night":
-        return _stop_the_night(watch, batch)
+        return _stop_the_night(watch, own)
     header = watch.view.header
-    if batch is not None and not recording:
+    if not recording and _a_batch_runs(watch):
         return 409, {
             "problem": "no run is under way: stop the whole batch, or wait for the next run"
         }
@@ -331,10 +357,17 @@ def _stop(state: PageState, wanted: dict[str, Any]) -> tuple[int, dict[str, Any]
     def ask_for_this_run(path: Path) -> LockHolder:
         """Have the batch end its run: it has to know that it continues. Between the look above and
         this one the run may have ended: the bench's lock is then held for the next."""
-        holder = holder_of(path) if path == journal else None
+        holder = watch.run_holder(path) if path == journal else None
         if holder is None or own is None:
             raise NotStoppedError("the run has ended already")
-        ask_batch(own, "stop-run" if header is None else f"stop-run {header.run_number}")
+        request = "stop-run" if header is None else f"stop-run {header.run_number}"
+        try:
+            in_time(DISK_S, lambda: ask_batch(own, request))
+        except NotInTimeError as error:
+            raise NotStoppedError(
+                f"it is not known whether the batch ends its run: {SILENT}",
+                "stop the whole batch; the request may still be carried out",
+            ) from error
         return holder
 
     try:
@@ -344,25 +377,93 @@ def _stop(state: PageState, wanted: dict[str, Any]) -> tuple[int, dict[str, Any]
     return 200, _answer(stop)
 
 
-def _stop_the_night(watch: BenchWatch, batch: BatchFolder | None) -> tuple[int, dict[str, Any]]:
-    """Send the signal to the process that holds the bench, and ask the batch to end. Neither waits
-    for the other to succeed: the queue of a batch may be damaged, or its disk full."""
+SILENT = f"the disk of the results gave no answer within {DISK_S:g} s"
+
+
+def _batch_of(watch: BenchWatch, journal: Path) -> BatchFolder | None:
+    """Return the batch that takes a run under way. Of a run of this user the kernel knows it, and
+    the disk is not asked."""
+    real = watch.real(journal)
+    if holder_by_path(real) is not None:
+        batch = BatchFolder(real.parent.parent)
+        return None if holder_by_path(batch.supervisor_lock) is None else batch
+    try:
+        return in_time(DISK_S, lambda: batch_of(journal))
+    except NotInTimeError:
+        return None
+
+
+def _a_batch_runs(watch: BenchWatch) -> bool:
+    try:
+        return in_time(DISK_S, lambda: running_batch(watch.results)) is not None
+    except NotInTimeError:
+        return bool(_batches_by_path(watch.real(watch.results)))
+
+
+def _batches_by_path(place: Path) -> list[BatchFolder]:
+    """Return the batches of this user that run in a folder of results, or in their own folder,
+    without the disk. `place` is a path without links."""
+    locks = holders_by_path(BatchFolder(place).supervisor_lock.name)
+    return [
+        BatchFolder(lock.parent) for lock in locks if place in (lock.parent, lock.parent.parent)
+    ]
+
+
+def _ask_to_end(
+    results: Path, own: BatchFolder | None, signalled: bool
+) -> tuple[str | None, str | None]:
+    """Ask the batch to end, `own` or the one that runs in the folder; return its name if it was
+    asked, and why it could not be. `signalled` says that its process was asked already.
+
+    Late it does no harm: a batch forgets the requests that were made to it before it began.
+    """
+    batch = own or running_batch(results)
+    if batch is None:
+        return None, None
+    try:
+        return ask_batch(batch, "stop-now"), None
+    except (RigError, OSError, sqlite3.Error) as error:
+        if signalled and not is_running(batch):  # it has ended, as it should
+            return None, None
+        why = error.one_line() if isinstance(error, RigError) else str(error)
+        return None, f"the batch could not be asked to end: {why}"
+
+
+def _signal_to_end(place: Path) -> tuple[str | None, str | None]:
+    """Send SIGTERM to the supervisor of the batch in a folder whose disk does not answer; return as
+    `_ask_to_end` does."""
+    batches = _batches_by_path(place)
+    if not batches:
+        return None, None
+    if len(batches) > 1:
+        names = ", ".join(batch.path.name for batch in batches)
+        return None, f"{SILENT}, and several batches run there: {names}; press Ctrl-C in theirs"
+    try:
+        ask_to_stop(batches[0].supervisor_lock, by_path=True)
+    except NotStoppedError as error:
+        return None, f"the batch could not be asked to end: {error.one_line()}"
+    return batches[0].path.name, None
+
+
+def _stop_the_night(watch: BenchWatch, own: BatchFolder | None) -> tuple[int, dict[str, Any]]:
+    """Send the signal to the process that holds the bench, then ask the batch to end, `own` or the
+    one that runs in the folder. Neither waits for the other to succeed: the queue of a batch may be
+    damaged, its disk full or silent."""
     stop, problems = None, []
     try:
         stop = watch.ask_to_stop()
     except RigError as error:
         problems.append(error.one_line())
-    if batch is None:
-        return (409, {"problem": problems[0]}) if stop is None else (200, _answer(stop))
+    signalled = stop is not None
     try:
-        asked = ask_batch(batch, "stop-now")
-    except (RigError, OSError, sqlite3.Error) as error:
-        why = error.one_line() if isinstance(error, RigError) else str(error)
-        if stop is None or is_running(batch):  # else it has ended, as it should
-            problems.append(f"the batch could not be asked to end: {why}")
-    else:
-        if stop is None:  # it rests or waits, and holds no bench
-            return 200, {"text": f"batch {asked} was asked to stop"}
+        asked, problem = in_time(DISK_S, lambda: _ask_to_end(watch.results, own, signalled))
+    except NotInTimeError:
+        place = watch.real(watch.results) if own is None else own.path
+        asked, problem = _signal_to_end(place)
+    if problem is not None:
+        problems.append(problem)
+    if stop is None and asked is not None:  # it rests or waits, and holds no bench
+        return 200, {"text": f"batch {asked} was asked to stop"}
     if stop is None:
         return 409, {"problem": "; ".join(problems)}
     return 200, _answer(stop) | ({"problem": "; ".join(problems)} if problems else {})

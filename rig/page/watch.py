@@ -19,6 +19,7 @@ from rig.files.journal.values import End, JournalEvent, Results
 from rig.files.naming import JOURNAL_SUFFIX, RUN_SUFFIX
 from rig.page.bench_signs import BenchSigns, is_last
 from rig.page.folder import FoundFile, ResultsFolder
+from rig.page.in_time import NotInTimeError, in_time
 from rig.page.latest_file import LatestFile
 from rig.page.stop_course import StopCourse, StopSigns, stop_course
 from rig.page.view import RunView
@@ -28,12 +29,15 @@ from rig.run.locks.lock_holder import (
     NotStoppedError,
     ask_to_stop,
     guard_of,
+    holder_by_path,
     holder_of,
     lives,
     lock_file,
     locked_inodes,
 )
 
+DISK_S = 2.0
+"""Time within which the disk of the results must answer where a stop waits for it."""
 LOOK_EVERY_S = 0.5
 """Between two looks at folders, locks and marks."""
 MOST_BYTES_A_POLL = 16 << 20
@@ -70,7 +74,9 @@ class BenchWatch:
     def __init__(self, results: Path, bench: Path | None = None):
         """`bench` is a bench file that is watched although no run of it is in the folder."""
         self.results = results
+        self._without_links = results.resolve()
         self.lock = threading.Lock()
+        """Never held while a file is looked at: a disk that does not answer would stop the page."""
         self.signs = BenchSigns(results, bench, self.lock)
         self._folder = ResultsFolder(results)
         self._latest = LatestFile(self.lock)
@@ -94,6 +100,8 @@ class BenchWatch:
         self._shown_ns = 0
         """Latest change of the journal that is shown, as of the latest look that found it."""
         self._problem = ""
+        self._missing = ""
+        """Why what was read says nothing of the bench any more: its files do not exist."""
         self._unsound: str | None = None
         """The problem that viewers were warned of: bytes of the journal that are not a record."""
         self._grew_s = time.monotonic()
@@ -107,6 +115,7 @@ class BenchWatch:
         if now - self._looked_s >= LOOK_EVERY_S:
             self._looked_s = now
             self._look()
+        self._missing = self._files_problem()
         self._read(now)
         word = bench_word(self.facts(now))
         with self.lock:
@@ -301,7 +310,7 @@ class BenchWatch:
             guard_reported=is_last(signs.report) and not signs.guard_failed,
             made_safe=signs.made_safe and not lives,
             problem=self._problem or ("the journal is still being read" if self.behind else ""),
-            bench_problem=signs.problem or self._files_problem(),
+            bench_problem=signs.problem or self._missing,
         )
 
     def silent_s(self, now: float | None = None) -> float:
@@ -349,6 +358,23 @@ class BenchWatch:
 
     # --- stopping -------------------------------------------------------------------------------
 
+    def real(self, path: Path) -> Path:
+        """Return a path in the results folder as the kernel knows it: absolute, without links."""
+        if not path.is_relative_to(self.results):
+            return path
+        return self._without_links / path.relative_to(self.results)
+
+    def run_holder(self, journal: Path) -> LockHolder | None:
+        """Return the process that holds the lock of a journal, None if there is none. The disk is
+        asked, for at most `DISK_S`, only where the kernel knows no process by the path: one of
+        another user, for instance."""
+        if (holder := holder_by_path(self.real(journal))) is not None:
+            return holder
+        try:
+            return in_time(DISK_S, lambda: holder_of(journal))
+        except NotInTimeError:
+            return None
+
     def press_again(self) -> Stop | None:
         """Count a further press while a stop is under way, and return it; None if none is."""
         with self.lock:
@@ -371,7 +397,7 @@ class BenchWatch:
         if again is not None and not wider:
             return again
         target, journal = self._target()
-        holder = (end_the_run or ask_to_stop)(target)
+        holder = (end_the_run or self._send)(target)
         with self.lock:
             # Presses do not wait for each other: one may hang in the queue of a batch. Of two at
             # the same time both reach the process, and the second counts as a further one.
@@ -384,11 +410,19 @@ class BenchWatch:
             self.stop.after_end = journal is not None and holder.pid == self._ended_pid
             return self.stop
 
+    def _send(self, target: Path) -> LockHolder:
+        """Send SIGTERM to the process that holds a lock, without the disk where that is possible;
+        return the process. Raises NotStoppedError."""
+        real = self.real(target)
+        if holder_by_path(real) is not None:
+            return ask_to_stop(real, by_path=True)
+        return ask_to_stop(target)
+
     def _target(self) -> tuple[Path, Path | None]:
         """Return the locked file whose holder is to be stopped: the journal of the run that is
         shown; for a run that records elsewhere, the lock of the bench."""
         path = self.path
-        if path is not None and holder_of(path) is not None:
+        if path is not None and self.run_holder(path) is not None:
             return path, path
         for name in self.signs.names:
             file = lock_file(name)

@@ -25,7 +25,7 @@ from rig.page import server
 from rig.page.night import latest_batch, night, running_batch
 from rig.page.server import PageState
 from rig.page.watch import BenchWatch
-from rig.run.locks.lock_holder import LockHolder
+from rig.run.locks.lock_holder import LockHolder, holder_of
 
 HOLD = """
 import fcntl, os, sys
@@ -110,6 +110,8 @@ def stop(
         view=SimpleNamespace(header=header),
         ask_to_stop=ask_to_stop,
         press_again=lambda: under_way,
+        run_holder=holder_of,
+        real=Path,
     )
     return server._stop(SimpleNamespace(watch=watch), wanted)  # type: ignore[arg-type]
 

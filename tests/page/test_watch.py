@@ -331,7 +331,7 @@ def test_a_further_press_counts_and_only_an_explicit_one_reaches_the_process(
     watch = BenchWatch(results)
     sent: list[Path] = []
 
-    def signal_to(target: Path) -> LockHolder:
+    def signal_to(target: Path, **_: bool) -> LockHolder:
         sent.append(target)
         return holder_of(target) or LockHolder(0, "", False)
 
@@ -354,7 +354,7 @@ def test_of_two_presses_at_the_same_time_the_second_counts_and_what_was_seen_is_
     watch = BenchWatch(results)
     holder = LockHolder(os.getpid(), "", True)
 
-    def signal_to(target: Path) -> LockHolder:
+    def signal_to(target: Path, **_: bool) -> LockHolder:
         """Meanwhile another press has reached the process, which has reacted."""
         watch.stop = Stop(holder, target, run_only=first_for_the_run_only)
         watch.stop.reacted = True
@@ -434,7 +434,9 @@ def test_a_press_after_the_end_of_a_run_is_red_until_its_process_has_gone(
     journal.end(run.end())
     journal.sync()
     words(watch)
-    monkeypatch.setattr("rig.page.watch.ask_to_stop", lambda _: LockHolder(os.getpid(), "", True))
+    monkeypatch.setattr(
+        "rig.page.watch.ask_to_stop", lambda *_, **__: LockHolder(os.getpid(), "", True)
+    )
     watch.ask_to_stop()
     course = watch.course()
     assert course is not None
