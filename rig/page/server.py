@@ -475,9 +475,12 @@ def _answer(stop: Stop) -> dict[str, Any]:
     return {"text": text, "presses": stop.presses}
 
 
+NOT_KNOWN_SAFE = "the bench is not known to be safe; switch it off by hand"
+
+
 def _make_safe(state: PageState, _: dict[str, Any]) -> tuple[int, dict[str, Any]]:
-    watch = state.watch
-    if watch.signs.bench_file is None:
+    watch, bench = state.watch, state.watch.signs.bench_file
+    if bench is None:
         return 409, {"problem": "no bench file; start the page with --bench FILE"}
     if watch.holder is not None or watch.signs.holder is not None:
         return 409, {"problem": "a program holds the bench: stop it first"}
@@ -487,7 +490,7 @@ def _make_safe(state: PageState, _: dict[str, Any]) -> tuple[int, dict[str, Any]
         done = subprocess.run(
             [
                 *(sys.executable, "-c", "from rig.cli import main; main()"),
-                *("make-safe", "--bench", str(watch.signs.bench_file)),
+                *("make-safe", "--bench", str(bench)),
             ],
             stdin=subprocess.DEVNULL,
             capture_output=True,
@@ -496,8 +499,12 @@ def _make_safe(state: PageState, _: dict[str, Any]) -> tuple[int, dict[str, Any]
             start_new_session=True,  # Ctrl-C at the page's terminal is not meant for it
             check=False,
         )
-    except (OSError, subprocess.TimeoutExpired) as error:
-        return 500, {"problem": f"make-safe: {error}", "exit": None}
+    except subprocess.TimeoutExpired:
+        text = f"make-safe of {bench} did not end within {MAKE_SAFE_S:g} s and was killed"
+        return 500, {"problem": f"{text}: {NOT_KNOWN_SAFE}", "exit": None}
+    except OSError as error:
+        text = f"make-safe of {bench} could not be started: {error}"
+        return 500, {"problem": f"{text}; {NOT_KNOWN_SAFE}", "exit": None}
     finally:
         state.making_safe.release()
     return 200, {"exit": done.returncode, "text": done.stderr[-2000:]}

@@ -158,6 +158,24 @@ def test_presses_that_hang_keep_no_make_safe_waiting_and_none_acts_late(
     assert state.makes_safe is not state.changes
 
 
+def test_a_make_safe_that_does_not_end_is_killed_and_the_bench_is_to_be_switched_off_by_hand(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    hangs = tmp_path / "python"
+    hangs.write_text("#!/bin/sh\nexec sleep 60\n")
+    hangs.chmod(0o755)
+    monkeypatch.setattr(server, "MAKE_SAFE_S", 0.2)
+    monkeypatch.setattr(sys, "executable", str(hangs))
+    bench = tmp_path / "bench.toml"
+    state = PageState(BenchWatch(tmp_path, bench), None, None)  # type: ignore[arg-type]
+    by_hand = "the bench is not known to be safe; switch it off by hand"
+    killed = f"make-safe of {bench} did not end within 0.2 s and was killed: {by_hand}"
+    assert server._make_safe(state, {}) == (500, {"problem": killed, "exit": None})
+    hangs.unlink()
+    status, said = server._make_safe(state, {})
+    assert (status, said["problem"].endswith(by_hand)) == (500, True)
+
+
 def test_no_viewer_waits_for_a_look_at_a_file(tmp_path: Path) -> None:
     shown = BenchWatch(tmp_path)
     held: list[bool] = []
