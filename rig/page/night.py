@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sqlite3
 from pathlib import Path
 from typing import Any
 
@@ -57,8 +58,10 @@ def night(results: Path) -> dict[str, Any]:
             }
             retried = queue.retried()
             drift = _drift(queue)
-    except (RigError, OSError) as error:
-        return {"problem": error.one_line() if isinstance(error, RigError) else str(error)}
+    except RigError as error:
+        return {"problem": error.one_line()}
+    except (OSError, sqlite3.Error) as error:  # its disk fails, or another process keeps it locked
+        return {"problem": f"the batch {folder.path.name} cannot be read: {error}"}
     beat = read_heartbeat(folder.heartbeat) if status.running else None
     shown = status.as_object()
     shown["folder"] = folder.path.name

@@ -2,7 +2,7 @@
 
     /                     the page; /static/NAME its parts. They hold no data and need no token
     GET  /api/live        server-sent events: a frame at most `rate_Hz` times a second
-    GET  /api/night       the latest batch
+    GET  /api/night       the latest batch, and the age of this answer
     GET  /api/runs        the runs of the folder; /api/runs/ID one of them, /api/runs/ID/NAME a file
     POST /api/stop        {"what": "run", "run": UUID}, {"what": "night"}, {} without a choice, or
                           {"what": "again"} for a further press while a stop is under way
@@ -127,7 +127,8 @@ def application(state: PageState) -> ASGIApp:
         return _Live(state, request.scope["rig.right"] == "stop")
 
     async def night_of(_: Request) -> Response:
-        return _json(await asyncio.to_thread(_night, state))
+        found = await asyncio.to_thread(_night, state)
+        return _json(found | {"age_s": round(time.monotonic() - state.night_s, 1)})
 
     async def runs(request: Request) -> Response:
         query = request.query_params

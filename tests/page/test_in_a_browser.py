@@ -519,6 +519,25 @@ def test_what_is_being_read_of_the_night_stays_in_its_place_when_it_is_read_agai
     )
 
 
+def test_a_view_of_the_night_that_could_not_be_read_again_says_that_it_is_old(browser):
+    """It stayed as it was, without a mark, for as long as the server answered with an error."""
+    browser.execute_script("window.fails = true; window.own_ask = ask;")
+    browser.execute_script(
+        "ask = (path, options) => path === '/api/night' && fails"
+        " ? Promise.resolve({ok: false, status: 500}) : own_ask(path, options);"
+    )
+    browser.find_element("css selector", "[data-tab=night]").click()
+    shown = wait_for(browser, "#night-body", lambda text: "This view is old" in text)
+    assert shown.endswith("the page's server answered with an error (500).")
+    browser.execute_script("fails = false; readNight();")
+    wait_for(browser, "#night-body", lambda text: text == "There is no batch in this folder.")
+    browser.execute_script(
+        "window.asked_for = 0; ask = () => (++asked_for, new Promise(() => {}));"
+    )
+    browser.execute_script("readNight(); readNight(); readNight();")
+    assert browser.execute_script("return asked_for") == 1, "STOP would wait for a connection"
+
+
 def test_the_chosen_run_of_the_history_is_not_hidden_under_the_state_of_the_bench(rig, browser):
     day = rig.results / "2026-11-21"
     day.mkdir()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import os
+import sqlite3
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -236,6 +237,19 @@ def test_the_night_is_shown_without_a_lock_and_read_once_for_all_viewers(
     for _ in range(2):
         shown = server._night(state)
         assert (shown["name"], shown["running"], shown["drift"]) == ("friction", False, [None])
+
+
+@pytest.mark.parametrize("error", [sqlite3.OperationalError("disk I/O error"), OSError("stale")])
+def test_a_queue_that_cannot_be_read_says_what_is_the_matter(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: Exception
+) -> None:
+    batch(tmp_path, "friction", 1)
+
+    def fail(*_: object) -> None:
+        raise error
+
+    monkeypatch.setattr("rig.page.night.status_of", fail)
+    assert night(tmp_path) == {"problem": f"the batch friction cannot be read: {error}"}
 
 
 def test_every_run_that_was_retried_is_counted_also_those_that_are_not_listed(

@@ -1,4 +1,4 @@
-"""STOP and "Make safe" where the disk of the results gives no answer."""
+"""STOP and "Make safe" where the disk of the results, or make-safe itself, gives no answer."""
 
 from __future__ import annotations
 

@@ -2,11 +2,12 @@
 // nothing. Text from files goes into the page as text only, never as markup.
 "use strict";
 
-const BIN_S = 0.05, KEPT = 3600, MOST_EVENTS = 200, LOST_MS = 2500, OLD_S = 2;
+const BIN_S = 0.05, KEPT = 3600, MOST_EVENTS = 200, LOST_MS = 2500, OLD_S = 2, NIGHT_OLD_S = 20;
 const $ = id => document.getElementById(id);
 const token = takeToken();
 let series = {}, curve = [], events = [], spectrum = null, generation = -1, charts = {};
 let last = null, lastFrameAt = performance.now(), paused = false, night = {}, tab = "now", made = null, listed = "", asked = "", chosen = "", refused = false, fresh = false;
+let nightAt = "", nightOld = "", reading = {};
 
 function takeToken() {
   const given = new URLSearchParams(location.hash.slice(1)).get("token");
@@ -175,7 +176,7 @@ function show() {
 
 function showFacts(run) {
   const facts = [];
-  if (night.running) facts.push(["batch", `${night.name}: ${ended(night.runs)} of ${total(night.runs)} runs over`]);
+  if (night.running) facts.push(["batch", `${night.name}: ${ended(night.runs)} of ${total(night.runs)} runs over${nightOld ? " (old)" : ""}`]);
   if (run.procedure) {
     const died = !run.end && !last.holder; // it has no point and no time left, whatever it had planned
     facts.push(["run", run.procedure + (run.end ? ` (${run.end.status}, exit ${run.end.exit})` : died ? " (interrupted)" : "")]);
@@ -438,12 +439,26 @@ addEventListener("keydown", event => {
 
 // --- the night ----------------------------------------------------------------------------------
 
-async function readNight() {
-  try {
-    const answer = await ask("/api/night");
-    if (answer.ok) night = await answer.json();
-  } catch (error) { return; }
-  if (tab === "night") showNight();
+async function single(what, read) { // one at a time: a browser has few connections, of which STOP needs one
+  if (reading[what]) return;
+  reading[what] = true;
+  try { await read(); } finally { reading[what] = false; }
+}
+
+function readNight() {
+  return single("night", async () => {
+    let why = "";
+    try {
+      const answer = await ask("/api/night", {signal: AbortSignal.timeout(1000 * NIGHT_OLD_S)});
+      if (answer.ok) {
+        night = await answer.json();
+        if (night.age_s > NIGHT_OLD_S) why = "the batch's folder gives no answer";
+        else nightAt = new Date().toLocaleTimeString("en-GB");
+      } else why = `the page's server answered with an error (${answer.status})`;
+    } catch (error) { why = "the page's server gave no answer"; }
+    nightOld = why && `This view is old${nightAt && `, of ${nightAt} by this browser's clock`}: ${why}.`;
+    if (tab === "night") showNight();
+  });
 }
 
 function table(of, heads, rows) {
@@ -471,9 +486,9 @@ function ended(runs) { // those that are not repeated
 
 function showNight() {
   const body = $("night-body");
-  if (night.problem) return body.replaceChildren(element("p", night.problem, {class: "warning"}));
-  if (!night.name) return body.replaceChildren(element("p", "There is no batch in this folder."));
-  const parts = [];
+  const parts = nightOld ? [element("p", nightOld, {class: "warning"})] : [];
+  if (night.problem) return body.replaceChildren(...parts, element("p", night.problem, {class: "warning"}));
+  if (!night.name) return body.replaceChildren(...(nightOld ? parts : [element("p", "There is no batch in this folder.")]));
   for (const text of night.bench_warnings) parts.push(element("p", text, {class: "warning"}));
   parts.push(element("h2", `${night.simulated ? "SIMULATED " : ""}batch ${night.name}: ${night.state}${night.running ? "" : " (not running)"}`));
   parts.push(element("progress", undefined, {max: total(night.runs), value: ended(night.runs)}));
@@ -615,7 +630,7 @@ matchMedia("(prefers-color-scheme: dark)").addEventListener("change", redrawAll)
 addEventListener("unhandledrejection", event => notice(`The page failed: ${event.reason}. Reload it.`));
 setInterval(showWord, 500);
 setInterval(readNight, 5000);
-setInterval(() => { if (tab === "history") readHistory(); }, 5000);
+setInterval(() => { if (tab === "history") single("history", readHistory); }, 5000);
 $("stop").disabled = false; // until the first frame says who may stop
 readNight();
 watch();
