@@ -25,8 +25,8 @@ from numpy.typing import NDArray
 from rig.control.speed_bound import largest_speed_mm_s
 
 STIFFEST_N_mm = 250.0
-"""Stiffest contact of skin and object expected below 10 N, in N/mm. A plate on the reference skin
-has 206 N/mm at 12 N."""
+"""Stiffest contact of skin and object expected below 10 N, in N/mm, where the fixture states none
+that is stiffer. A plate on the reference skin has 206 N/mm at 12 N."""
 CLOSING = 4.0
 """Time in which the missing force falls to 1/e, in delays. It leaves room for a stiffness of 1.4
 times the measured one, which is needed because the stiffness of a skin rises with the force."""
@@ -154,8 +154,9 @@ class Approach:
         fastest_mm_s: float = math.inf,
         stage_mm_s: float = math.inf,
     ):
-        """`fastest_mm_s` bounds every speed after touch; the search has a bound of its own, and
-        that of the stage, `stage_mm_s`."""
+        """`stiffest_N_mm` is the stiffest contact that the fixture can make. `fastest_mm_s` bounds
+        every speed after touch; the search has a bound of its own, and that of the stage,
+        `stage_mm_s`."""
         self.target_N = target_N
         self._ahead_s = max(AHEAD_s, 3 * tick_s)
         self._acceleration, self._fastest_mm_s = acceleration_mm_s2, fastest_mm_s
@@ -165,6 +166,10 @@ class Approach:
         )
         self.search_mm_s = min(bound_mm_s, stage_mm_s)
         """Speed of the search for contact, in mm/s."""
+        # A fixture that states a softer contact may be wrong, and what is assumed too soft presses
+        # too hard. So what is stated makes the closing slower, never faster.
+        self._assumed_N_mm = max(stiffest_N_mm, STIFFEST_N_mm)
+        """Stiffness assumed until enough points were measured, in N/mm."""
         self._stiffness = ContactStiffness()
         self._touched = False
         self._latest_N = 0.0
@@ -173,13 +178,15 @@ class Approach:
     def stiffness_N_mm(self) -> float:  # noqa: N802
         """Stiffness at the force reached so far, in N/mm. Pass it to the servo after the approach.
 
-        It is at least the secant stiffness since touch. A contact stiffens as it is pressed, and
-        the few points that an overloaded computer has recorded may have any slope.
+        Until it can be measured, it is the stiffest that is expected. The measured one is at least
+        the secant stiffness since touch, as far as such a contact is expected: a contact stiffens
+        as it is pressed, and the few points that an overloaded computer has recorded may have any
+        slope.
         """
         known = self._stiffness.at_N_mm(self._latest_N) if self._touched else None
         if known is None:
-            return STIFFEST_N_mm
-        return max(known, min(self._stiffness.secant_N_mm(), STIFFEST_N_mm))
+            return self._assumed_N_mm
+        return max(known, min(self._stiffness.secant_N_mm(), self._assumed_N_mm))
 
     def step(
         self,

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from pressed_skin import press_and_slide
 
+from drivers.simulated.world.axis import AxisCommand, Mechanics, SimulatedAxis
 from rig.control.approach import (
     Approach,
     ContactStiffness,
@@ -234,6 +235,58 @@ def test_nothing_is_said_of_a_contact_that_was_not_felt() -> None:
     step = approach.step(0.0, 0.0, -0.003, 0.01)
     assert not step.touched
     assert step.speed_mm_s == pytest.approx(largest_speed_mm_s(2.0, STIFFEST_N_mm, 0.015, 200.0))
+
+
+def approached(
+    spring_N_mm: float, tick_ms: int, **stated: float
+) -> tuple[list[tuple[float, float]], float]:
+    """Speed and lead of every step towards `TARGET_N` on a spring, and the largest force in N. A
+    command takes 2 ms, a force is 2.5 ms old, and the axis has counts of 0.1 um."""
+    axis = SimulatedAxis(Mechanics(start_mm=9.98), lambda position, t: 0.0)
+    approach = Approach(TARGET_N, 1e-3 * tick_ms, 0.0045, **stated)
+    place_mm = lambda us: axis.position(us) - 10.0  # noqa: E731
+    steps, forces, orders = [], [0.0] * 26, []
+    arrived_us = math.inf
+    for now_us in range(0, 10_000_000, 100):
+        if now_us % (1000 * tick_ms) == 0 and now_us < arrived_us:
+            here_mm = place_mm(now_us)
+            step = approach.step(1e-6 * now_us, here_mm, 1e-6 * now_us - 0.0025, forces[-26])
+            steps.append((step.speed_mm_s, step.ahead_mm))
+            target_mm = 10.0 + round((here_mm + step.ahead_mm) / 1e-4) * 1e-4
+            speed_mm_s = max(step.speed_mm_s, 1e-3)
+            orders.append((now_us + 2000, AxisCommand(target_mm, speed_mm_s, 200.0, 200.0)))
+            arrived_us = now_us if step.arrived else math.inf
+        if orders and orders[0][0] <= now_us:
+            axis.move(now_us, orders.pop(0)[1])
+        forces.append(max(0.0, spring_N_mm * place_mm(now_us + 100)))
+        if now_us > arrived_us + 100_000:
+            return steps, max(forces)
+    raise AssertionError("it has not arrived")
+
+
+@pytest.mark.parametrize("tick_ms", [2, 10])
+@pytest.mark.parametrize("stiffest_N_mm", [1000.0, 2000.0])
+def test_a_contact_as_stiff_as_stated_is_pressed_with_no_more_than_its_force(
+    stiffest_N_mm: float, tick_ms: int
+) -> None:
+    """Also in the first ticks, before its stiffness is known: with 250 N/mm assumed there, the
+    force reached 4.6 to 7.6 N."""
+    _, largest_N = approached(stiffest_N_mm, tick_ms, stiffest_N_mm=stiffest_N_mm)
+    assert largest_N < 1.02 * TARGET_N
+
+
+@pytest.mark.parametrize("spring_N_mm", [40.0, 160.0, 400.0])
+def test_what_is_stated_makes_the_closing_slower_and_never_faster(spring_N_mm: float) -> None:
+    """A contact that is softer by its bench file than by its skin must not be pressed too hard. The
+    search has always followed what is stated."""
+    usual, _ = approached(spring_N_mm, 10)
+    stated, _ = approached(spring_N_mm, 10, stiffest_N_mm=STIFFEST_N_mm)
+    assert stated == usual
+    softer, stiffer = (Approach(TARGET_N, 0.01, 0.0045, stiffest_N_mm=k) for k in (80.0, 1000.0))
+    first = [one.step(0.0, 0.0, 0.0, 1.0).speed_mm_s for one in (softer, stiffer)]
+    assumed = [closing_speed_mm_s(3.0, k, 0.0145) for k in (STIFFEST_N_mm, 1000.0)]
+    assert first == pytest.approx(assumed)
+    assert [one.stiffness_N_mm for one in (softer, stiffer)] == [STIFFEST_N_mm, 1000.0]
 
 
 CORNERS = [(0.3, 2.0), (0.3, 8.0), (1.2, 4.0), (1.2, 8.0)]
