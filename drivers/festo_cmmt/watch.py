@@ -64,7 +64,11 @@ class CmmtWatch:
         self.acknowledged = False
         """True if the drive has shown that it has taken that task."""
         self.travel = TravelBound(
-            "mm", settings.max_speed_mm_s, settings.low_limit_mm, settings.high_limit_mm
+            "mm",
+            settings.max_speed_mm_s,
+            settings.low_limit_mm,
+            settings.high_limit_mm,
+            settings.position_unit_mm,
         )
         """Where the axis can be."""
 
@@ -128,6 +132,7 @@ class CmmtWatch:
         self.motion = MotionWatch.towards(
             self._mm(target),
             self._mm(self.seen.position),
+            speed_mm_s,
             MAX_OVERTRAVEL_mm + braking_mm,
             distance_mm / speed_mm_s + ramps_s + SETTLING_S,
             self._clock.now(),

@@ -56,7 +56,11 @@ class AzWatch:
         self.motion: MotionWatch | None = None
         """The motion under way; None if there is none. Another thread's stop clears it."""
         self.travel = TravelBound(
-            "mm", settings.max_speed_mm_s, settings.low_limit_mm, settings.high_limit_mm
+            "mm",
+            settings.max_speed_mm_s,
+            settings.low_limit_mm,
+            settings.high_limit_mm,
+            1 / settings.steps_per_mm,
         )
         """Where the axis can be."""
         self._position = AzPosition(0, 0)
@@ -162,7 +166,7 @@ class AzWatch:
         if not fresh:  # it may have to pass the new target, brake and come back
             overtravel_mm += unseen_mm + braking_mm(own)
         most_s = longest_s(own, abs(target_mm - from_mm) + unseen_mm, speed_mm_s)
-        watch = MotionWatch.towards(target_mm, from_mm, overtravel_mm, most_s, now_s)
+        watch = MotionWatch.towards(target_mm, from_mm, speed_mm_s, overtravel_mm, most_s, now_s)
         self.motion = watch  # another thread may drop it at once
         return watch
 

@@ -228,14 +228,22 @@ class MotionWatch:
     """Longest time in s that the motion may take."""
     begun_at_s: float
     """Bench time at which it was sent; a driver sets it again when the stage has acknowledged."""
+    speed: float
+    """The commanded speed, in units a second; 0 where it is not known."""
 
     @classmethod
     def towards(
-        cls, target: float, position: float, overtravel: float, longest_s: float, begun_at_s: float
+        cls,
+        target: float,
+        position: float,
+        speed: float,
+        overtravel: float,
+        longest_s: float,
+        begun_at_s: float,
     ) -> Self:
-        """Return the watch over a motion from `position` to `target`."""
+        """Return the watch over a motion from `position` to `target` at `speed`."""
         direction = (target > position) - (target < position)
-        return cls(target, direction, overtravel, longest_s, begun_at_s)
+        return cls(target, direction, overtravel, longest_s, begun_at_s, speed)
 
     @property
     def arrive_by_s(self) -> float:
@@ -254,13 +262,30 @@ BEYOND = 0.1
 """How far an axis may be seen beyond where it can be, in mm or deg: the resolution of encoders and
 the time between a position and its answer."""
 STANDS_S = 0.8
-"""How long an axis with a motion under way may stand before its target: much longer than a drive
-takes to begin."""
+"""How long an axis with a motion under way may stand before its target, unless it is slow: much
+longer than a drive takes to begin."""
+UNSEEN_WAYS = 3.0
+"""How long a slow axis may be seen at one place: the time in which it goes this many times the
+shortest way that shows. A sound one takes two at most."""
 STANDS_WITHIN = 0.01
 """Distance from its target at which an axis may stand, in mm or deg: drives take it to have
-arrived there."""
+arrived there. With coarser steps than this one may stand at the next step."""
 LEAST_WAY = 0.0005
 """Way that is not yet a motion, in mm or deg: noise of an encoder."""
+
+
+@dataclass
+class Standing:
+    """A place at which an axis is seen although a motion is under way."""
+
+    position: float
+    since_s: float
+    """Bench time since when it has been seen there."""
+    judged_s: float
+    """Bench time at which it was last judged."""
+    used: float = 0.0
+    """Share of the time for which it may stand that has passed. The commanded speed may change from
+    tick to tick, and that time with it."""
 
 
 class TravelBound:
@@ -277,16 +302,16 @@ class TravelBound:
     judged.
     """
 
-    def __init__(self, unit: str, highest_speed: float, low: float, high: float):
+    def __init__(self, unit: str, highest_speed: float, low: float, high: float, resolution: float):
+        """`resolution` is the step of the positions that the stage reports."""
         self._unit, self._highest_speed = unit, highest_speed
         self._low, self._high = low, high
+        self._resolution = resolution
         self._latest: tuple[float, float] | None = None
         """The latest position, and when it was asked for."""
         self.misreadings = 0
         """Number of positions that could not be and that the next answer did not confirm."""
-        self._stands: tuple[float, float] | None = None
-        """Where the axis stands although a motion is under way, and since when it has been seen
-        there."""
+        self._stands: Standing | None = None
 
     def forget(self) -> None:
         """Compare nothing with earlier positions: the reference changes."""
@@ -363,21 +388,32 @@ class TravelBound:
         self, position: float, asked_s: float, now_s: float, motion: MotionWatch
     ) -> str | None:
         """Return the cause where the axis has stood before its target for too long."""
-        if abs(position - motion.target) <= STANDS_WITHIN:
+        if abs(position - motion.target) <= max(STANDS_WITHIN, 1.5 * self._resolution):
             self._stands = None
             return None
-        if self._stands is None or abs(position - self._stands[0]) > LEAST_WAY:
-            self._stands = position, now_s
+        stands = self._stands
+        if stands is None or abs(position - stands.position) > LEAST_WAY:
+            self._stands = Standing(position, since_s=now_s, judged_s=now_s)
             return None
-        stands_s = asked_s - self._stands[1]
-        if stands_s < STANDS_S:
+        # Another thread may have judged a later position meanwhile.
+        stands.used += max(0.0, asked_s - stands.judged_s) / self._may_stand_s(motion)
+        stands.judged_s = max(stands.judged_s, asked_s)
+        if stands.used < 1:
             return None
         self._stands = None
         return (
             f"does not do what its drive acknowledges: it has stood at {self._show(position)} for "
-            f"{stands_s:.1f} s on the way to {self._show(motion.target)}: its torque limit holds "
-            "it, or something in the way, or its encoder stands still"
+            f"{asked_s - stands.since_s:.1f} s on the way to {self._show(motion.target)}: its "
+            "torque limit holds it, or something in the way, or its encoder stands still"
         )
+
+    def _may_stand_s(self, motion: MotionWatch) -> float:
+        """Return how long the axis may be seen at one place: a slow one until its next step shows,
+        and no longer than its motion may take."""
+        if not motion.speed > 0:
+            return STANDS_S
+        unseen_s = UNSEEN_WAYS * max(self._resolution, LEAST_WAY) / motion.speed
+        return max(STANDS_S, min(unseen_s, motion.longest_s))
 
     def _inside(self, position: float) -> bool:
         return self._low - BEYOND <= position <= self._high + BEYOND

@@ -87,6 +87,7 @@ class ZaberAxis:
             settings.max_speed_deg_s,
             settings.low_limit_deg,
             settings.high_limit_deg,
+            settings.microstep_deg,
         )
         self._asked_at_s = -math.inf
         self._seen_deg = 0.0
@@ -332,6 +333,7 @@ class ZaberAxis:
         return MotionWatch.towards(
             angle_deg,
             self._seen_deg,
+            speed_deg_s,
             overtravel_deg,
             passing_s + turning_s + SETTLING_S,
             self._clock.now(),

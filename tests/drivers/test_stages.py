@@ -142,6 +142,43 @@ def test_a_stage_that_runs_past_its_target_is_stopped_and_reported(case: Any) ->
         assert 12.5 < it.position < 14.9, "one poll, and the braking distance"
 
 
+@EVERY
+@pytest.mark.parametrize("changed", [False, True], ids=["one motion", "a target every tick"])
+def test_a_slow_motion_whose_steps_are_far_apart_is_not_taken_for_a_standstill(
+    case: Any, changed: bool
+) -> None:
+    with running(case) as it:
+        begin, begun_s = it.seen(), it.clock.now()
+        it.start(begin + 0.1, it.slow)
+        for _ in range(150):
+            it.clock.sleep(0.02)
+            if changed:
+                it.start(begin + 0.1, it.slow)
+            it.seen()
+        assert it.stage.moving()
+        gone = it.slow * (it.clock.now() - begun_s)
+        assert it.position == pytest.approx(begin + gone, rel=0.1, abs=2e-4)
+
+
+@EVERY
+@pytest.mark.parametrize("changed", [False, True], ids=["one motion", "a target every tick"])
+def test_a_slow_stage_that_is_stuck_is_found(case: Any, changed: bool) -> None:
+    with running(case, {"kind": "stuck", "move": 1}) as it:
+        begin, begin_s = it.seen(), it.clock.now()
+
+        def wait() -> None:
+            it.start(begin + 0.1, it.slow)
+            while it.clock.now() < begin_s + 20.0:
+                it.clock.sleep(0.02)
+                if changed:
+                    it.start(begin + 0.1, it.slow)
+                it.seen()
+
+        with pytest.raises(InstrumentError):
+            wait()
+        assert it.clock.now() - begin_s < 5.0
+
+
 # --- stopping --------------------------------------------------------------------------------
 
 

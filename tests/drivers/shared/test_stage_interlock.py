@@ -346,7 +346,7 @@ def test_a_broken_connection_is_tried_once_more_and_a_silent_one_is_not(
 def test_a_motion_has_passed_its_target_only_beyond_it(
     begin: float, target: float, seen: float, passed: bool
 ) -> None:
-    watch = MotionWatch.towards(target, begin, 0.1, 2.0, 5.0)
+    watch = MotionWatch.towards(target, begin, 1.0, 0.1, 2.0, 5.0)
     assert watch.has_passed(seen) is passed
     assert watch.arrive_by_s == 7.0
 

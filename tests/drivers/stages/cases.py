@@ -25,6 +25,8 @@ class StageCase(ABC):
     quantities: ClassVar[tuple[str, str]] = ("position", "speed")
     """What errors call where a motion ends and how fast it is."""
     noun: ClassVar[str] = "axis"
+    slow: ClassVar[float] = 0.001
+    """A speed at which the reported position stands for more than a second between two steps."""
     stage: Any
     clock: BenchClock
 
@@ -167,6 +169,7 @@ class ZaberCase(StageCase):
     name = "zaber-rst"
     quantities = ("angle", "speed")
     noun = "stage"
+    slow = 0.0004
 
     def __init__(self, it: zaber.Service):
         self._it, self.clock, self.stage = it, it.clock, it.connect()
