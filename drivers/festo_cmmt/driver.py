@@ -60,7 +60,7 @@ from drivers.festo_cmmt.images import (
     gives_way,
     task_is_taken,
 )
-from drivers.festo_cmmt.link import OUTPUT_IMAGE, CmmtLink
+from drivers.festo_cmmt.link import OUTPUT_IMAGE, CmmtLink, CmmtRefusalError
 from drivers.festo_cmmt.preparation import (
     TORQUE,
     ask_serial_number,
@@ -211,7 +211,8 @@ class FestoAxis:
         limits = self.limits()
         limits["position"].require(self._device, "position", position_mm)
         limits["speed"].require(self._device, "speed", speed_mm_s)
-        fresh = self._watch.motion is None or not self._watch.acknowledged
+        before = self._watch.motion if self._watch.acknowledged else None
+        fresh = before is None
         if fresh:
             self._prepare_task(ticket)
         else:
@@ -225,12 +226,16 @@ class FestoAxis:
             target=target,
             speed=round(speed_mm_s / own.speed_unit_mm_s),
         )
-        # Before it is sent: a task whose answer is lost has to be watched all the same.
-        self._watch.begin(target, speed_mm_s, fresh)
+        # Before it is sent: a task whose answer is lost has to be watched all the same. It is then
+        # not known which target an axis under way has; one that runs past the new one is stopped.
+        motion = self._watch.begin(target, speed_mm_s, fresh)
         try:
             self._send(wish, ticket, "move")
-        except MotionRefusedError:
+        except MotionRefusedError:  # what stops the axis ends the motion of before as well
             self._watch.motion = None
+            raise
+        except CmmtRefusalError:
+            self._watch.take_back(motion, before, ticket)
             raise
         if fresh:
             self._await(

@@ -269,7 +269,7 @@ class CmmtLink:
                 raise self._timed_out(what, charge) from failed
             raise self._broken(what, f"{type(failed).__name__}: {failed}") from failed
         if reply.isError():
-            raise InstrumentError(
+            raise CmmtRefusalError(
                 self.device,
                 what,
                 f"the drive refused it (Modbus exception {reply.exception_code})",
@@ -327,6 +327,10 @@ class CmmtLink:
             f"the connection failed ({cause})",
             f"check that {self.where} is switched on and reachable",
         )
+
+
+class CmmtRefusalError(InstrumentError):
+    """The drive answered with an exception: it refused the request."""
 
 
 class ParameterRefusedError(InstrumentError):

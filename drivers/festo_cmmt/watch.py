@@ -13,6 +13,7 @@ from drivers.shared.stage import (
     STOPPED_BY_OTHERS,
     MotionWatch,
     StageInterlock,
+    Ticket,
     TravelBound,
 )
 from rig.core.clock import Clock
@@ -121,15 +122,15 @@ class CmmtWatch:
 
     # --- the task under way -------------------------------------------------------------------
 
-    def begin(self, target: int, speed_mm_s: float, fresh: bool) -> None:
+    def begin(self, target: int, speed_mm_s: float, fresh: bool) -> MotionWatch:
         """Begin to watch over a motion from the last known position to `target`, in the drive's
-        units. `fresh`: it is a new task, which the drive has still to take."""
+        units; return the watch. `fresh`: it is a new task, which the drive has still to take."""
         own = self._settings
         distance_mm = abs(self._mm(target - self.seen.position))
         ramps_s = 4 * own.max_speed_mm_s / min(own.acceleration_mm_s2, own.deceleration_mm_s2)
         # An axis that moves already may have to pass the new target, brake and come back.
         braking_mm = 0.0 if fresh else own.max_speed_mm_s**2 / (2 * own.deceleration_mm_s2)
-        self.motion = MotionWatch.towards(
+        watch = MotionWatch.towards(
             self._mm(target),
             self._mm(self.seen.position),
             speed_mm_s,
@@ -137,7 +138,21 @@ class CmmtWatch:
             distance_mm / speed_mm_s + ramps_s + SETTLING_S,
             self._clock.now(),
         )
+        self.motion = watch  # another thread may drop it at once
         self.acknowledged = not fresh
+        return watch
+
+    def take_back(self, refused: MotionWatch, before: MotionWatch | None, ticket: Ticket) -> None:
+        """Watch over the motion of before again: the drive has refused `refused`, and an axis under
+        way keeps its old target. None is an axis at rest.
+
+        What has ended the motion meanwhile, a reading or a stop, stays in force.
+        """
+        if self.motion is not refused:
+            return
+        self.motion = before
+        if self._interlock.has_stopped(ticket):  # it may have dropped the motion before this did
+            self.motion = None
 
     def moves(self) -> bool:
         """Return whether a motion is under way; raises InstrumentError for a fault and for a motion

@@ -187,7 +187,8 @@ class AzAxis:
         limits = self.limits()
         limits["position"].require(self._device, "position", position_mm)
         limits["speed"].require(self._device, "speed", speed_mm_s)
-        fresh = self._watch.motion is None
+        before = self._watch.motion
+        fresh = before is None
         if fresh:
             ticket = self._prepare_motion(ticket)
         else:
@@ -195,17 +196,18 @@ class AzAxis:
             if self._watch.state_age >= OVERDUE:
                 self._watch.own_state()
         target = round(position_mm * self._settings.steps_per_mm)
-        # Before it is sent: a motion whose answer is lost has to be watched all the same.
+        # Before it is sent: a motion whose answer is lost has to be watched all the same. It is not
+        # known then which target an axis under way has; one that runs past the new one is stopped.
         motion = self._watch.begin(target, speed_mm_s, fresh)
         # Two lengths in turn: a doubled answer does not fit the next write.
         numbered = self._readings.next_turn() == 0
         try:
             self._send(*operation(self._settings, target, speed_mm_s, numbered), ticket, "move")
-        except MotionRefusedError:
+        except MotionRefusedError:  # what stops the axis ends the motion of before as well
             self._watch.motion = None
             raise
         except AzRefusalError as refused:
-            self._watch.motion = None
+            self._watch.take_back(motion, before, ticket)
             raise self._why_refused(refused) from refused
         motion.begun_at_s = self._clock.now()  # it may have waited for the line
         if not self._current_checked:
@@ -406,8 +408,10 @@ class AzAxis:
             self._clock.sleep(poll_s)
 
     def _why_refused(self, refused: AzRefusalError) -> InstrumentError:
-        """Return the error for a motion that the drive refused to start."""
+        """Return the error for a motion that the drive refused to start. Where a stop stands, none
+        is under way."""
         if self._watch.sound_state().inputs & AzInput.STOP:
+            self._watch.motion = None
             return self._watch.error("move", _HELD_BY_OTHERS, "stop the axis first, which lifts it")
         return refused
 

@@ -15,6 +15,7 @@ from drivers.shared.stage import (
     MotionWatch,
     StageInterlock,
     StageState,
+    Ticket,
     TravelBound,
 )
 from rig.core.clock import Clock
@@ -169,6 +170,18 @@ class AzWatch:
         watch = MotionWatch.towards(target_mm, from_mm, speed_mm_s, overtravel_mm, most_s, now_s)
         self.motion = watch  # another thread may drop it at once
         return watch
+
+    def take_back(self, refused: MotionWatch, before: MotionWatch | None, ticket: Ticket) -> None:
+        """Watch over the motion of before again: the drive has refused `refused`, and an axis under
+        way keeps its old target. None is an axis at rest.
+
+        What has ended the motion meanwhile, a reading or a stop, stays in force.
+        """
+        if self.motion is not refused:
+            return
+        self.motion = before
+        if self._interlock.has_stopped(ticket):  # it may have dropped the motion before this did
+            self.motion = None
 
     def moves(self) -> bool:
         """Return whether a motion is under way; raises InstrumentError for an alarm and for a

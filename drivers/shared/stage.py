@@ -134,10 +134,14 @@ class StageInterlock:
         stop that is not the motion's own has begun since the ticket was taken.
         """
         self.require_armed(command)
-        with self._changed:
-            stopped = self._stops != ticket.stops or self._stopping > 0
-        if stopped:
+        if self.has_stopped(ticket):
             raise self._refusal(command, "stopped", "begin the motion again")
+
+    def has_stopped(self, ticket: Ticket) -> bool:
+        """Return whether a stop that is not the motion's own has begun since the ticket was
+        taken."""
+        with self._changed:
+            return self._stops != ticket.stops or self._stopping > 0
 
     def require_armed(self, command: str) -> None:
         """Raise MotionRefusedError, naming `command`, where the stage has been made safe."""

@@ -178,7 +178,8 @@ class ZaberAxis:
         ticket = self._interlock.ticket()
         self._require_reach(angle_deg, speed_deg_s, acceleration_deg_s2)
         self._require_undisturbed()
-        fresh = self._motion is None
+        before = self._motion
+        fresh = before is None
         if fresh:
             self._poll()
             if doubt := self._doubts():
@@ -189,12 +190,18 @@ class ZaberAxis:
             f"{own.acceleration_data(acceleration_deg_s2)}"
         )
         self._interlock.require_armed("turn")
-        # Set before it is sent: a turn whose answer is lost has to be watched all the same.
-        self._motion = self._watch(angle_deg, speed_deg_s, acceleration_deg_s2, fresh)
+        # Set before it is sent: a turn whose answer is lost has to be watched all the same. It is
+        # then not known which target a stage under way has; one that runs past the new one is
+        # stopped.
+        motion = self._watch(angle_deg, speed_deg_s, acceleration_deg_s2, fresh)
+        self._motion = motion  # another thread may drop it at once
         try:
             reply = self._move(words, ticket, "turn")
-        except (MotionRefusedError, ZaberRejectionError):
+        except MotionRefusedError:  # what stops the stage ends the turn of before as well
             self._motion = None
+            raise
+        except ZaberRejectionError:
+            self._take_back(motion, before, ticket)
             raise
         if self._note(reply.flag):
             with contextlib.suppress(InstrumentError):  # the flag is what has to be reported
@@ -338,6 +345,18 @@ class ZaberAxis:
             passing_s + turning_s + SETTLING_S,
             self._clock.now(),
         )
+
+    def _take_back(self, refused: MotionWatch, before: MotionWatch | None, ticket: Ticket) -> None:
+        """Watch over the motion of before again: the stage has rejected `refused`, and one
+        under way keeps its old target. None is a stage at rest.
+
+        What has ended the motion meanwhile, a reading or a stop, stays in force.
+        """
+        if self._motion is not refused:
+            return
+        self._motion = before
+        if self._interlock.has_stopped(ticket):  # it may have dropped the motion before this did
+            self._motion = None
 
     def _halt(self, rearm: bool = False) -> None:
         """Stop and wait for rest; flags are not reported meanwhile."""

@@ -179,6 +179,87 @@ def test_a_slow_stage_that_is_stuck_is_found(case: Any, changed: bool) -> None:
         assert it.clock.now() - begin_s < 5.0
 
 
+# --- a target that the stage refuses ---------------------------------------------------------
+
+REFUSED = "refused it|rejected with"
+
+
+def refuse(it: StageCase, target: float) -> None:
+    """The stage refuses this target."""
+    with it.refusing(), pytest.raises(InstrumentError, match=REFUSED):
+        it.start(target, 10.0)
+
+
+@EVERY
+def test_a_motion_whose_new_target_is_refused_ends_at_its_old_one(case: Any) -> None:
+    with running(case) as it:
+        it.start(20.0, 10.0)
+        it.clock.sleep(0.5)
+        refuse(it, 5.0)
+        while it.stage.moving():
+            it.clock.sleep(0.02)
+        assert it.position == pytest.approx(20.0, abs=CLOSE)
+        assert_can_move(it)
+
+
+@EVERY
+def test_a_motion_whose_new_target_is_refused_is_judged_by_its_old_one(case: Any) -> None:
+    """It moves on to that one, and must not do so unwatched."""
+    with running(case, {"kind": "runaway", "move": 2, "after_s": 0.1}) as it:
+        it.go(20.0, 20.0)
+
+        def wait() -> None:
+            it.start(15.0, 10.0)
+            refuse(it, 18.0)
+            end_s = it.clock.now() + 3.0
+            while it.clock.now() < end_s:
+                it.clock.sleep(0.02)
+                it.seen()
+
+        with pytest.raises(InstrumentError, match=r"ran past its target: .* on the way to 15"):
+            wait()
+        it.stage.stop()
+        assert it.speed == 0
+        assert 12.5 < it.position < 14.9, "one poll, and the braking distance"
+
+
+@EVERY
+def test_a_stage_at_rest_that_refuses_a_motion_may_stand_there(case: Any) -> None:
+    with running(case) as it:
+        refuse(it, 20.0)
+        for _ in range(60):
+            it.clock.sleep(0.02)
+            it.seen()
+        assert not it.stage.moving()
+        assert_can_move(it)
+
+
+@EVERY
+@pytest.mark.parametrize("moment", ["before", "within"])
+def test_a_stop_that_meets_a_refusal_leaves_no_motion_to_be_judged(case: Any, moment: str) -> None:
+    """By another thread, after the refusal: before the driver looks at what is under way, and
+    between that look and its going back to the old target."""
+    with running(case) as it:
+        it.start(60.0, 10.0)
+        it.clock.sleep(0.5)
+        owner, act = it.watch_owner, "_take_back" if case.name == "zaber-rst" else "take_back"
+        attribute = "_motion" if case.name == "zaber-rst" else "motion"
+        usual = getattr(owner, act)
+
+        def stop_first(refused: Any, before: Any, ticket: Any) -> None:
+            elsewhere(it.stage.stop)
+            if moment == "within":  # as if the stop had come after the look
+                setattr(owner, attribute, refused)
+            usual(refused, before, ticket)
+
+        setattr(owner, act, stop_first)
+        refuse(it, 5.0)
+        delattr(owner, act)
+        assert getattr(owner, attribute) is None
+        assert_stands(it)
+        assert_can_move(it)
+
+
 # --- stopping --------------------------------------------------------------------------------
 
 

@@ -11,6 +11,8 @@ from contextlib import AbstractContextManager, contextmanager
 from typing import Any, ClassVar
 
 from drivers.shared.stage import MotionWatch
+from drivers.simulated.instruments.zaber_rst import _RejectedError
+from drivers.simulated.transports.modbus_tcp import ModbusError
 
 from . import az, festo, zaber
 from .clock import BenchClock
@@ -55,6 +57,30 @@ class StageCase(ABC):
     @abstractmethod
     def said(self) -> Sequence[str]:
         """What went over the wire since this was last asked, oldest first."""
+
+    @property
+    @abstractmethod
+    def refusal(self) -> tuple[object, str, Exception]:
+        """Which method of the simulated stage takes a motion, and what it raises to refuse one."""
+
+    @contextmanager
+    def refusing(self) -> Iterator[None]:
+        """Within it the stage answers to the first motion that it refuses it."""
+        owner, name, refused = self.refusal
+        usual = getattr(owner, name)
+
+        def refuse(*given: Any) -> None:
+            setattr(owner, name, usual)
+            raise refused
+
+        setattr(owner, name, refuse)
+        yield
+        assert getattr(owner, name) == usual, "a motion was sent"
+
+    @property
+    def watch_owner(self) -> Any:
+        """The object that keeps the watch over the motion under way."""
+        return self.stage._watch
 
     def let_pass(self, seconds: float) -> None:
         """Time passes, and the driver says nothing."""
@@ -130,6 +156,10 @@ class FestoCase(StageCase):
     def said(self) -> Sequence[str]:
         return self._it.wire.heard()
 
+    @property
+    def refusal(self) -> tuple[object, str, Exception]:
+        return self._it.wire, "write", ModbusError(4)
+
 
 class AzCase(StageCase):
     """One AZ drive."""
@@ -157,6 +187,10 @@ class AzCase(StageCase):
         said = list(self._it.line.said)
         self._it.line.said.clear()
         return said
+
+    @property
+    def refusal(self) -> tuple[object, str, Exception]:
+        return self._it.z, "write", ModbusError(4)
 
     @property
     def link_lock(self) -> AbstractContextManager[object]:
@@ -203,6 +237,14 @@ class ZaberCase(StageCase):
 
     def said(self) -> Sequence[str]:
         return self._it.wire.heard()
+
+    @property
+    def refusal(self) -> tuple[object, str, Exception]:
+        return self._it.stage, "_move", _RejectedError("BADDATA")
+
+    @property
+    def watch_owner(self) -> Any:
+        return self.stage
 
 
 CASES = (FestoCase, AzCase, ZaberCase)
