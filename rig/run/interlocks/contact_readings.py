@@ -48,8 +48,8 @@ class ContactReadings:
         """True while `read` is at work. A link's time-out lets bench time pass, in which others
         are called."""
         self._changed = threading.Condition()
-        self._turns = 0
-        """Number of readings by the threads."""
+        self._read = dict.fromkeys(self._by_role, 0)
+        """Number of readings by each thread that did not fail, by role."""
         self._ending = threading.Event()
         self._threads: list[threading.Thread] = []
 
@@ -95,30 +95,42 @@ class ContactReadings:
         finally:
             self.under_way = False
 
-    def await_new(self) -> None:
-        """Wait until every contact has been read after this call, `FRESH_S` at most; in real time
-        only."""
+    def await_new(self, are_needed: AreNeeded) -> None:
+        """Wait until every instrument has been read after this call, `FRESH_S` at most; in real
+        time only. Left out are those of whose contacts none is needed.
+
+        The first reading to come may have begun before the call. One that fails does not count.
+        """
         with self._changed:
-            awaited = self._turns + 2 * len(self._by_role)
-            self._changed.wait_for(lambda: self._turns >= awaited, FRESH_S)
+            awaited = {
+                role: self._read[role] + 2
+                for role, contacts in self._by_role.items()
+                if are_needed(contacts)
+            }
+            self._changed.wait_for(
+                lambda: all(self._read[role] >= number for role, number in awaited.items()), FRESH_S
+            )
 
     def _keep_reading(self, role: str) -> None:
         with self._clock.in_background():
             while not self._ending.wait(self._every_s[role]):
-                self._try_to_read(role)
-                with self._changed:
-                    self._turns += 1
-                    self._changed.notify_all()
+                if self._try_to_read(role):
+                    with self._changed:
+                        self._read[role] += 1
+                        self._changed.notify_all()
 
-    def _try_to_read(self, role: str) -> None:
+    def _try_to_read(self, role: str) -> bool:
+        """Read the contacts of one instrument; return whether they could be read."""
         try:
             self._read_instrument(role)
             self._failed.pop(role, None)
+            return True
         except RigError as error:
             self._failed[role] = error.one_line()
             self._failed_at_s = self._clock.now()
         except Exception as error:  # noqa: BLE001 - a driver's bug must not end the watch
             self._failed[role] = f"{type(error).__name__}: {error}"
+        return False
 
     def _read_instrument(self, role: str) -> None:
         """Read the contacts of one instrument. Raises InstrumentError."""

@@ -156,14 +156,15 @@ class InterlockWatch:
         return None
 
     def settle(self) -> None:
-        """Wait until every contact has been read after this call, or is treated as open: before a
-        failure is handled it has to be known whether a contact has caused it."""
+        """Wait until every contact has been read after this call, however slowly its instrument is
+        read, or is treated as open: before a failure is handled it has to be known whether a
+        contact has caused it."""
         if not self._begun:
             return
         if self._clock.is_virtual:
             self._readings.read(self._are_needed, all_now=True)
         else:
-            self._readings.await_new()
+            self._readings.await_new(self._are_needed)
         self._judge()
         self._report()
 
