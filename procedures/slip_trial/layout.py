@@ -7,9 +7,9 @@ from rig.files.journal.layout import Column, Layout, Plot, Trace
 
 FRICTION = (
     Column("static_friction", "", "Static friction coefficient"),
-    Column("static_friction_error", "", "Standard error"),
+    Column("static_friction_error", "", "Standard error: noise, and shift of the force zeros"),
     Column("kinetic_friction", "", "Kinetic friction coefficient"),
-    Column("kinetic_friction_error", "", "Standard error"),
+    Column("kinetic_friction_error", "", "Standard error: noise, and shift of the force zeros"),
     Column("no_friction", "", "Why there are no coefficients", "text"),
 )
 """Columns of what a slide shows of the friction."""
@@ -32,7 +32,7 @@ WEIGHT = (
 
 LAYOUT = Layout(
     definition="NXrig_slip_trial",
-    version="2",
+    version="3",
     columns=(
         *ASKED,
         Column("speed", "mm/s", "Speed of the slide", origin="set"),

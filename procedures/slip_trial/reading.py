@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from procedures.pressed.approach.tare import TARE_S
 from procedures.pressed.grip import grip_reading
 from procedures.pressed.record import reading as pressed_reading
 from procedures.pressed.record.trial_record import TrialRecord
@@ -135,14 +137,33 @@ def _ramp(
     }
 
 
+def zero_errors_N(  # noqa: N802 - the unit keeps its capital
+    run: Run, record: SlipTrialRecord
+) -> tuple[float, float]:
+    """Return the standard errors in N of the zeros of F_n and F_t.
+
+    Each is the shift that was found after the lift, the whole of it, because the moment at which
+    the zero moved is not known; and the error of the mean that was taken as the zero.
+    """
+    frames = max(1, round(TARE_S * record.force_rate_S_s))
+    of_tare_N = run.force.noise_N / math.sqrt(frames)
+    x, _, z = np.hypot(record.zero_shift_N, of_tare_N)
+    return float(z), float(x)
+
+
 def _friction(
     run: Run, record: SlipTrialRecord, t: npt.NDArray[np.float64], force: npt.NDArray[np.float64]
 ) -> Reading:
     times, x = record.looks_at_x()
     travel = np.abs(np.interp(t, times, x) - run.settings.start_mm)
     try:
-        rate_Hz = record.force_rate_S_s
-        found = friction(force[:, 0], np.abs(force[:, 1]), travel, rate_Hz=rate_Hz)
+        found = friction(
+            force[:, 0],
+            np.abs(force[:, 1]),
+            travel,
+            zero_errors_N(run, record),
+            rate_Hz=record.force_rate_S_s,
+        )
     except FrictionError as error:
         # A weight that holds does not slide, and is not to slide further.
         holds = run.settings.hold_at_N is not None and record.weight_rested

@@ -123,10 +123,13 @@ def friction(
     stretch = _stretch(ratio, rough, rate_Hz)
     block = max(SHORTEST_BLOCK, round(BLOCK_s * rate_Hz))
     static, peak = _peak(ratio, rough, stretch, rest - rest.mean(), block)
+    point = _of_a_point(static, kinetic)
     level = float(normal[max(peak - 5, 0) : peak + 6].mean())
     static = _with_zeros(static, zero_error_N, level)
     kinetic = _with_zeros(kinetic, zero_error_N, float(normal[steady:].mean()))
-    return Friction(static, kinetic, _of_a_point(static, kinetic), peak, steady, independent)
+    # A shift of F_t moves both coefficients alike and their difference not at all.
+    point = _with_zeros(point, zero_error_N, level)
+    return Friction(static, kinetic, point, peak, steady, independent)
 
 
 def mean_of_correlated(samples: ArrayLike) -> tuple[Estimate, float]:

@@ -86,6 +86,13 @@ def test_uncertain_zeros_add_their_error(skin6: CondensedSkin) -> None:
     expected = np.hypot(0.03, 0.64 * 0.04) / 4.0  # μ = F_t/F_n, differentiated
     assert found.kinetic.standard_error == pytest.approx(expected, rel=0.02)
     assert found.kinetic.covers(0.64)
+    # a shift of F_t moves both coefficients alike: that of a point moves as much, not by the drop
+    alone, shifted = friction(*series), friction(*series, zero_error_N=(0.0, 0.03))
+    above = alone.point_static.high - alone.point_static.value
+    expected = np.hypot(above, 1.96 * 0.03 / 4.0)
+    assert shifted.point_static.high - shifted.point_static.value == pytest.approx(
+        expected, rel=0.02
+    )
 
 
 def test_a_slide_without_gross_slip_has_no_coefficient(skin6: CondensedSkin) -> None:
