@@ -21,6 +21,7 @@ import numpy as np
 from rig.analysis.trial.decimation import DECIMATED_Hz
 from rig.core.threads import start_thread
 from rig.core.units import counted
+from rig.detector.events import unjudged_s
 from rig.detector.notices import CutOff
 from rig.detector.registered import chosen_detector, is_own
 from rig.files.journal.detections import (
@@ -226,18 +227,15 @@ def unjudged_motion_in_words(record: TrialRecord, detector: str) -> str:
     """Return a sentence on the part of a trial's motion that its detector could not judge, with the
     reasons; empty where it could judge all of it."""
     from_s, to_s = record.motion_from_s, record.motion_to_s
-    seconds, reasons, begun = 0.0, list[str](), None
-    for one in (*record.detections, None):  # None: the end of the record
-        if one is not None and one.kind == "cannot judge":
-            begun = one if begun is None else begun
-        elif begun is not None and (one is None or one.kind == "judges again"):
-            missed_s = min(to_s, math.inf if one is None else one.time_s) - max(
-                from_s, begun.time_s
-            )
-            if missed_s > 0:
-                seconds += missed_s
-                reasons += [begun.reason] * (begun.reason not in reasons)
-            begun = None
+    events = [one.as_event() for one in record.detections]
+    cannot = [event for event in events if event.kind == "cannot judge"]
+    seconds, reasons = 0.0, list[str]()
+    for begin_s, end_s in unjudged_s(events, record_s=math.inf):
+        if (missed_s := min(to_s, end_s) - max(from_s, begin_s)) > 0:
+            seconds += missed_s
+            within = (event.reason for event in cannot if begin_s <= event.time_s <= end_s)
+            why = next(within, "for a reason that it does not state")
+            reasons += [why] * (why not in reasons)
     if not seconds:
         return ""
     return (

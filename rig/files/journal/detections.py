@@ -11,10 +11,10 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
-from rig.detector.events import SHOWN_AS
+from rig.detector.events import SHOWN_AS, UNJUDGED, SlipEvent
 
 if TYPE_CHECKING:
-    from rig.detector.events import EventKind, SlipEvent
+    from rig.detector.events import EventKind
 
 SLIP = "incipient slip"
 """Kind of the detections that are alarms."""
@@ -60,6 +60,21 @@ class Detection:
     and for a detector that does not state it."""
     impulse_mV: float | None = None
     """Largest impulse of v_d until that row, P_B of a slip; None likewise, 0 before any."""
+    unjudged_ms: float | None = None
+    """How long nothing had been judged by then, of events of the last two kinds; None likewise, and
+    for other events."""
+
+    def as_event(self) -> SlipEvent:
+        """Return the detector's event, with those of its features that are kept."""
+        kept = {
+            "predictive_mV": self.predictive_mV,
+            "impulse_mV": self.impulse_mV,
+            UNJUDGED: self.unjudged_ms,
+        }
+        features = {name: value for name, value in kept.items() if value is not None}
+        return SlipEvent(
+            self.kind, self.sample, self.time_s, self.confidence, self.reason, features
+        )
 
     def in_words(self, point: str, detector: str) -> str:
         """Return what an event of the journal says of it."""
@@ -82,6 +97,7 @@ def detection_of(event: SlipEvent, decided_s: float) -> Detection:
         event.reason,
         event.features.get("predictive_mV"),
         event.features.get("impulse_mV"),
+        event.features.get(UNJUDGED),
     )
 
 

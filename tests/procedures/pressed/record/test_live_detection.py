@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,7 @@ from procedures.pressed.record.detection import (
 from procedures.pressed.record.trial_record import TrialRecord
 from procedures.slip_trial.settings import SlipTrialSettings
 from rig.core.clock import WallClock
+from rig.detector.events import unjudged_s
 from rig.detector.notices import HeldForce, XMove, columns_of, notices_in
 from rig.detector.registered import chosen_detector
 from rig.files.journal.detections import (
@@ -228,6 +230,29 @@ def unjudged(*found: tuple[str, float, str]) -> str:
         Detection(kind, round(1e3 * at_s), at_s, at_s, 0.0, reason) for kind, at_s, reason in found
     ]
     return unjudged_motion_in_words(record, "rig")
+
+
+def test_what_was_not_judged_before_it_was_noticed_is_said_as_it_is_scored() -> None:
+    """v_2 is dead from 1.6 s on, which is noticed half a second later."""
+    rng = np.random.default_rng(0)
+    volts = 1e-4 * rng.standard_normal((4000, 2))
+    volts[500:800] -= (0.02 * np.sin(np.pi * np.arange(300) / 300))[:, None]
+    volts[1600:3000, 1] = volts[1600, 1]
+    volts[1800:3000, 0] += 0.012
+    live = LiveDetection("paper-hp", WallClock())
+    live.judge(volts)
+    live.finish()
+    record, _ = recorded(live)
+    record.motion_from_s, record.motion_to_s = 1.5, 3.0
+    whole = chosen_detector("paper-hp").make(1000.0)
+    ((begin_s, end_s),) = unjudged_s([*whole.add(volts), *whole.finish()], 4.0)
+    assert (begin_s, end_s > 3.0) == (1.6, True)
+    said = unjudged_motion_in_words(record, "paper-hp")
+    assert "could not judge 1.40 s of the 1.50 s of motion (v_2 is dead" in said
+    record.detections = from_text(to_text(record.detections))
+    assert unjudged_motion_in_words(record, "paper-hp") == said
+    record.detections = [replace(one, unjudged_ms=None) for one in record.detections]
+    assert "0.90 s" in unjudged_motion_in_words(record, "paper-hp"), "a file of an earlier version"
 
 
 def test_how_much_of_the_motion_was_not_judged_is_said_with_the_reasons() -> None:
