@@ -45,7 +45,8 @@ def grip_summary(readings: Sequence[Reading]) -> dict[str, Any]:
         sentences.append(f"Weights: {counts}{meaning}{left_out}.")
     kept = [r for r in hung if not r.get("invalid") and r["outcome"] in ("held", "averted")]
     if shown := _ratios(kept, "least_force_N"):
-        text = f"at least {statistics.median(shown):.2f} by the largest F_t/F_n that a trial showed"
+        by = "by the largest F_t/F_n that a trial showed over 5 ms"
+        text = f"about {statistics.median(shown):.2f} or more {by}"
         if true := _ratios(kept, "least_force_true_N"):
             text += f", {statistics.median(true):.2f} by the simulation's coefficient of friction"
         sentences.append(

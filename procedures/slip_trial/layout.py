@@ -25,7 +25,7 @@ WEIGHT = (
     Column("load", "N", "Weight that the contact had to hold"),
     Column("slid", "mm", "Largest travel of the weight since its force followed the ramp"),
     Column("force_used", "N", "Mean normal force at the end of the motion"),
-    Column("least_force", "N", "Least that holds the weight, by the largest F_t/F_n shown"),
+    Column("least_force", "N", "Bound of what holds the weight: by the largest F_t/F_n over 5 ms"),
     Column("least_force_true", "N", "SIMULATED truth: the same by the static coefficient"),
 )
 """Columns of trials in which a weight hangs on the contact."""

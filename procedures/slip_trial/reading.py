@@ -12,6 +12,7 @@ import numpy as np
 from procedures.pressed.approach.tare import TARE_S
 from procedures.pressed.grip import grip_reading
 from procedures.pressed.record import reading as pressed_reading
+from procedures.pressed.record.reading import smoothed
 from procedures.pressed.record.trial_record import TrialRecord
 from procedures.slip_trial.layout import FRICTION, RAMP, WEIGHT
 from rig.analysis.trial.friction import FrictionError, friction
@@ -93,17 +94,19 @@ def _weight(
     t: npt.NDArray[np.float64],
     force: npt.NDArray[np.float64],
 ) -> Reading:
-    """Return what became of a weight, the force used, and the least that would have held it: by the
-    largest F_t/F_n that the contact has shown in this trial and, on a simulated bench, by the
-    World's static coefficient. A weight that never rested is lost, too: it still slides."""
+    """Return what became of a weight, the force used, and the least that would have held it, in N:
+    by the largest F_t/F_n that the contact has shown in this trial, from forces averaged over 5 ms,
+    and, on a simulated bench, by the World's static coefficient. A weight that never rested is
+    lost, too: it still slides."""
     load_N = settings.hold_at_N
     if load_N is None or not len(t):
         return without_values(WEIGHT)
     kept = record.weight_rested and not record.lost
     outcome = "lost" if not kept else "averted" if record.squeezes else "held"
     used_N = float(force[t >= t[-1] - USED_S, 0].mean())
-    pressed = force[:, 0] > PRESSED_SHARE * settings.normal_force_N
-    shown = float(np.max(np.abs(force[pressed, 1]) / force[pressed, 0], initial=0.0))
+    normal_N, tangential_N = (smoothed(force[:, k], record.force_rate_S_s) for k in (0, 1))
+    pressed = normal_N > PRESSED_SHARE * settings.normal_force_N
+    shown = float(np.max(np.abs(tangential_N[pressed]) / normal_N[pressed], initial=0.0))
     truth = json.loads(str(reading.get(TRUTH) or "{}"))
     static = truth.get("static_coefficient")
     return {

@@ -34,7 +34,8 @@ if TYPE_CHECKING:
 MISSING_S = 0.05
 """Length in s of samples or frames that may still be under way when a record ends."""
 SERVO_ERROR_S = 0.005
-"""Stretch over which the error of the force is averaged, in an odd number of frames."""
+"""Stretch over which the error of the force and the largest F_t/F_n are averaged, in an odd number
+of frames."""
 ZERO_SHIFT_N, ZERO_SHIFT = 0.1, 0.03
 """Largest change of the force sensor's zero within a valid trial, and as a share of the normal
 force; the larger of both is the bound."""
@@ -103,7 +104,7 @@ def _held_force(record: TrialRecord, force: npt.NDArray[np.float64]) -> Reading:
     by the grip and the times in which z was to rest."""
     t = record.frame_times_s()
     held = (t >= record.motion_from_s) & (t <= record.motion_to_s)
-    error = 100 * (_smoothed(force[:, 0], record.force_rate_S_s) / record.set_force_N(t) - 1)
+    error = 100 * (smoothed(force[:, 0], record.force_rate_S_s) / record.set_force_N(t) - 1)
     judged = held.copy()
     for squeeze in record.squeezes:
         judged &= (t < squeeze.decided_s) | (t > squeeze.decided_s + SQUEEZED_S)
@@ -182,9 +183,7 @@ def _touch_frame(force_N: npt.NDArray[np.float64], rate_S_s: float, tapped_s: fl
     Neither a disturbance in free air is taken nor an object that was felt and lost again: the
     clocks would be compared over a long stretch, which takes long.
     """
-    away = np.flatnonzero(
-        _smoothed(force_N, rate_S_s)[: round(tapped_s * rate_S_s)] < CONTACT_N / 2
-    )
+    away = np.flatnonzero(smoothed(force_N, rate_S_s)[: round(tapped_s * rate_S_s)] < CONTACT_N / 2)
     first = int(away[-1]) + 1 if away.size else 0
     touched = np.flatnonzero(force_N[first:] > CONTACT_N)
     return first + int(touched[0]) if touched.size else first
@@ -290,8 +289,9 @@ def _stretch(
     return values[first : round(end_s * rate_Hz)], rate_Hz, first / rate_Hz
 
 
-def _smoothed(force_N: npt.NDArray[np.float64], rate_S_s: float) -> npt.NDArray[np.float64]:
-    """Return the mean over `SERVO_ERROR_S`: the error of a servo is not the sensor's noise."""
+def smoothed(force_N: npt.NDArray[np.float64], rate_S_s: float) -> npt.NDArray[np.float64]:
+    """Return the moving mean of a force (n,) in N over `SERVO_ERROR_S`: noise is neither an
+    error of the servo nor the largest force."""
     frames = 2 * round((SERVO_ERROR_S * rate_S_s - 1) / 2) + 1
     kernel = np.full(frames, 1 / frames)
     return np.convolve(np.pad(force_N, frames // 2, mode="edge"), kernel, "valid")
