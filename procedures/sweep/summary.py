@@ -22,8 +22,6 @@ if TYPE_CHECKING:
 
 NEAR_200 = 1.26
 """Largest ratio to 200 Hz of a frequency near it: a tenth of a decade, the coarse grid's step."""
-FEWEST_FOR_A_MODEL = 12
-"""Minimum number of frequencies from which the film's model is fitted."""
 
 
 def curve_of(readings: Sequence[Reading]) -> ResponseCurve:
@@ -65,9 +63,8 @@ def figures(readings: Sequence[Reading]) -> dict[str, Any]:
 
 def model(readings: Sequence[Reading], several_loads: bool, bounds: Bounds) -> dict[str, Any]:
     """Return the results of the gain curve's analysis, with its dependence on the load if several
-    were measured; empty for a sweep that is too short for it. `bounds` belong to the verdicts."""
-    if len({reading["frequency_Hz"] for reading in readings}) < FEWEST_FOR_A_MODEL:
-        return {}
+    were measured; only why there are none for points that are not fitted. `bounds` belong to the
+    verdicts."""
     # Takes long to import, so never imported while something is switched on.
     from rig.analysis.film.gain_curve import analyse
 
@@ -85,8 +82,8 @@ def model(readings: Sequence[Reading], several_loads: bool, bounds: Bounds) -> d
             load_distortion=of_loads("load_distortion"),
             film_distortion=of_loads("voltage_distortion"),
         )
-    except CurveError:
-        return {}
+    except CurveError as error:
+        return {"no_fit": error.message}
     return {"analysis": found.sentences(_truth(readings)), "model": found.as_dict()}
 
 

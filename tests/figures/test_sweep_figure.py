@@ -7,11 +7,19 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from recorded import SWEEP, unpack
 from tiers import mostly_thorough
 
 from rig.figures.circumstances import in_one_line
 from rig.figures.style import wrapped
-from rig.figures.sweep import PAPER, draw_measured
+from rig.figures.sweep import (
+    PAPER,
+    draw_circuit_readings,
+    draw_fitted_gain,
+    draw_load_linearity,
+    draw_measured,
+)
+from rig.files.runfile.reader import RunFile
 
 
 def run_of(frequencies, loads=(1.0,), deviation=0.002):
@@ -131,3 +139,11 @@ def test_the_line_of_eq_2_lies_on_the_points_where_it_holds():
     np.testing.assert_allclose(
         np.interp(np.log10(f[slow]), np.log10(hertz), drawn), gain[slow], atol=0.05
     )
+
+
+def test_a_sweep_whose_results_have_no_fit_has_none_in_its_figures(tmp_path):
+    """Found in a review: the figures fitted 8 frequencies, the results only 12."""
+    with RunFile.open(unpack(tmp_path) / SWEEP) as run:
+        assert np.unique(run.column("frequency")).size == 10
+        for draw in (draw_fitted_gain, draw_circuit_readings, draw_load_linearity):
+            assert draw(run) == {}

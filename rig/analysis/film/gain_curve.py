@@ -41,6 +41,7 @@ from rig.analysis.film.truth import FilmTruth
 from rig.analysis.response.complex_response import DB_PER_RELATIVE
 from rig.analysis.response.curve import CurveError, ResponseCurve
 from rig.analysis.verdict import Bounds
+from rig.core.units import counted
 from rig.physics.pvdf import SKIN_STRIP, CircuitSettings
 
 __all__ = [
@@ -52,6 +53,9 @@ __all__ = [
     "analyse",
 ]
 
+FEWEST_FREQUENCIES = 12
+"""Minimum number of different frequencies from which level, corner and notches are fitted: between
+fewer, a whole notch may lie unseen."""
 WHOLE_RANGE_TO_HZ = 18e3
 """Highest frequency from which a sweep covers the paper's range, to 20 kHz."""
 DEFAULT_BOUNDS = Bounds()
@@ -303,10 +307,16 @@ def analyse(
     the preload, and the level is that at their geometric mean. Distortions (n,) are fractions.
     ``given`` is the circuit to compare with, Table 1 by default.
 
-    Raises CurveError for points that cannot be analysed: those that :meth:`ResponseCurve.of` and
-    :func:`fit_with_drops` refuse, and those that neither first order nor the alternative model
-    fits.
+    Raises CurveError for points that cannot be analysed: those at fewer than `FEWEST_FREQUENCIES`
+    frequencies, those that :meth:`ResponseCurve.of` and :func:`fit_with_drops` refuse, and those
+    that neither first order nor the alternative model fits.
     """
+    different = np.unique(np.asarray(frequencies, dtype=float)).size
+    if different < FEWEST_FREQUENCIES:
+        raise CurveError(
+            f"{counted(different, 'frequency', 'frequencies')}, {FEWEST_FREQUENCIES} are needed",
+            "measure more points",
+        )
     points = (frequencies, responses, covariances)
     linearity = (
         None if loads is None else load_linearity(*points, loads, degrees, preloads, preload_errors)

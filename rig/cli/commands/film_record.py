@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from rig.files.runfile.reader import RunFile
     from rig.instruments.calibration import FilmCalibration, Quantity
 
-FEWEST_FREQUENCIES = 12
-"""Minimum number of different frequencies of a sweep from which a film is calibrated."""
 LEAST_SPAN = 10.0
 """Minimum ratio of highest to lowest frequency of such a sweep."""
 POOR_LEVEL_DB = 0.5
@@ -33,7 +31,7 @@ def analysed(run: RunFile) -> SweepAnalysis:
     """
     import numpy as np
 
-    from rig.analysis.film.gain_curve import analyse
+    from rig.analysis.film.gain_curve import FEWEST_FREQUENCIES, analyse
     from rig.analysis.response.curve import points_of
 
     header, outcome = run.header, run.outcome

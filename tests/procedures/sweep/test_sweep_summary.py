@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
 from procedures.sweep import Sweep
@@ -15,6 +16,12 @@ def reading(frequency_Hz: float) -> dict[str, float]:
         "gain_standard_error_dB": 0.01,
         "load_amplitude_N": 1.0,
         "load_set_N": 1.0,
+        "response_real_V_N": 0.01,
+        "response_imag_V_N": 0.0,
+        "response_var_real": 1e-10,
+        "response_var_imag": 1e-10,
+        "response_cov_real_imag": 0.0,
+        "degrees": 100.0,
         "largest_load_N": 1.0,
     }
 
@@ -56,6 +63,23 @@ def test_a_sweep_in_brief_states_bounds_references_and_what_each_number_is() -> 
     ]
     del model["bounds"]  # as in a file of an older version
     assert in_brief({"model": model}, {})[0] == "20 dB/decade (stress rate): holds"
+
+
+@pytest.mark.parametrize(
+    ("frequencies", "why"),
+    [
+        ([200.0], "1 frequency, 12 are needed"),
+        ([20.0, 40.0, 80.0, 160.0, 400.0, 800.0, 1600.0, 3200.0, 8000.0], "9 frequencies, 12 are"),
+        (np.linspace(100.0, 900.0, 12).tolist(), "100 to 900 Hz show no trend: a decade is needed"),
+    ],
+)
+def test_results_without_a_fit_say_why(frequencies: list[float], why: str) -> None:
+    readings = [reading(frequency_Hz) for frequency_Hz in frequencies]
+    sweep = Sweep(Sweep.Settings())
+    found = sweep.summarise(readings)
+    assert "model" not in found
+    (line,) = (one for one in sweep.in_brief(found, {}) if one.startswith("no fit: "))
+    assert why in line
 
 
 def test_a_sweep_of_one_point_is_shown_in_words() -> None:
