@@ -43,6 +43,8 @@ if TYPE_CHECKING:
 
 ERROR_BARS = 2.0
 """Half length of an error bar in standard errors."""
+LEAST_RESIDUAL_SPAN = 4.0
+"""Residual up to which their axis extends in any case, in standard errors."""
 CURVE_POINTS = 2000
 LEGEND_SHARE = 0.2
 """Room for a legend below the curves, as a share of their span."""
@@ -229,15 +231,19 @@ def _mark_drops(axes: Axes, analysis: SweepAnalysis) -> None:
 
 
 def _residuals(axes: Axes, curve: ResponseCurve, analysis: SweepAnalysis) -> None:
-    expected = analysis.fit.model.response(curve.frequencies)
-    error = DB_PER_RELATIVE * np.sqrt(
-        np.square(curve.gain_errors_dB / DB_PER_RELATIVE) + analysis.fit.gain_error**2
-    )
-    axes.plot(curve.frequencies, (curve.gains_dB - _dB(expected)) / error, ".", markersize=2.5)
-    axes.axhspan(-2, 2, color=GREY, alpha=0.15, linewidth=0)
-    largest = np.abs((curve.gains_dB - _dB(expected)) / error).max()
-    axes.set_ylim(-max(4.0, 1.1 * largest), max(4.0, 1.1 * largest))
+    """Draw the residuals of the gain in the standard errors of the points alone, as the fit judges
+    them: without the effects of preload and load, which it leaves free. The model error, with which
+    every fit would look good, is named instead."""
+    fit = analysis.fit
+    freed = curve.freed(curve.log_ratio(fit.model.response(curve.frequencies)))
+    residuals = DB_PER_RELATIVE * freed.real / curve.gain_errors_dB
+    axes.plot(curve.frequencies, residuals, ".", markersize=2.5)
+    axes.axhspan(-ERROR_BARS, ERROR_BARS, color=GREY, alpha=0.15, linewidth=0)
+    span = max(LEAST_RESIDUAL_SPAN, 1.1 * float(np.abs(residuals).max()))
+    axes.set_ylim(-span, span)
     axes.set_ylabel("Residual (s.e.)")
+    model = f"; model error {fit.gain_error_dB:.2g} dB" if fit.gain_error else ""
+    axes.set_title(f"shaded: ± {ERROR_BARS:g} standard errors of a point{model}", loc="left")
 
 
 def _mark_corners(axes: Axes, frequencies: Reals, analysis: SweepAnalysis) -> None:

@@ -1,14 +1,16 @@
 """The pictures of an analysed sweep say what was found, and that simulated data are simulated."""
 
+import matplotlib as mpl
 import numpy as np
 import pytest
+from legible import faults
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.text import Text
 
 from rig.analysis.film.gain_curve import ResponseCurve, analyse
 from rig.analysis.film.model import FilmModel, Notch
 from rig.figures.gain_curve import draw_gain, draw_linearity, draw_readings
-from rig.figures.style import save
+from rig.figures.style import STYLE, save
 
 FILM = FilmModel(-72.0, 1 / 2000, (Notch(500.0, 10.0, 12.0), Notch(2400.0, 10.0, 10.0)))
 SINGLE_LOAD = np.geomspace(2, 20000, 200)
@@ -120,6 +122,51 @@ def test_a_film_without_corner_and_drops_is_drawn_too():
     curve, analysis = measured(FilmModel(-78.0, 0.0))
     assert "0 notches" in texts(draw_gain(curve, analysis))
     assert "6631 Hz" in texts(draw_readings(curve, analysis))
+
+
+def residuals_of(figure):
+    panel = figure.axes[1]
+    return panel, panel.get_lines()[0].get_ydata()
+
+
+def test_residuals_are_in_the_standard_errors_of_the_points(film):
+    """Found in a review: the scatter about the fit was added to them, so that every fit looked
+    good."""
+    curve, analysis = film
+    panel, shown = residuals_of(draw_gain(curve, analysis))
+    expected = 20 * np.log10(np.abs(analysis.fit.model.response(curve.frequencies)))
+    np.testing.assert_allclose(shown, (curve.gains_dB - expected) / curve.gain_errors_dB, atol=1e-9)
+    assert panel.get_ylabel() == "Residual (s.e.)"
+    assert panel.get_title(loc="left").endswith("shaded: ± 2 standard errors of a point")
+
+
+def test_a_bad_fit_looks_bad_and_its_model_error_is_named():
+    f = np.geomspace(20, 8000, 13)
+    truth = FILM.response(f) * np.where(np.arange(13) == 6, 0.3, 1.0)
+    points = f, truth, np.square(0.0003 * abs(truth))[:, None, None] * np.eye(2)
+    analysis = analyse(*points)
+    assert analysis.fit.gain_error_dB > 1
+    figure = draw_gain(analysis.curve, analysis)
+    panel, shown = residuals_of(figure)
+    assert np.abs(shown).max() > 1000
+    assert panel.get_ylim()[1] > np.abs(shown).max()
+    title = panel.get_title(loc="left")
+    assert title.endswith(f"; model error {analysis.fit.gain_error_dB:.2g} dB")
+    with mpl.rc_context(STYLE):
+        assert faults(figure) == []
+
+
+def test_residuals_are_without_the_effects_that_the_fit_leaves_free():
+    """A gain that depends on the preload fits, and its residuals have to say so."""
+    random = np.random.default_rng(4)
+    preloads = 25 + random.standard_normal(SINGLE_LOAD.size)
+    truth = FILM.response(SINGLE_LOAD) * (1 + 0.02 * (preloads - 25))
+    noise = random.standard_normal((2, truth.size))
+    responses = truth * (1 + 0.003 * (noise[0] + 1j * noise[1]))
+    covariances = np.square(0.003 * abs(truth))[:, None, None] * np.eye(2)
+    analysis = analyse(SINGLE_LOAD, responses, covariances, preloads=preloads)
+    _, shown = residuals_of(draw_gain(analysis.curve, analysis))
+    assert np.sqrt(np.mean(np.square(shown))) == pytest.approx(1, abs=0.15)
 
 
 def test_the_linearity_figure_says_the_mean():
