@@ -57,6 +57,9 @@ MOST_NAMED = 2
 """Settings that a legend names; more of them are replaced by the file's name."""
 LONGEST_NAME = 40
 """Number of characters for which a legend of one column has room."""
+SEEN = frozenset({"trials", "load_N", "loads_N", "frequencies_Hz"})
+"""Settings that no legend names: the number of trials does not distinguish trials, each load has
+its own curve, and frequencies are on the axis."""
 FILES_NAMED = 4
 """Files that the heading names."""
 DASHES = ("-", "--", "-.", ":")
@@ -213,14 +216,9 @@ def _file_names(paths: Sequence[Path]) -> list[str]:
 
 
 def _stated(run: RunFile) -> dict[str, Any]:
-    """Return what a run states that a legend could name: sample, film and plain settings."""
-    plain = {
-        key: value for key, value in run.settings.items() if isinstance(value, int | float | str)
-    }
-    # The number of trials does not distinguish trials; loads have curves of their own.
-    for key in ("trials", "load_N"):
-        plain.pop(key, None)
-    return {"sample": run.header.sample.name, "film": film_of(run), **plain}
+    """Return what a run states that a legend could name: sample, film and settings."""
+    settings = {key: value for key, value in run.settings.items() if key not in SEEN}
+    return {"sample": run.header.sample.name, "film": film_of(run), **settings}
 
 
 def _in_words(key: str, value: Any) -> str:
@@ -229,8 +227,11 @@ def _in_words(key: str, value: Any) -> str:
     name = name_without_unit(key).replace("_", " ")
     if isinstance(value, bool):
         return f"{'with' if value else 'without'} {name}"
-    number = f"{value:g}" if isinstance(value, int | float) else str(value)
-    return f"{name} {number} {unit_of(key) or ''}".rstrip()
+    several = value if isinstance(value, list | tuple) else [value]
+    numbers = [f"{one:g}" if isinstance(one, int | float) else str(one) for one in several]
+    if value is None or not numbers:
+        return f"{name} none"
+    return f"{name} {', '.join(numbers)} {unit_of(key) or ''}".rstrip()
 
 
 def _headed(

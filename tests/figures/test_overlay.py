@@ -196,6 +196,36 @@ def test_a_setting_that_is_on_or_off_is_named_in_words() -> None:
     assert _in_words("regrip", True) == "with regrip"
     assert _in_words("regrip", False) == "without regrip"
     assert _in_words("normal_force_N", 4.0) == "normal force 4 N"
+    assert _in_words("path_times_s", [0.0, 0.4]) == "path times 0, 0.4 s"
+    assert _in_words("force_times_s", []) == "force times none"
+    assert _in_words("hold_at_N", None) == "hold at none"
+
+
+def test_paths_are_named_by_their_times_and_positions_or_by_their_files(folder: Path) -> None:
+    """Found in a review: lists were left out, so that two paths were named by their stay."""
+    with RunFile.open(folder / FAST_SLIDE) as one, RunFile.open(folder / TWO_SLIDES) as other:
+        other.header.settings.clear()
+        other.header.settings.update(one.header.settings)
+        one.header.settings["path_times_s"] = [0.0, 0.4]
+        other.header.settings["path_times_s"] = [0.0, 0.8]
+        assert names_of([one, other]) == ["path times 0, 0.4 s", "path times 0, 0.8 s"]
+        one.header.settings["stay_s"], other.header.settings["stay_s"] = 2.0, 0.3
+        one.header.settings["path_positions_mm"] = [0.0, 0.2]
+        other.header.settings["path_positions_mm"] = [0.0, 0.1]
+        assert names_of([one, other]) == [Path(FAST_SLIDE).stem, Path(TWO_SLIDES).stem]
+
+
+def test_a_setting_that_one_run_has_not_set_is_named(folder: Path) -> None:
+    with RunFile.open(folder / FAST_SLIDE) as one, RunFile.open(folder / FAST_SLIDE) as other:
+        one.header.settings["hold_at_N"], other.header.settings["hold_at_N"] = None, 3.0
+        assert names_of([one, other]) == ["hold at none", "hold at 3 N"]
+
+
+def test_frequencies_and_loads_are_seen_and_not_named(folder: Path) -> None:
+    with RunFile.open(folder / SWEEP) as one, RunFile.open(folder / SWEEP) as other:
+        one.header.settings["remark"] = "dry"
+        other.header.settings.update(remark="wet", frequencies_Hz=[20.0], loads_N=[1.0])
+        assert names_of([one, other]) == ["remark dry", "remark wet"]
 
 
 PACKAGE = """
