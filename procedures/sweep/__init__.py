@@ -89,7 +89,11 @@ class Sweep(Procedure):
     )
     summary_origins = {  # noqa: RUF012
         "model.bounds": "set",
+        "model.circuit.film_corner_Hz": "computed from the paper's Table 1",
         "model.circuit.circuit_corner_Hz": "computed from the paper's Table 1",
+        "model.circuit.offsets": "the nominal circuit's level minus the fitted one",
+        "model.circuit.separability": "computed for the nominal circuit at the fitted level and "
+        "corner",
     }
     drift = {"gain_near_200_Hz_dB": DriftFigure("gain near 200 Hz", "film", 0.5)}  # noqa: RUF012
 

@@ -259,3 +259,15 @@ def test_show_says_beside_the_stored_value_what_this_version_finds(rig: Any) -> 
     assert reported["results"] == stored
     assert reported["results_by"]["version"] == "0.9.1"
     assert reported["results_method"] == "least squares"
+
+
+def test_a_result_of_a_former_name_is_read_by_its_present_one(tmp_path: Path) -> None:
+    def seen_above(name: str) -> dict[str, Any]:
+        return {"model": {"circuit": {"separability": {"seen_above": {name: 221115.0}}}}}
+
+    former = compile_run(recorded(tmp_path / "a.rigj", values=seen_above("R1+R2")))
+    with RunFile.open(former) as opened:
+        assert opened.results is not None
+        assert opened.results.values == seen_above("R1+R2_ohm")
+        assert differences(opened.results.values, seen_above("R1+R2_ohm")) == {}
+    assert verify(former) == []

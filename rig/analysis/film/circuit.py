@@ -12,7 +12,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -76,6 +77,11 @@ class Separability:
     seen_above: Mapping[str, float]
     """Size in ohm at which |H| would show a value that is zero in the circuit (2 standard errors),
     by name."""
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return plain values; a size in ohm has its unit in its name."""
+        sizes = {f"{name}_ohm": size for name, size in self.seen_above.items()}
+        return {**asdict(self), "seen_above": sizes}
 
     def sentences(self) -> list[str]:
         """Return the list in words."""

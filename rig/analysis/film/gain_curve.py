@@ -174,7 +174,7 @@ class SweepAnalysis:
                 "film_corner_Hz": self.circuit.film_corner_Hz,
                 "circuit_corner_Hz": self.circuit.circuit_corner_Hz,
                 "offsets": {n: e.as_dict() for n, e in self.circuit.offsets.items()},
-                "separability": asdict(self.circuit.separability),
+                "separability": self.circuit.separability.as_dict(),
             },
             "linearity": _linearity_as_dict(self.linearity, self.bounds),
             "distortion": asdict(self.distortion) if self.distortion else None,

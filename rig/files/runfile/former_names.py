@@ -1,8 +1,8 @@
-"""Columns and reading keys that had other names in run files of earlier versions.
+"""Columns, reading keys and results that had other names in run files of earlier versions.
 
-Old files stay as they are. Whatever reads a column or a reading uses the present name; here is
-where it stands in the layout of an older file, and where a journal that was begun with an older
-layout finds what a resumed run has recorded under the present name.
+Old files stay as they are. Whatever reads a column, a reading or a result uses the present name;
+here is where it stands in an older file, and where a journal that was begun with an older layout
+finds what a resumed run has recorded under the present name.
 """
 
 from __future__ import annotations
@@ -36,6 +36,11 @@ RENAMED: Mapping[tuple[str, str], tuple[RenamedColumn, ...]] = {
 }
 """Renamed columns, by definition and version of the layout that has the former names."""
 
+RENAMED_RESULTS: Mapping[str, Mapping[str, str]] = {
+    "NXrig_sweep": {"model.circuit.separability.seen_above.R1+R2": "R1+R2_ohm"},
+}
+"""Present names of renamed results, by definition and by the dotted name that they had."""
+
 
 def column_in(layout: Layout, name: str) -> str:
     """Return what a file of this layout calls the column `name`: that, or its former name."""
@@ -49,6 +54,21 @@ def with_present_keys(layout: Layout, reading: Mapping[str, Any]) -> dict[str, A
     """Return a reading of a file of this layout with the present keys in place of former ones."""
     present = {renamed.former_key: renamed.key for renamed in _renamed_in(layout)}
     return {present.get(key, key): value for key, value in reading.items()}
+
+
+def with_present_names(layout: Layout, values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the results of a file of this layout with the present names in place of former
+    ones."""
+    return _with_names(values, RENAMED_RESULTS.get(layout.definition, {}), "")
+
+
+def _with_names(values: Mapping[str, Any], names: Mapping[str, str], prefix: str) -> dict[str, Any]:
+    return {
+        names.get(prefix + key, key): _with_names(value, names, f"{prefix}{key}.")
+        if isinstance(value, Mapping)
+        else value
+        for key, value in values.items()
+    }
 
 
 def value_for(layout: Layout, column: Column, reading: Mapping[str, Any]) -> Any:

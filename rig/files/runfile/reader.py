@@ -18,7 +18,7 @@ from rig.files.hdf5.open_file import OpenFile
 from rig.files.hdf5.safe_reading import text_of, texts_of, whole
 from rig.files.journal.format import from_json
 from rig.files.journal.values import Results, RunHeader
-from rig.files.runfile.former_names import column_in, with_present_keys
+from rig.files.runfile.former_names import column_in, with_present_keys, with_present_names
 
 if TYPE_CHECKING:
     import h5py
@@ -140,12 +140,14 @@ class RunFile(OpenFile):
 
     @property
     def results(self) -> Results | None:
-        """What the procedure computed when the run ended; None where the file has no results, as
-        those of earlier versions and of imports."""
+        """What the procedure computed when the run ended, by present names; None where the file has
+        no results, as those of earlier versions and of imports."""
         with self._naming():
             if "results" not in self.entry:
                 return None
-            return Results.model_validate(from_json(text_of(self.entry["results/record/data"])))
+            stored = Results.model_validate(from_json(text_of(self.entry["results/record/data"])))
+        values = with_present_names(self.header.layout, stored.values)
+        return stored.model_copy(update={"values": values})
 
     def point_ids(self) -> list[str]:
         """Return the ids of the kept points, in the order of ``column``'s rows."""

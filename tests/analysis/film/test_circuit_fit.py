@@ -102,3 +102,5 @@ def test_series_resistance_shows_from_where_its_second_pole_comes_near():
     assert np.isfinite(smallest)
     text = "\n".join(separability(curve_of(circuit), circuit).sentences())
     assert "R1+R2: any value below" in text
+    plain = separability(curve_of(circuit), circuit).as_dict()
+    assert plain["seen_above"] == {"R1+R2_ohm": smallest}

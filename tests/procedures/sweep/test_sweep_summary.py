@@ -7,6 +7,8 @@ import pytest
 
 from procedures.sweep import Sweep
 from procedures.sweep.summary import figures, in_brief
+from rig.files.journal.values import Program, Results
+from rig.files.runfile.result_fields import result_fields
 
 
 def reading(frequency_Hz: float) -> dict[str, float]:
@@ -86,3 +88,30 @@ def test_a_sweep_of_one_point_is_shown_in_words() -> None:
     said = Sweep(Sweep.Settings()).in_brief(figures([reading(200.0)]), {})
     assert said[0] == "number of points: 1"
     assert "standard error of the gain, median: 0.01 dB" in said
+
+
+def test_what_follows_from_the_nominal_circuit_is_not_called_measured_and_sizes_have_a_unit() -> (
+    None
+):
+    model = {
+        "circuit": {
+            "film_corner_Hz": 6631.0,
+            "circuit_corner_Hz": 23157.0,
+            "offsets": {"circuit": estimate(-12.1, "dB")},
+            "separability": {"fixed": 2, "seen_above": {"R1+R2_ohm": 221115.0}},
+            "time_constant": estimate(109.5, "us"),
+        }
+    }
+    results = Results(
+        program=Program(name="tactile-rig", version="1"),
+        values={"model": model},
+        origins=dict(Sweep.summary_origins),
+    )
+    fields = {"/".join(one.path[2:]): one.attributes for one in result_fields(results)}
+    measured = {name for name, found in fields.items() if found.get("origin") == "measured"}
+    assert measured == {"time_constant"}
+    assert fields["film_corner_Hz"] == {
+        "units": "Hz",
+        "origin": "computed from the paper's Table 1",
+    }
+    assert fields["separability/seen_above/R1_R2_ohm"]["units"] == "ohm"
