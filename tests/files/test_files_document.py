@@ -59,9 +59,12 @@ def test_the_xarray_example_of_a_trial_finds_friction_and_volts(
     file = recorded_skin.write_skin(tmp_path / "run.rigj")
     file.rename(tmp_path / "2026-11-21T22-00-00_slip-trial_r018.h5")
     monkeypatch.chdir(tmp_path)
-    friction, volts = printed(EXAMPLES[2]).splitlines()
-    assert friction.endswith(" frames, friction 0.65")
-    assert 370 < int(friction.split()[0]) < 395  # of 500, from 0.1 s to the last tick
+    found, volts = printed(EXAMPLES[2]).splitlines()
+    frames, friction, stored = re.findall(r"[\d.]+", found)
+    assert found == f"{frames} frames, friction {friction}, stored {stored}"
+    assert 165 < int(frames) < 185  # of 500: from 0.05 mm after 1.25 times the way to the peak on
+    assert float(stored) == pytest.approx(recorded_skin.reading(0)["kinetic_friction"], abs=5e-4)
+    assert float(friction) == pytest.approx(float(stored), rel=0.005)
     counts = recorded_skin.samples("strips", 0)[1000:2001, 0]
     assert volts == f"('time',) 1001 V {counts.std() * recorded_skin.COUNTS_V:.4f}"
 

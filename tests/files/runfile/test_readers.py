@@ -49,7 +49,7 @@ def test_positions_are_at_the_times_of_their_ticks(file: Path) -> None:
         data = opened(file, f"waveforms/{trial.replace('-', '_')}_position")
         np.testing.assert_array_equal(data["time"], samples("ticks", number)[:, 0])
         moved = data["x"].sel(time=0.25, method="nearest")
-        assert moved.item() == pytest.approx(10 + 0.5 * 0.25, abs=0.006)
+        assert moved.item() == pytest.approx(10 + 0.5 * 0.2, abs=0.006)
 
 
 def test_raw_counts_are_volts_for_who_knows_the_cf_conventions(file: Path) -> None:
