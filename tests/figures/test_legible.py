@@ -8,7 +8,7 @@ import matplotlib as mpl
 import pytest
 from legible import faults, words
 from matplotlib.figure import Figure
-from recorded import FAST_SLIDE, ROLL, SWEEP, TWO_SLIDES, unpack
+from recorded import FAST_SLIDE, FITTED_SWEEP, ROLL, SWEEP, TWO_SLIDES, unpack
 from tiers import mostly_thorough
 
 from rig.figures import style
@@ -30,17 +30,17 @@ def drawn(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Figure]:
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(style, "save", keep)
-        for name in (SWEEP, FAST_SLIDE, TWO_SLIDES, ROLL):
+        for name in (SWEEP, FITTED_SWEEP, FAST_SLIDE, TWO_SLIDES, ROLL):
             assert draw(folder / name).warnings == ()
     return figures
 
 
 NAMES = (
-    "sweep_r001", "sweep_r001-gain", "sweep_r001-linearity", "sweep_r001-readings",
+    "sweep_r001", "sweep_r004", "sweep_r004-gain", "sweep_r004-linearity", "sweep_r004-readings",
     "slip-trial_r002", "slip-trial_r003", "slip-trial_r003-trial-002", "slip-trial_r003-series",
     "roll-trial_r004",
 )  # fmt: skip
-MANIFOLD = ("sweep_r001-gain", "slip-trial_r003-trial-002", "roll-trial_r004")
+MANIFOLD = ("sweep_r004-gain", "slip-trial_r003-trial-002", "roll-trial_r004")
 """A figure of each procedure, those with the most in them."""
 
 
@@ -63,7 +63,8 @@ def test_a_figure_is_understood_without_its_file(drawn: dict[str, Figure], name:
         "slip-trial": ("4 N", "object: plate", "mm/s", "start 10 mm"),
         "roll-trial": ("4 N", "object: semi-spherical", "2 deg", "start -5 mm"),
     }[name.partition("_")[0]]
-    for text in ("SIMULATED", f"sample {sample}", "bench simulated", "2026-11-25", *conditions):
+    day = "2026-11-30" if name.startswith("sweep_r004") else "2026-11-25"
+    for text in ("SIMULATED", f"sample {sample}", "bench simulated", day, *conditions):
         assert text in said.replace("\n", " ")
 
 
