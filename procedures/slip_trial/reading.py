@@ -12,9 +12,9 @@ import numpy as np
 from procedures.pressed.approach.tare import TARE_S
 from procedures.pressed.grip import grip_reading
 from procedures.pressed.record import reading as pressed_reading
-from procedures.pressed.record.reading import smoothed
 from procedures.pressed.record.trial_record import TrialRecord
 from procedures.slip_trial.layout import FRICTION, RAMP, WEIGHT
+from rig.analysis.trial.force_error import averaged
 from rig.analysis.trial.friction import FrictionError, friction
 from rig.files.journal.layout import TRUTH, without_values
 
@@ -104,7 +104,7 @@ def _weight(
     kept = record.weight_rested and not record.lost
     outcome = "lost" if not kept else "averted" if record.squeezes else "held"
     used_N = float(force[t >= t[-1] - USED_S, 0].mean())
-    normal_N, tangential_N = (smoothed(force[:, k], record.force_rate_S_s) for k in (0, 1))
+    normal_N, tangential_N = (averaged(force[:, k], record.force_rate_S_s) for k in (0, 1))
     pressed = normal_N > PRESSED_SHARE * settings.normal_force_N
     shown = float(np.max(np.abs(tangential_N[pressed]) / normal_N[pressed], initial=0.0))
     truth = json.loads(str(reading.get(TRUTH) or "{}"))

@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.analysis.trial.force_error import averaged, judged
 from rig.figures.circumstances import circumstances
 from rig.figures.slip_instants import Detections, detections_of
-from rig.figures.style import BLUE, GREY, ORANGE, SKY, VERMILLION, set_heading
+from rig.figures.style import BLACK, BLUE, GREY, ORANGE, SKY, VERMILLION, set_heading
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -25,6 +26,8 @@ BEFORE_S = 0.3
 """Time shown before the contact; the file contains all of the record."""
 MARGIN = 0.08
 """Room above and below what an axis is scaled to, as a share of its span."""
+UNJUDGED = "#999999"
+"""Colour of what is shown and not judged: lighter than `GREY`, which the limits have."""
 LEAST_FORCE = 0.1
 """Fraction of the normal force from which the object is considered touched."""
 
@@ -96,11 +99,26 @@ def draw_forces(axes: Axes, t: NDArray[np.float64], force: Waveform) -> None:
     axes.set_ylabel("Force (N)")
 
 
-def show_allowed_error(axes: Axes, run: RunFile) -> None:
-    """Draw the rms error above which a trial is invalid."""
+def draw_force_error(
+    axes: Axes, run: RunFile, number: int, force: Waveform, motion_s: tuple[float, float]
+) -> None:
+    """Draw the error of the normal force in the motion as the trial is judged by it: of the mean
+    over 5 ms, with what follows a squeeze in grey because it is not judged; and the rms error above
+    which a trial is invalid."""
+    t = seconds(force)
+    mean_N = averaged(force.values("F_n"), force.rate_Hz or 1.0)
+    error = 100 * (mean_N / set_points_N(run, number, t) - 1)
+    moving = judged(t, motion_s, [])
+    counted = judged(t, motion_s, [one["decided_s"] for one in squeezes_of(run, number)])
+    if (moving & ~counted).any():
+        axes.plot(
+            t[moving], error[moving], linewidth=0.6, color=UNJUDGED, label="squeeze, not judged"
+        )
+    axes.plot(t, np.where(counted, error, np.nan), linewidth=0.6, color=BLACK)
+    axes.set_ylabel("$F_n$ error (%)")
     allowed = float(run.settings.get("force_error_rms_percent", 0.0))
     if allowed:
-        # Lines, not a band: the limit is on the rms, the curve shows the instantaneous error.
+        # Lines, not a band: the limit is on the rms, the curve shows the error at each time.
         label = f"validity limit: rms ≤ {allowed:g} %"
         axes.axhline(allowed, color=GREY, linewidth=0.8, linestyle=":", label=label)
         axes.axhline(-allowed, color=GREY, linewidth=0.8, linestyle=":")

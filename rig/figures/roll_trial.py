@@ -10,6 +10,7 @@ import matplotlib as mpl
 from rig.figures.pressed import (
     a_figure_a_trial,
     draw_difference,
+    draw_force_error,
     draw_forces,
     draw_strips,
     from_touch_on,
@@ -17,7 +18,6 @@ from rig.figures.pressed import (
     scale_to,
     seconds,
     shade,
-    show_allowed_error,
 )
 from rig.figures.slip_instants import ROWS_LEFT, Detections, draw_rows, instants_of
 from rig.figures.style import (
@@ -81,10 +81,7 @@ def draw_trial(run: RunFile, number: int, point: str, detected: Detections) -> F
             scale_to(axes, [1e3 * signals.values(name)[rolled] for name in names])
         t, pressing = seconds(force), force.values("F_n")
         draw_forces(newtons, t, force)
-        held = (t >= begin) & (t <= end)
-        error.plot(t[held], 100 * (pressing[held] / wanted - 1), linewidth=0.6, color=BLACK)
-        show_allowed_error(error, run)
-        error.set_ylabel("$F_n$ error (%)")
+        draw_force_error(error, run, number, force, (begin, end))
         rows.set_xlabel("Time since the record's start (s)")
         shade(panels, begin, end, "the roll")
         for axes in panels:

@@ -13,15 +13,14 @@ from rig.figures.pressed import (
     LEAST_FORCE,
     a_figure_a_trial,
     draw_difference,
+    draw_force_error,
     draw_forces,
     draw_strips,
     from_touch_on,
     heading,
     scale_to,
     seconds,
-    set_points_N,
     shade,
-    show_allowed_error,
 )
 from rig.figures.slip_instants import (
     ROWS_LEFT,
@@ -105,11 +104,7 @@ def draw_trial(run: RunFile, number: int, point: str, detected: Detections) -> F
         draw_forces(newtons, t, force)
         _ratio(ratio, t, pressing, sideways, wanted)
         _coefficients(ratio, run, number)
-        held = (t >= begin) & (t <= end)
-        shortfall = pressing[held] / set_points_N(run, number, t[held]) - 1
-        error.plot(t[held], 100 * shortfall, linewidth=0.6, color=BLACK)
-        show_allowed_error(error, run)
-        error.set_ylabel("$F_n$ error (%)")
+        draw_force_error(error, run, number, force, (begin, end))
         loading = run.header.settings.get("loading", "slide")
         shade((difference, *below), begin, end, f"the {loading}")
         for axes in (difference, *below):

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import json
+from dataclasses import asdict
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,8 +13,11 @@ import recorded_trials as trials
 from matplotlib.figure import Figure
 from recorded import FAST_SLIDE, ROLL, TWO_SLIDES, unpack
 
+from procedures.pressed.record.reading import _held_force
+from procedures.pressed.record.squeeze import Squeeze
+from procedures.pressed.record.trial_record import TrialRecord
 from rig.figures.circumstances import statements
-from rig.figures.pressed import scale_to
+from rig.figures.pressed import draw_force_error, scale_to
 from rig.figures.series import _plot, draw_series
 from rig.files.runfile.reader import RunFile
 
@@ -100,3 +106,34 @@ def test_a_quantity_that_no_trial_has_gets_no_panel(tmp_path: Path) -> None:
     labels = [axes.get_ylabel() for axes in whole.axes if axes.get_ylabel()]
     assert labels[0] == "Friction"
     assert [axes.get_ylabel() for axes in without.axes if axes.get_ylabel()] == labels[1:]
+
+
+@pytest.mark.parametrize("squeezed", [False, True])
+def test_the_error_of_the_force_is_drawn_as_it_is_judged(squeezed: bool) -> None:
+    """Found in a review: the curve went to -17 %, and the stored peak was 2.1 %."""
+    record = TrialRecord(1, 100.0, 1000.0, 4.0)
+    force_N = 4 + 0.02 * np.random.default_rng(1).standard_normal(2000)
+    if squeezed:
+        force_N[1500:] += 1
+        force_N[1500:1520] -= np.linspace(1, 0, 20)
+        record.set_points = [(1.5, 5.0)]
+        record.squeezes = [Squeeze(1.498, 1.5, 4.0, 5.0)]
+    record.force = [np.column_stack([force_N, np.zeros((2000, 2))])]
+    record.frames, record.motion_from_s, record.motion_to_s = 2000, 1.0, 1.9
+    stored = _held_force(record, record.forces_N())
+    columns: dict[str, list[object]] = {
+        "set_normal_force": [4.0],
+        "squeeze_record": [json.dumps([asdict(one) for one in record.squeezes])],
+    }
+    run = SimpleNamespace(columns=lambda: list(columns), column=columns.__getitem__, settings={})
+    force = SimpleNamespace(counts={"F_n": force_N}, rate_Hz=1000.0, values={"F_n": force_N}.get)
+    axes = Figure().subplots()
+    draw_force_error(axes, run, 0, force, (1.0, 1.9))  # type: ignore[arg-type]
+    *unjudged, curve = axes.get_lines()
+    error = curve.get_ydata()
+    peak, rms = np.nanmax(np.abs(error)), np.sqrt(np.nanmean(np.square(error)))
+    assert peak == pytest.approx(stored["force_error_peak_percent"])
+    assert rms == pytest.approx(stored["force_error_rms_percent"])
+    assert [line.get_label() for line in unjudged] == ["squeeze, not judged"] * squeezed
+    for line in unjudged:
+        assert np.min(line.get_ydata()) < -10

@@ -15,6 +15,7 @@ from procedures.pressed.record.squeeze import STALE_S
 from procedures.pressed.settings import AFTER_S, CONTACT_N, PressedSettings
 from rig.analysis.trial.clock_offset import clock_offset
 from rig.analysis.trial.decimation import DECIMATED_Hz
+from rig.analysis.trial.force_error import SQUEEZED_S, averaged, judged
 from rig.analysis.trial.touch_down import TouchDownError, TouchRecord
 from rig.analysis.trial.touch_gain import touch_gain
 from rig.bench.settings import STRIPS
@@ -33,9 +34,6 @@ if TYPE_CHECKING:
 
 MISSING_S = 0.05
 """Length in s of samples or frames that may still be under way when a record ends."""
-SERVO_ERROR_S = 0.005
-"""Stretch over which the error of the force and the largest F_t/F_n are averaged, in an odd number
-of frames."""
 ZERO_SHIFT_N, ZERO_SHIFT = 0.1, 0.03
 """Largest change of the force sensor's zero within a valid trial, and as a share of the normal
 force; the larger of both is the bound."""
@@ -44,8 +42,6 @@ OLDEST_LOOK = 5
 the next: 0.05 s at the usual 100 looks a second. What moves at 6 mm/s goes 0.3 mm meanwhile."""
 HELD_BACK = 0.5
 """Share of the ticks without a new target for z beyond which there is a warning."""
-SQUEEZED_S = 0.1
-"""Time after a squeeze in which the force is on its way to the new set point and is not judged."""
 CLOCKS_SEEN_S, CLOCKS_SEARCHED_S = 0.1, 0.2
 """Time in s beyond touch-down and tap over which the two clocks are compared, and their largest
 assumed offset."""
@@ -104,15 +100,12 @@ def _held_force(record: TrialRecord, force: npt.NDArray[np.float64]) -> Reading:
     by the grip and the times in which z was to rest."""
     t = record.frame_times_s()
     held = (t >= record.motion_from_s) & (t <= record.motion_to_s)
-    error = 100 * (smoothed(force[:, 0], record.force_rate_S_s) / record.set_force_N(t) - 1)
-    judged = held.copy()
-    for squeeze in record.squeezes:
-        judged &= (t < squeeze.decided_s) | (t > squeeze.decided_s + SQUEEZED_S)
-    if not judged.any():
-        judged = held.copy()
+    error = 100 * (averaged(force[:, 0], record.force_rate_S_s) / record.set_force_N(t) - 1)
+    motion_s = record.motion_from_s, record.motion_to_s
+    counted = judged(t, motion_s, [squeeze.decided_s for squeeze in record.squeezes])
     for from_s, to_s in record.rested:
-        judged &= (t < from_s) | (t > to_s + SQUEEZED_S)
-    errors = error[judged]
+        counted &= (t < from_s) | (t > to_s + SQUEEZED_S)
+    errors = error[counted]
     return {
         "set_normal_force_N": record.normal_force_N,
         "overshoot_percent": max(0.0, float(error[t < record.motion_from_s].max())),
@@ -183,7 +176,7 @@ def _touch_frame(force_N: npt.NDArray[np.float64], rate_S_s: float, tapped_s: fl
     Neither a disturbance in free air is taken nor an object that was felt and lost again: the
     clocks would be compared over a long stretch, which takes long.
     """
-    away = np.flatnonzero(smoothed(force_N, rate_S_s)[: round(tapped_s * rate_S_s)] < CONTACT_N / 2)
+    away = np.flatnonzero(averaged(force_N, rate_S_s)[: round(tapped_s * rate_S_s)] < CONTACT_N / 2)
     first = int(away[-1]) + 1 if away.size else 0
     touched = np.flatnonzero(force_N[first:] > CONTACT_N)
     return first + int(touched[0]) if touched.size else first
@@ -287,11 +280,3 @@ def _stretch(
     """Return values from one instant to another; their rate; when they begin."""
     first = max(0, round(begin_s * rate_Hz))
     return values[first : round(end_s * rate_Hz)], rate_Hz, first / rate_Hz
-
-
-def smoothed(force_N: npt.NDArray[np.float64], rate_S_s: float) -> npt.NDArray[np.float64]:
-    """Return the moving mean of a force (n,) in N over `SERVO_ERROR_S`: noise is neither an
-    error of the servo nor the largest force."""
-    frames = 2 * round((SERVO_ERROR_S * rate_S_s - 1) / 2) + 1
-    kernel = np.full(frames, 1 / frames)
-    return np.convolve(np.pad(force_N, frames // 2, mode="edge"), kernel, "valid")
