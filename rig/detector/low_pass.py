@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Self
 
 import numpy as np
@@ -26,6 +26,8 @@ Reals = NDArray[np.float64]
 
 HALF_POWER_dB = -3.0
 """Gain at `LowPassSettings.half_power_Hz`."""
+LEAST_STOP_dB = 21.0
+"""Least attenuation: that of a window with equal weights."""
 MOST_TAPS = 20_001
 """Largest length of a filter."""
 
@@ -35,7 +37,7 @@ class LowPassSettings(Settings):
 
     half_power_Hz: float = Field(28.0, gt=0)
     """Frequency at which the gain is -3 dB."""
-    stop_dB: float = Field(73.5, ge=21, le=150)
+    stop_dB: float = Field(73.5, ge=LEAST_STOP_dB, le=150)
     """Attenuation of the stop band (assumed: the paper's figure is missing)."""
     lag_deg: float | None = Field(9.0, gt=0)
     """Phase lag at `lag_Hz`; none if `stop_Hz` is given."""
@@ -94,7 +96,7 @@ class LowPass:
 
     def lag_deg(self, frequency_Hz: float) -> float:
         """Return the phase lag in degrees at a frequency of the pass band."""
-        return _lag_deg(self.response(frequency_Hz))
+        return _lag_deg(self.taps, frequency_Hz, self.rate_Hz)
 
     def group_delay_s(self, frequency_Hz: ArrayLike) -> Reals:
         """Return the group delay in s (k,) at frequencies (k,) in Hz."""
@@ -177,40 +179,78 @@ def _with_lag(settings: LowPassSettings, lag_deg: float, rate_Hz: float) -> Real
 
     The length is chosen to the nearest tap, and the attenuation is adjusted for the remainder.
     """
-    from scipy.optimize import brentq
 
     def lag_of(half: int, stop_dB: float) -> float:
         taps = minimum_phase(_prototype(settings, half, stop_dB, rate_Hz))
-        return _lag_deg(frequency_response(taps, settings.lag_Hz, rate_Hz))
+        return _lag_deg(taps, settings.lag_Hz, rate_Hz)
+
+    def error_of(half: int, wanted_deg: float, stop_dB: float) -> float:
+        return lag_of(half, stop_dB) - wanted_deg
 
     shortest = _shortest(settings, rate_Hz, lambda half: True, "")
+
+    def with_exactly(lag_deg: float) -> Reals | None:
+        half = _shortest(
+            settings,
+            rate_Hz,
+            lambda n: lag_of(n, settings.stop_dB) >= lag_deg,
+            f"lag_deg {lag_deg:g} deg with ",
+        )
+        for length in range(half, max(half - 2, shortest - 1), -1):
+            most_dB = _most_attenuation(settings, length, rate_Hz)
+            error = partial(error_of, length, lag_deg)
+            adjusted = _zero_near(error, settings.stop_dB, most_dB)
+            if adjusted is not None:
+                return _prototype(settings, length, adjusted, rate_Hz)
+        return None
+
     least = lag_of(shortest, settings.stop_dB)
-    if lag_deg < least:
-        nyquist = rate_Hz / 2
-        bound = least_lag_deg(
-            settings.half_power_Hz, nyquist / 2, settings.stop_dB, rate_Hz, settings.lag_Hz
-        )
-        raise ValueError(
-            f"lag_deg {lag_deg:g} deg at {settings.lag_Hz:g} Hz must be at least {least:.2f} deg "
-            f"where {settings.half_power_Hz:g} Hz is -3 dB, {settings.stop_dB:g} dB are asked for "
-            f"and the rate is {rate_Hz:g} Hz: by Bode's integral any causal filter that is so far "
-            f"down from {nyquist / 2:g} Hz on lags {bound:.2f} deg. Attenuate less, or allow more "
-            "lag"
-        )
-    half = _shortest(
-        settings,
-        rate_Hz,
-        lambda n: lag_of(n, settings.stop_dB) >= lag_deg,
-        f"lag_deg {lag_deg:g} deg with ",
+    taps = with_exactly(lag_deg) if lag_deg >= least else None
+    if taps is not None:
+        return taps
+    half = shortest
+    while (least := _rounded_up(lag_of(half, settings.stop_dB))) < lag_deg or (
+        with_exactly(least) is None
+    ):
+        half += 1
+    nyquist = rate_Hz / 2
+    bound = least_lag_deg(
+        settings.half_power_Hz, nyquist / 2, settings.stop_dB, rate_Hz, settings.lag_Hz
+    )
+    raise ValueError(
+        f"lag_deg {lag_deg:g} deg at {settings.lag_Hz:g} Hz must be at least {least:.2f} deg "
+        f"where {settings.half_power_Hz:g} Hz is -3 dB, {settings.stop_dB:g} dB are asked for "
+        f"and the rate is {rate_Hz:g} Hz: by Bode's integral any causal filter that is so far "
+        f"down from {nyquist / 2:g} Hz on lags {bound:.2f} deg. Attenuate less, or allow more "
+        "lag"
     )
 
-    def error(stop_dB: float) -> float:
-        return lag_of(half, stop_dB) - lag_deg
 
-    low, high = settings.stop_dB - 0.1, settings.stop_dB + 0.1
-    while error(low) * error(high) > 0:
-        low, high = max(21.0, low - 0.5), high + 0.5
-    return _prototype(settings, half, float(brentq(error, low, high, xtol=1e-6)), rate_Hz)
+def _rounded_up(lag_deg: float) -> float:
+    """Return a lag rounded up to what a message shows of it."""
+    return math.ceil(lag_deg * 100) / 100
+
+
+def _zero_near(error: Callable[[float], float], stop_dB: float, most_dB: float) -> float | None:
+    """Return the attenuation near `stop_dB`, at most `most_dB`, at which `error` is 0; None if
+    there is none."""
+    from scipy.optimize import brentq
+
+    middle = error(stop_dB)
+    low, high = stop_dB - 0.1, min(stop_dB + 0.1, most_dB)
+    while error(low) * middle > 0 and error(high) * middle > 0:
+        if low == LEAST_STOP_dB and high == most_dB:
+            return None
+        low, high = max(LEAST_STOP_dB, low - 0.5), min(high + 0.5, most_dB)
+    other = high if error(low) * error(high) <= 0 else stop_dB
+    return float(brentq(error, low, other, xtol=1e-6))
+
+
+def _most_attenuation(settings: LowPassSettings, half: int, rate_Hz: float) -> float:
+    """Return the largest attenuation, within 20 dB, with which this length can be -3 dB at the
+    required frequency."""
+    steps = settings.stop_dB + np.arange(0.0, 20.0, 0.1)
+    return float(max(dB for dB in steps if _can_fall(settings, half, float(dB), rate_Hz)))
 
 
 def _shortest(
@@ -224,9 +264,7 @@ def _shortest(
     """
 
     def able(half: int) -> bool:
-        window = np.kaiser(2 * half + 1, kaiser_shape(settings.stop_dB))
-        at = frequency_response(window / window.sum(), settings.half_power_Hz, rate_Hz)
-        return bool(abs(at[0]) < 10 ** (HALF_POWER_dB / 20)) and holds(half)
+        return _can_fall(settings, half, settings.stop_dB, rate_Hz) and holds(half)
 
     high = 1
     while not able(high):
@@ -242,6 +280,13 @@ def _shortest(
         middle = (low + high) // 2
         low, high = (low, middle) if able(middle) else (middle, high)
     return high
+
+
+def _can_fall(settings: LowPassSettings, half: int, stop_dB: float, rate_Hz: float) -> bool:
+    """Return whether a filter of this length can be -3 dB at the required frequency."""
+    window = np.kaiser(2 * half + 1, kaiser_shape(stop_dB))
+    at = frequency_response(window / window.sum(), settings.half_power_Hz, rate_Hz)
+    return bool(abs(at[0]) < 10 ** (HALF_POWER_dB / 20))
 
 
 def _prototype(settings: LowPassSettings, half: int, stop_dB: float, rate_Hz: float) -> Reals:
@@ -265,6 +310,10 @@ def _prototype(settings: LowPassSettings, half: int, stop_dB: float, rate_Hz: fl
     return taps_of(float(brentq(error, 0.0, rate_Hz / 2, xtol=1e-9 * rate_Hz)))
 
 
-def _lag_deg(response: NDArray[np.complex128]) -> float:
-    turned = complex(response[0])
-    return -math.degrees(math.atan2(turned.imag, turned.real))
+def _lag_deg(taps: Reals, frequency_Hz: float, rate_Hz: float) -> float:
+    """Return the phase lag in degrees, which may exceed 180: the phase is followed from 0 Hz on."""
+    points = 8 * taps.size  # minimum phase turns by at most a sixteenth from point to point
+    below = np.fft.rfft(taps, points)[: int(points * frequency_Hz / rate_Hz) + 1]
+    here = frequency_response(taps, frequency_Hz, rate_Hz)
+    followed = np.unwrap(np.angle(np.concatenate([below, here])))
+    return -math.degrees(followed[-1])

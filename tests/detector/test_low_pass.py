@@ -89,6 +89,38 @@ def test_too_little_lag_is_refused_with_bodes_bound():
         design_low_pass(LowPassSettings(lag_deg=2.0), 1000.0)
 
 
+def designed(lag_deg: float, rate_Hz: float, stop_dB: float = 73.5) -> float:
+    """Return the lag at 20 Hz of the filter for it, from the phase at many frequencies."""
+    settings = LowPassSettings(lag_deg=lag_deg, lag_Hz=20.0, stop_dB=stop_dB)
+    filter_ = design_low_pass(settings, rate_Hz)
+    phase = np.unwrap(np.angle(filter_.response(np.linspace(0.0, 20.0, 2001))))
+    assert filter_.level(28.0)[0] == pytest.approx(-3.0, abs=0.01)
+    assert filter_.lag_deg(20.0) == pytest.approx(-math.degrees(phase[-1]), abs=1e-6)
+    return filter_.lag_deg(20.0)
+
+
+@pytest.mark.parametrize(
+    ("lag_deg", "rate_Hz"), [(97.3, 2000.0), (100.0, 2000.0), (170.0, 1000.0), (198.0, 1000.0)]
+)
+def test_a_large_lag_is_that_of_the_design(lag_deg: float, rate_Hz: float):
+    assert designed(lag_deg, rate_Hz) == pytest.approx(lag_deg, abs=1e-3)
+
+
+@pytest.mark.thorough
+def test_a_lag_of_more_than_a_turn_is_that_of_the_design():
+    assert designed(400.0, 1000.0) == pytest.approx(400.0, abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("lag_deg", "rate_Hz", "stop_dB"), [(50.0, 2000.0, 73.5), (59.0, 1000.0, 25.0)]
+)
+def test_the_least_lag_of_the_message_can_be_had(lag_deg: float, rate_Hz: float, stop_dB: float):
+    with pytest.raises(ValueError, match="must be at least") as refused:
+        designed(lag_deg, rate_Hz, stop_dB)
+    least = float(str(refused.value).split("must be at least ")[1].split()[0])
+    assert designed(least, rate_Hz, stop_dB) == pytest.approx(least, abs=1e-3)
+
+
 def test_too_steep_a_filter_is_refused():
     with pytest.raises(ValueError, match=r"lag_deg 60 deg .* more than 20001 taps at 1000 Hz"):
         design_low_pass(LowPassSettings(lag_deg=60.0), 1000.0)
