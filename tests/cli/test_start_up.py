@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import json
+import re
 import signal
 import subprocess
 import sys
 from importlib import import_module
 from importlib.metadata import entry_points
 from pathlib import Path
+from typing import Any
 
 import pytest
+import typer
 from tiers import mostly_thorough
 
-from rig.cli.app import COMMANDS, GROUPS
+from rig.cli.app import COMMANDS, GROUPS, build
+from rig.core.entry_points import PROCEDURES, names
 
 EXPENSIVE = ("scipy", "numpy", "h5py", "matplotlib", "pint", "pydantic", "pyvisa", "numba")
 PROGRAM = f"""
@@ -73,6 +77,23 @@ def test_a_procedures_help_shows_its_settings_with_units_and_defaults() -> None:
     ):
         assert words in shown
     assert "2 to 20000 Hz" in shown
+
+
+def commands_of(name: str) -> dict[str, Any]:
+    """Return the command, or the commands of the group, by what is typed for it."""
+    command: Any = typer.main.get_command(build([name])).commands[name]  # type: ignore[attr-defined]
+    subcommands = getattr(command, "commands", {})
+    return {name: command} | {f"{name} {sub}": subcommands[sub] for sub in subcommands}
+
+
+@pytest.mark.parametrize("name", [*COMMANDS, *GROUPS, *names(PROCEDURES)])
+def test_help_names_only_options_that_the_command_has(name: str) -> None:
+    for typed, command in commands_of(name).items():
+        own = {option for one in command.params for option in (*one.opts, *one.secondary_opts)}
+        texts = [command.help or "", *(getattr(one, "help", None) or "" for one in command.params)]
+        for text in texts:
+            of_this = re.sub(r"\brig [a-z-]+( [a-z-]+)? --[a-z-]+", "", text)  # those of others
+            assert set(re.findall(r"--[a-z][a-z-]*", of_this)) <= own, f"rig {typed}: {text}"
 
 
 def test_help_of_the_skin_imports_nothing_expensive() -> None:

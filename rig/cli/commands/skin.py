@@ -48,6 +48,15 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 
+
+def _settings_file(without_effect: str = "") -> Any:
+    """Return the option --settings of a command; its help names the options that it replaces."""
+    text = "JSON file with settings, as --show-settings prints them."
+    if without_effect:
+        text += f" With it, {without_effect}."
+    return typer.Option(help=text, metavar="FILE")
+
+
 At = Annotated[
     list[str] | None,
     typer.Option("--at", help="Time at which the deformed skin is drawn; repeatable.", metavar="s"),
@@ -61,14 +70,6 @@ class OutputOptions:
     results: Annotated[
         Path, typer.Option(help="Folder for data and figures.", file_okay=False, metavar="FOLDER")
     ] = RESULTS
-    settings: Annotated[
-        Path | None,
-        typer.Option(
-            help="JSON file with settings, as --show-settings prints them. With it, --speed, "
-            "--start, --shape, --relief and --normal-force have no effect.",
-            metavar="FILE",
-        ),
-    ] = None
     show_settings: Annotated[
         bool, typer.Option("--show-settings", help="Print the settings as JSON and exit.")
     ] = False
@@ -142,6 +143,9 @@ def slide(
     *,
     speed: Annotated[str, typer.Option(help="Speed of the plate.", metavar="mm/s")] = "0.5mm/s",
     at: At = None,
+    settings: Annotated[
+        Path | None, _settings_file("--speed and --normal-force have no effect")
+    ] = None,
     pressed: SkinOptions,
     output: OutputOptions,
 ) -> None:
@@ -157,10 +161,10 @@ def slide(
             press=PressSettings(normal_force_N=pressed.normal_newtons()),
             speed_mm_s=number_in(speed, "mm/s", "--speed", above=0.0),
         )
-        chosen = read_settings(default, output.settings)
+        chosen = read_settings(default, settings)
         if chosen.speed_mm_s == 0:
             raise ConfigurationError(
-                f"{output.settings}: speed_mm_s = 0 mm/s: the plate does not slide",
+                f"{settings}: speed_mm_s = 0 mm/s: the plate does not slide",
                 "choose a speed above 0, for example 0.5",
             )
         instants = _times(at)
@@ -184,6 +188,9 @@ def roll(
         str, typer.Option(help="Shape of the object.", metavar="[cylinder|sphere]")
     ] = "cylinder",
     at: At = None,
+    settings: Annotated[
+        Path | None, _settings_file("--start, --shape and --normal-force have no effect")
+    ] = None,
     pressed: SkinOptions,
     output: OutputOptions,
 ) -> None:
@@ -205,13 +212,13 @@ def roll(
             }
         )
         instants = _times(at)
-        chosen = read_settings(default, output.settings)
+        chosen = read_settings(default, settings)
         if _shown(output, pressed, chosen):
             return
-        if output.settings is None:
+        if settings is None:
             start = f"--start {start}"
         else:
-            start = f"{output.settings}: start_x_mm = {chosen.start_x_mm:g} mm"
+            start = f"{settings}: start_x_mm = {chosen.start_x_mm:g} mm"
         _refuse_out_of_reach(start, chosen, pressed.skin_settings())
         require_results_folder(output.results)
         elastic, skin = _skin(pressed.skin_settings())
@@ -235,6 +242,7 @@ def history(
         list[float] | None,
         typer.Option(help="Step at which the deformed skin is drawn; repeatable.", metavar="STEP"),
     ] = None,
+    settings: Annotated[Path | None, _settings_file("--relief has no effect")] = None,
     output: OutputOptions,
 ) -> None:
     """Run the simulation of the paper's 4.2.
@@ -248,7 +256,7 @@ def history(
     with reported(output.debug, output.as_json), model_errors():
         if relief not in RELIEFS:
             raise ConfigurationError(f"--relief {relief}: must be one of {', '.join(RELIEFS)}")
-        chosen = read_settings(HistorySettings(loads=RELIEFS[relief]), output.settings)
+        chosen = read_settings(HistorySettings(loads=RELIEFS[relief]), settings)
         if output.show_settings:
             _show(chosen)
             return
@@ -289,6 +297,8 @@ def history(
 @app.command(name="map")
 @with_option_groups
 def map_(
+    *,
+    settings: Annotated[Path | None, _settings_file()] = None,
     output: OutputOptions,
 ) -> None:
     """Map v_d of a slide against the places of the strips.
@@ -298,7 +308,7 @@ def map_(
     from rig.physics.design_map import MapSettings, design_map
 
     with reported(output.debug, output.as_json), model_errors():
-        chosen = read_settings(MapSettings(), output.settings)
+        chosen = read_settings(MapSettings(), settings)
         if output.show_settings:
             _show(chosen)
             return
