@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Literal, get_args
 
@@ -13,6 +13,10 @@ EventKind = Literal[
 UNJUDGED = "unjudged_ms"
 """Name of the number with which events of the last two kinds state for how long nothing had been
 judged when they were decided."""
+ONE_INVERTED = (
+    "the first touch drives v_1 and v_2 oppositely: one is inverted, or it was not recorded"
+)
+"""Reason of a rejection, as the kernel states it, after which alarms are not to be trusted."""
 EVENT_KINDS: tuple[EventKind, ...] = get_args(EventKind)
 SHOWN_AS: dict[EventKind, str] = {
     "predictive": "motion under load begun",
@@ -25,6 +29,8 @@ SHOWN_AS: dict[EventKind, str] = {
 """What the kinds are called where people read them, in the singular. The paper calls the first one
 predictive; it comes in every hold and roll as well, so that it predicts no slip."""
 
+MOST_NAMED = 5
+"""Number of trials that a warning names."""
 _SEVERAL: dict[EventKind, str] = {
     "predictive": "motions under load begun",
     "incipient slip": "incipient slips",
@@ -63,6 +69,29 @@ class SlipEvent:
     features: dict[str, float] = field(default_factory=dict)
     """Numbers that decided, by name and unit (`rig.detector.kernel.EVENT_FEATURES`); of the last
     two kinds also `UNJUDGED`."""
+
+
+def says_inverted(events: Iterable[SlipEvent]) -> bool:
+    """Return whether the detector said that one channel may be inverted."""
+    return any(event.reason == ONE_INVERTED for event in events)
+
+
+def inverted_warning(trials: Mapping[str, Iterable[SlipEvent]]) -> str | None:
+    """Return the warning of the trials in which one channel may be inverted; None without one.
+
+    >>> touch = SlipEvent("rejected", 500, 0.5, 0.0, ONE_INVERTED)
+    >>> inverted_warning({"trial-001": [touch], "trial-002": []})
+    'alarms in trial-001 are not to be trusted: the first touch drives v_1 and v_2 oppositely, so \
+one is inverted, or the first touch was not recorded'
+    """
+    named = [trial for trial, events in trials.items() if says_inverted(events)]
+    if not named:
+        return None
+    more = f" and {len(named) - MOST_NAMED} more" if len(named) > MOST_NAMED else ""
+    return (
+        f"alarms in {', '.join(named[:MOST_NAMED])}{more} are not to be trusted: the first touch "
+        "drives v_1 and v_2 oppositely, so one is inverted, or the first touch was not recorded"
+    )
 
 
 def unjudged_s(events: Iterable[SlipEvent], record_s: float) -> tuple[tuple[float, float], ...]:

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rig.core.entry_points import OWN_PACKAGE
-from rig.detector.events import SHOWN_AS
+from rig.detector.events import SHOWN_AS, inverted_warning
 from rig.files.journal.reader import JournalContents, ending
 from rig.files.journal.values import PersonOrSample, RunHeader
 from rig.files.runfile.reader import RecordedOutcome
@@ -117,7 +117,11 @@ def describe_processed(file: ProcessedFile) -> dict[str, Any]:
         parameters["network"] = network.get("name") if isinstance(network, dict) else network
     foreign = detector.package not in ("", OWN_PACKAGE)
     events = file.events()
-    doubts = list(file.doubts())
+    of_trials = {
+        trial: [event for of, event in events if of == trial] for trial in file.trial_ids()
+    }
+    inverted = inverted_warning(of_trials)
+    warnings = [*file.doubts(), *([inverted] if inverted else [])]
     return {
         "file": str(file.path),
         "title": file.title,
@@ -130,10 +134,10 @@ def describe_processed(file: ProcessedFile) -> dict[str, Any]:
         **({"package": f"{detector.package} {detector.package_version}"} if foreign else {}),
         "parameters": parameters,
         "trials": {
-            trial: [_event(event) for of, event in events if of == trial] or ["nothing found"]
-            for trial in file.trial_ids()
+            trial: [_event(event) for event in found] or ["nothing found"]
+            for trial, found in of_trials.items()
         },
-        **({"warnings": doubts} if doubts else {}),
+        **({"warnings": warnings} if warnings else {}),
     }
 
 

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 from rig.core.errors import ConfigurationError, ExitCode, RigError
 from rig.core.text import in_shell
 from rig.detector.blocks import BlockFeed
-from rig.detector.events import EVENT_KINDS, SlipEvent, unjudged_s
+from rig.detector.events import EVENT_KINDS, SlipEvent, inverted_warning, unjudged_s
 from rig.detector.notices import NOTICE_COLUMNS, notices_in
 from rig.detector.registered import ChosenDetector
 from rig.files.checksum import checksum_findings, sha256_of
@@ -249,6 +249,8 @@ def _found(
     events = [(trial.id, event) for trial in trials for event in trial.events]
     counts = Counter(event.kind for _, event in events)
     slips = ((trial, event.time_s) for trial, event in events if event.kind == "incipient slip")
+    if inverted := inverted_warning({trial.id: trial.events for trial in trials}):
+        warnings = [*warnings, f"{source.file_name}: {inverted}"]
     return DetectionResult(
         file=target,
         kept=kept,

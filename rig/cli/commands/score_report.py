@@ -113,9 +113,9 @@ def _end(failures: Mapping[str, tuple[str, RigError]]) -> None:
 
 _TRIAL = (
     "trial", "detector", "label", "found", "found_first", "early", "late", "alarmed",
-    "alarmed_pressing", "alarmed_moving", "cannot_judge", "slip_unjudged", "unjudged_s",
-    "early_by_s", "after_node_s", "after_ridge_s", "before_gross_s", "armed",
-    "arming_lead_s", "in_vain", "false_alarms",
+    "alarmed_pressing", "alarmed_moving", "cannot_judge", "says_inverted",
+    "slip_unjudged", "unjudged_s", "early_by_s", "after_node_s", "after_ridge_s",
+    "before_gross_s", "armed", "arming_lead_s", "in_vain", "false_alarms",
     "without_slip_s", "quiet_alarms", "quiet_s", "kind", "stop", "pattern", "noise_mV",
     "speed_mm_s", "static_coefficient", "friction_ratio", "normal_force_N", "gain_mismatch",
     "tick_Hz", "held_share",

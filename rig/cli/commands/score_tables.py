@@ -61,6 +61,7 @@ LABELS = {
     "found_of_judged": "of the slips that it says it can judge, found in time",
     "slips_unjudged": "slips that it says it cannot judge (counted as missed)",
     "cannot_judge": "trials that it says it cannot judge completely",
+    "says_inverted": "trials in which it says that v_1 or v_2 may be inverted",
     "unjudged_time": "time that it says it cannot judge, % of all",
     "false_per_hour": "early and false alarms per hour without slip",
     "false_per_hour_of": "hours without slip",

@@ -9,9 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.core.settings import Settings, fingerprint
-from rig.detector import kernel
 from rig.detector.blocks import BlockFeed
-from rig.detector.events import unjudged_s
+from rig.detector.events import says_inverted, unjudged_s
 from rig.detector.notices import Notice
 from rig.detector.registered import ChosenDetector
 from rig.evaluation.scoring.baselines import BaselineSettings, baseline_reports
@@ -109,7 +108,7 @@ class DetectorContender:
             alarms_s=np.array(slips, dtype=np.float64),
             armings_s=np.array(armings, dtype=np.float64),
             rolls_s=np.array(rolls, dtype=np.float64),
-            inverted=any(one.reason == kernel.REASONS[kernel.ONE_INVERTED] for one in events),
+            inverted=says_inverted(events),
             unjudged_s=unjudged_s(events, len(volts) / rate_Hz),
         )
 

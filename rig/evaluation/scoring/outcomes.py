@@ -90,7 +90,7 @@ class DetectorReport:
     unjudged_s: tuple[tuple[float, float], ...] = ()
     """Intervals of which the detector said that it cannot judge them, ascending."""
     inverted: bool = False
-    """True if the detector said that one channel is inverted, so that no alarm is to be trusted."""
+    """True if the detector said that one channel may be inverted: alarms are not to be trusted."""
 
 
 @dataclass(frozen=True)
@@ -123,6 +123,8 @@ class TrialOutcome:
     found or not."""
     cannot_judge: bool
     """True if the detector said that it cannot judge the recording, or a part of it."""
+    says_inverted: bool
+    """True if the detector said that one channel may be inverted. It judged all the same."""
     slip_unjudged: bool
     """True if, in a slip, it judged no moment of the time in which an alarm finds the slip. Such a
     slip is also missed: an alarm in that time would have to be taken back."""
@@ -217,7 +219,8 @@ def judge(truth: Truth, report: DetectorReport, traits: Mapping[str, float | str
         alarmed_moving=bool(moved.size),
         alarmed_touching=bool(touching.any()),
         alarmed_after=bool(late.size),
-        cannot_judge=bool(report.unjudged_s) or report.inverted,
+        cannot_judge=bool(report.unjudged_s),
+        says_inverted=report.inverted,
         slip_unjudged=truth.slipped and _covers(report.unjudged_s, *truth.window_s()),
         unjudged_s=float(sum(end - begin for begin, end in report.unjudged_s)),
         record_s=truth.record_s,

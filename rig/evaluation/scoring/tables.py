@@ -224,6 +224,7 @@ def _quantities(outcomes: Sequence[TrialOutcome]) -> Iterator[tuple[str, ScoredN
     if outcomes:
         yield "pressing_alarms", share(outcomes, lambda one: one.alarmed_pressing)
         yield "cannot_judge", share(outcomes, lambda one: one.cannot_judge)
+        yield "says_inverted", share(outcomes, lambda one: one.says_inverted)
     if timed := [one for one in outcomes if math.isfinite(one.record_s)]:
         unjudged = 100 * sum(o.unjudged_s for o in timed) / sum(o.record_s for o in timed)
         yield "unjudged_time", ScoredNumber(unjudged, math.nan, math.nan, len(timed), "%")

@@ -121,6 +121,13 @@ def test_a_slip_in_time_that_is_not_judged_is_missed_and_said_to_be_unjudged():
     assert (hold.slip_unjudged, hold.unjudged_s) == (False, 2.0)
 
 
+def test_a_trial_whose_strip_may_be_inverted_was_judged_and_is_counted_by_itself():
+    reported = judge(SLIP, DetectorReport(np.array([1.001]), inverted=True), {})
+    assert (reported.found, reported.cannot_judge, reported.says_inverted) == (True, False, True)
+    shares = score([reported, judged(SLIP, [1.001])])
+    assert (shares["cannot_judge"].value, shares["says_inverted"].value) == (0.0, 0.5)
+
+
 def test_a_detector_that_never_judges_finds_nothing_and_is_not_credited_for_it():
     silent = judge(SLIP, DetectorReport(unjudged_s=((0.0, 2.0),)), {})
     reported = score([silent, judged(SLIP, [1.001])])

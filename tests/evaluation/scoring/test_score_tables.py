@@ -104,6 +104,7 @@ def test_a_score_tells_every_kind_of_right_and_wrong():
         "taken_for_rolls": (pytest.approx(1 / 6), 6),
         "pressing_alarms": (1 / 9, 9),
         "cannot_judge": (0.0, 9),
+        "says_inverted": (0.0, 9),
         "slips_unjudged": (0.0, 3),
         "armed": (pytest.approx(2 / 3), 3),
         "armings_in_vain": (pytest.approx(3 / 5), 5),

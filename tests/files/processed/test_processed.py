@@ -97,6 +97,22 @@ def test_a_trial_in_which_nothing_ever_touched_the_strips_is_not_judged(
     assert again.events == first.events
 
 
+def test_a_trial_with_an_inverted_strip_has_a_warning_where_it_is_detected_and_shown(
+    tmp_path: Path,
+) -> None:
+    inverted = trials.slipping() * [1.0, -1.0]
+    both = {"trial-001": trials.slipping(), "trial-002": inverted}
+    file = trials.write_trials(tmp_path / "inverted_r001.rigj", both)
+    wanted = "alarms in trial-002 are not to be trusted: the first touch drives v_1 and v_2 oppos"
+    for _ in range(2):
+        found = detected(file)
+        assert [f"inverted_r001.h5: {wanted}" in line for line in found.warnings] == [True]
+        assert found.unjudged_s == {}
+    with ProcessedFile.open(found.file) as processed:
+        (warning,) = describe_processed(processed)["warnings"]
+    assert warning.startswith(wanted)
+
+
 def test_a_press_that_nothing_follows_was_seen_and_judged(tmp_path: Path) -> None:
     pressed = trials.slipping()
     pressed[700:] = trials.quiet(800)
