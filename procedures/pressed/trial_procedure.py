@@ -152,7 +152,7 @@ class TrialProcedure(Procedure):
         if found:
             first = ", ".join(f"{time_s:.3f} s" for _, time_s in found[:FIRST_SLIPS])
             more = f" and {len(found) - FIRST_SLIPS} more" if len(found) > FIRST_SLIPS else ""
-            lines.append(f"incipient slips found during the trials at {first}{more}")
+            lines.append(f"alarms of incipient slip during the trials at {first}{more}")
         left_out = self.not_in_brief | {
             name.replace(MEAN, DEVIATION, 1) for name in self.not_in_brief if name.startswith(MEAN)
         }

@@ -31,21 +31,22 @@ predictive; it comes in every hold and roll as well, so that it predicts no slip
 
 MOST_NAMED = 5
 """Number of trials that a warning names."""
-_SEVERAL: dict[EventKind, str] = {
-    "predictive": "motions under load begun",
-    "incipient slip": "incipient slips",
-    "roll": "rolls",
+_COUNTED: dict[EventKind, tuple[str, str]] = {
+    "predictive": (SHOWN_AS["predictive"], "motions under load begun"),
+    "incipient slip": ("alarm of incipient slip", "alarms of incipient slip"),
+    "roll": (SHOWN_AS["roll"], "rolls"),
 }
+"""What is counted, one and several: a slip that lasts may have many alarms."""
 
 
 def counted_events(kind: EventKind, number: int) -> str:
     """Return how often a kind of event was found.
 
-    >>> counted_events("predictive", 2)
-    '2 motions under load begun'
+    >>> counted_events("predictive", 2), counted_events("incipient slip", 1)
+    ('2 motions under load begun', '1 alarm of incipient slip')
     """
-    several = _SEVERAL.get(kind, SHOWN_AS[kind])
-    return f"{number} {SHOWN_AS[kind] if number == 1 else several}"
+    one, several = _COUNTED.get(kind, (SHOWN_AS[kind], SHOWN_AS[kind]))
+    return f"{number} {one if number == 1 else several}"
 
 
 @dataclass(frozen=True)

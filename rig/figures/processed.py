@@ -93,8 +93,9 @@ def _mark_events(panels: tuple[Axes, Axes], confidence: Axes, trial: DetectedTri
     below."""
     for kind, (colour, line) in MARKS.items():
         events = [event for event in trial.events if event.kind == kind]
+        of_kind = "alarm of incipient slip" if kind == "incipient slip" else SHOWN_AS[kind]
         for number, event in enumerate(events):
-            label = f"{SHOWN_AS[kind]} ({len(events)})" if number == 0 else None
+            label = f"{of_kind} ({len(events)})" if number == 0 else None
             for axes, named in zip(panels, (label, None), strict=True):
                 axes.axvline(event.time_s, color=colour, linestyle=line, linewidth=0.8, label=named)
         if events:

@@ -40,7 +40,7 @@ def test_events_are_marked_where_they_were_decided_and_counted():
     events = [at("predictive", 1.2), at("incipient slip", 1.3), at("incipient slip", 1.6)]
     figure = draw_trial(PROCESSED, trial(*events))
     signal, low, confidence = figure.axes
-    assert legend(signal)[1:] == ["motion under load begun (1)", "incipient slip (2)"]
+    assert legend(signal)[1:] == ["motion under load begun (1)", "alarm of incipient slip (2)"]
     marked = sorted(line.get_xdata()[0] for line in low.get_lines()[1:])
     assert marked == [1.2, 1.3, 1.6]
     assert [line.get_ydata().tolist() for line in confidence.get_lines()] == [[0.75], [0.75, 0.75]]

@@ -211,15 +211,16 @@ class DetectionRecord:
 
 
 def slips_in_words(record: TrialRecord, detector: str) -> list[str]:
-    """Return a line for each of the first slips that a detector has found in a trial, and one for
-    the number of further ones."""
+    """Return a line for each of a detector's first alarms in a trial, and one for the number of
+    further ones."""
     slips = [one for one in record.detections if one.kind == SLIP]
     lines = [
         f"{record.point}: incipient slip at {one.time_s:.3f} s ({detector})"
         for one in slips[:SHOWN_SLIPS]
     ]
     if more := len(slips) - len(lines):
-        lines.append(f"{record.point}: and {counted(more, 'further incipient slip')} ({detector})")
+        further = counted(more, "further alarm", "further alarms")
+        lines.append(f"{record.point}: and {further} of incipient slip ({detector})")
     return lines
 
 

@@ -38,7 +38,8 @@ def detect(
             "force are known, as in this program's trials, and 1 of 7 without them: in holds and "
             "re-grips, when the force falls, in strong noise and where friction hardly falls. All "
             "alarm falsely when the object is released (rig in 1 of 5); in other trials impulse "
-            "does so most often. A grip needs 95 % in time; none is shown to reach it, so the "
+            "does so most often. rig repeats its alarm while a slip lasts. "
+            "A grip needs 95 % in time; none is shown to reach it, so the "
             "default is the published detector, paper-hp.",
             metavar="NAME",
         ),
@@ -186,8 +187,8 @@ def _report(file: Path, answer: Answer, as_json: bool, debug: bool) -> None:
 
 
 def _in_words(found: DetectionResult) -> str:
-    """Return the result as one line, ``1 trial: 1 incipient slip (first at 6.384 s of trial-001),
-    2 motions under load begun. Saved FILE; draw with: rig show --figures FILE``."""
+    """Return the result as one line, ``1 trial: 1 alarm of incipient slip (first at 6.384 s of
+    trial-001), 2 motions under load begun. Saved FILE; draw with: rig show --figures FILE``."""
     from rig.detector.events import counted_events
 
     parts = []

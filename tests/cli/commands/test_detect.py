@@ -61,7 +61,7 @@ def test_one_line_a_file_says_what_was_found(rig: Any, runs: list[str]) -> None:
     assert done.code == 0, done.stderr
     lines = done.stdout.splitlines()
     assert [line.split(":")[0] for line in lines] == runs
-    assert "1 trial: 1 incipient slip (first at 0.90" in lines[0]
+    assert "1 trial: 1 alarm of incipient slip (first at 0.90" in lines[0]
     assert (
         f"of trial-001), 1 motion under load begun. Saved processed/r0.paper-hp-{DETECTOR_VERSION}-"
         in lines[0]

@@ -72,7 +72,7 @@ def test_it_judges_files_and_the_file_says_whose_it_was(rig: Any) -> None:
     (rig.folder / "low.toml").write_text("level_mV = 5.0\n")
     done = rig.run("detect", "--detector", "lab-level", "--settings", "low.toml", file.name)
     assert done.code == 0, done.stderr
-    assert "2 trials: 1 incipient slip (first at " in done.stdout
+    assert "2 trials: 1 alarm of incipient slip (first at " in done.stdout
     (made,) = (file.parent / "processed").glob("a_r001.lab-level-3-*.h5")
     del rig.env["PYTHONPATH"]  # years later, without the package
     with ProcessedFile.open(made) as processed:

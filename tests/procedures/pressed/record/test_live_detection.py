@@ -217,7 +217,7 @@ def test_a_detector_that_alarms_without_end_does_not_fill_the_terminal() -> None
     assert len(lines) == 11
     assert lines[9:] == [
         "trial-001: incipient slip at 0.009 s (lab-jump)",
-        "trial-001: and 3100 further incipient slips (lab-jump)",
+        "trial-001: and 3100 further alarms of incipient slip (lab-jump)",
     ]
     del record.detections[10:]
     assert slips_in_words(record, "lab-jump") == lines[:10], "all that were found are shown"
