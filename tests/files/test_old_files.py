@@ -76,6 +76,12 @@ def test_an_old_journal_compiles_to_what_the_old_file_holds(old: Path) -> None:
         assert was.pop(f"{counts}@units") == "count"
         assert now.pop(f"{counts}@units") == now[f"{counts}@scaled_units"]
         del was[f"{counts}@long_name"], now[f"{counts}@long_name"]
+    # Every number of the run itself has a unit now: counts have 1.
+    assert was.pop("entry/points/attempt@units") == ""
+    for name in sorted(now.keys() - was.keys()):
+        assert name.startswith(("entry/outcome/", "entry/points/", "entry/parameters/"))
+        assert name.endswith("@units")
+        assert now.pop(name) == "1"
     assert was == now
 
 

@@ -159,7 +159,8 @@ def write_values(
     made: h5py.Group, values: Mapping[str, Any], units: Mapping[str, str], prefix: str = ""
 ) -> None:
     """Write nested values as nested groups. `units` maps dotted names to their units; what has a
-    unit is a number: NaN where it was left out, and an empty list is an empty array."""
+    unit is a number: NaN where it was left out, also in a list, and an empty list is an empty
+    array."""
     names = UniqueNames(*made)
     for key, value in values.items():
         name, dotted = names.name(key), f"{prefix}{key}"
@@ -168,7 +169,7 @@ def write_values(
             continue
         quantity = dotted in units
         field = made.create_dataset(name, data=_number(value) if quantity else _field_value(value))
-        if quantity:
+        if quantity and field.dtype.kind in "iuf":
             field.attrs["units"] = plain_text(units[dotted])
 
 
@@ -180,6 +181,10 @@ def _number(value: Any) -> Any:
         import numpy as np
 
         return np.empty(0, np.float64)
+    if isinstance(value, (list, tuple)) and all(
+        v is None or type(v) in (int, float) for v in value
+    ):
+        return [math.nan if v is None else float(v) for v in value]
     return _field_value(value)
 
 

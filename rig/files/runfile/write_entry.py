@@ -117,13 +117,14 @@ def _write_named(made: h5py.Group, named: PersonOrSample) -> None:
 
 
 def _write_parameters(made: h5py.Group, header: RunHeader) -> None:
-    write_values(made, header.settings, header.setting_units)
+    units = {**dict(_units_of(header.settings)), **header.setting_units}
+    write_values(made, header.settings, units)
 
 
 def _write_origin(made: h5py.Group, origin: Origin) -> None:
     for name in ("file_name", "sha256", "format", "imported_at", "head"):
         text_field(made, name, getattr(origin, name))
-    number_field(made, "bytes", origin.bytes)
+    number_field(made, "bytes", origin.bytes, "1")
     write_values(group(made, "options", "NXparameters"), origin.options, {})
 
 
@@ -133,17 +134,17 @@ def _write_outcome(
     header = contents.header
     text_field(made, "status", end.status)
     text_field(made, "reason", end.reason)
-    number_field(made, "attempt", end.attempt)
+    number_field(made, "attempt", end.attempt, "1")
     planned = len(header.points) if end.points_planned is None else end.points_planned
-    number_field(made, "points_planned", max(planned, len(table.ids)))
-    number_field(made, "points_done", len(table.ids))
-    number_field(made, "exit", end.exit)
+    number_field(made, "points_planned", max(planned, len(table.ids)), "1")
+    number_field(made, "points_done", len(table.ids), "1")
+    number_field(made, "exit", end.exit, "1")
     number_field(made, "duration", end.duration_s, "s")
     if header.origin is None:
         number_field(made, "simulated", header.simulated)
     else:
         number_field(made, "imported", True)
-    number_field(made, "seed", header.seed)
+    number_field(made, "seed", header.seed, "1")
     text_field(made, "fingerprint", header.fingerprint)
     texts_field(made, "warnings", [*end.warnings, *table.warnings])
 
@@ -210,14 +211,15 @@ def _write_points(made: h5py.Group, contents: JournalContents, table: PointTable
     import numpy as np
 
     texts_field(made, "id", table.ids)
-    array_field(made, "attempt", np.array(table.attempts, np.int64))
+    array_field(made, "attempt", np.array(table.attempts, np.int64), "1")
     for column in contents.header.layout.columns:
         values = table.columns[column.name]
         if isinstance(values, list):
             field = texts_field(made, column.name, values)
             field.attrs["long_name"] = plain_text(column.long_name)
         else:
-            field = array_field(made, column.name, values, column.units, column.long_name)
+            units = column.units or "1"
+            field = array_field(made, column.name, values, units, column.long_name)
             if column.origin:
                 field.attrs["origin"] = plain_text(column.origin)
         if column.meaning:
@@ -242,7 +244,8 @@ def _write_truth(entry: h5py.Group, contents: JournalContents, table: PointTable
     for name, text in truths.items():
         found = from_json(str(text))
         values = found if isinstance(found, Mapping) else {"value": found}
-        write_values(group(made, names.name(name), "NXparameters"), values, {})
+        part = group(made, names.name(name), "NXparameters")
+        write_values(part, values, dict(_units_of(values)))
 
 
 def _write_world(entry: h5py.Group, header: RunHeader) -> None:
@@ -265,9 +268,19 @@ def _write_world(entry: h5py.Group, header: RunHeader) -> None:
 
 
 def _units_of(values: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, str]]:
-    """Yield the dotted name and the unit of each value whose name ends with one."""
+    """Yield the dotted name and the unit of each value whose name ends with one, and 1 for other
+    numbers, which are counts and ratios: names carry their units."""
     for key, value in values.items():
         if isinstance(value, Mapping):
             yield from _units_of(value, f"{prefix}{key}.")
         elif (unit := unit_of(key)) is not None:
             yield f"{prefix}{key}", unit
+        elif _is_number(value):
+            yield f"{prefix}{key}", "1"
+
+
+def _is_number(value: Any) -> bool:
+    """Return whether a value is a number, or a list of numbers; a flag is none."""
+    if isinstance(value, (list, tuple)):
+        return bool(value) and all(map(_is_number, value))
+    return type(value) in (int, float)

@@ -34,7 +34,8 @@ def write_plot(
     order = table.order(plot.axes)
     for name, source in plot.sources().items():
         column = layout.column(source)
-        array_field(data, name, table.numbers(source)[order], column.units, column.long_name)
+        units = column.units or "1"
+        array_field(data, name, table.numbers(source)[order], units, column.long_name)
     share_scale(data, plot.axes[0])
     return data
 

@@ -22,7 +22,7 @@ from rig.files.checksum import sha256_of
 from rig.files.definitions import definition_path
 from rig.files.errors import JournalError, RecordingError, RunFileError
 from rig.files.hdf5.nexus import CHUNK_ROWS
-from rig.files.journal.layout import Layout, Trace
+from rig.files.journal.layout import TRUTH, Layout, Trace
 from rig.files.journal.reader import read_journal
 from rig.files.journal.writer import JournalWriter
 from rig.files.naming import journal_path, next_run_path
@@ -200,6 +200,45 @@ skin = { "youngs_modulus_MPa" = 1.7, "strips" = { "offset_mm" = 0.35 } }
         assert found["skin/youngs_modulus_MPa"][()] == 1.7
         assert found["skin/youngs_modulus_MPa"].attrs["units"] == "MPa"
         assert found["skin/strips/offset_mm"].attrs["units"] == "mm"
+
+
+def test_every_number_has_units_but_for_what_people_stated(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Found in a review: docs/files.md promises them, and counts had none."""
+    world = "\n[simulation.world]\nfilm_gain = 10.0\nskin = { ridges = 9, strips_mm = [1, 2] }\n"
+    truth = {"gross_slip_us": None, "first_slip_us": [3, None], "ridge": 4, "moves": [[0, 1.5]]}
+    reading = run.reading
+    monkeypatch.setattr(run, "reading", lambda n: reading(n) | {TRUTH: json.dumps(truth)})
+    journal = run.write_run(
+        tmp_path / "a.rigj",
+        bench_toml=run.BENCH_TOML.rstrip() + world,
+        settings={"trials": 20, "regrip": True, "object": "glass", "load": {"peak_N": 1.0}},
+        setting_units={"load.peak_N": "N"},
+    )
+    file = compile_run(journal)
+    assert verify(file) == []
+    units: dict[str, str] = {}
+
+    def note(name: str, item: object) -> None:
+        by_people = {"details", "calibrations", "options"} & set(name.split("/"))
+        if isinstance(item, h5py.Dataset) and item.dtype.kind in "iuf" and not by_people:
+            units[name] = str(item.attrs.get("units", ""))
+
+    with h5py.File(file) as opened:
+        entry = opened["entry"]
+        entry.visititems(note)
+        true = next(group for name, group in entry["simulated_truth"].items() if "Hz" in name)
+        assert np.isnan(true["gross_slip_us"][()])
+        np.testing.assert_array_equal(true["first_slip_us"][()], [3.0, math.nan])
+        assert "units" not in entry["parameters/regrip"].attrs
+    assert [name for name, unit in units.items() if not unit] == []
+    of_truth = {n.split("/")[-1]: u for n, u in units.items() if n.startswith("simulated_truth")}
+    assert of_truth == {"gross_slip_us": "us", "first_slip_us": "us", "ridge": "1", "moves": "1"}
+    for name in ("outcome/exit", "outcome/seed", "parameters/trials", "simulated_world/film_gain"):
+        assert units[name] == "1"
+    assert units["parameters/load/peak_N"] == "N"
+    assert units["simulated_world/skin/strips_mm"] == "mm"
 
 
 @pytest.mark.parametrize("bench", ["no TOML", "simulation = 3", "[simulation]\nworld = 'flat'"])
