@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -15,12 +17,15 @@ from rig.bench.settings import BenchSettings
 from rig.core.errors import ConfigurationError
 from rig.core.settings import Settings
 from rig.instruments.roles import Limits
+from rig.run.interlocks.store import InterlockStore
+from rig.run.locks.shared_folder import VARIABLE as SHARED_FOLDER
 from rig.run.making_safe.still_pressed import Orders, PressedState, pressed_state
 
 FIRST_mm, CLEAR_mm, STANDS_mm, TOUCHES_mm = 12.0, 11.7, 12.44, 12.4
 N_mm = 100.0
 ZERO = (0.0, 0.0, 0.0)
 CONTACT = {"contact_from_mm": FIRST_mm, "contact_to_mm": 13.0}
+DOOR = {"name": "door", "input": "daq.501.0", "class": "person"}
 DRIVER: Any = SimpleNamespace()
 """`connect` is replaced whole: what a driver does is shown where runs are killed (test_killed)."""
 
@@ -102,32 +107,57 @@ class Sensor:
         pass
 
 
+@dataclass
+class Door:
+    """The DAQ that reads a door's contact."""
+
+    closed: bool = True
+
+    def inputs_high(self, names: Sequence[str]) -> dict[str, bool]:
+        return dict.fromkeys(names, self.closed)
+
+    def close(self) -> None:
+        pass
+
+
+class DaqSettings(Settings):
+    """Settings with an address, under which a latch is kept."""
+
+    host: str = "127.0.0.1"
+    port: int = 5025
+
+
 @pytest.fixture
 def rig(monkeypatch: pytest.MonkeyPatch) -> Rig:
-    """A bench whose z presses with 4 N; `rig.sensor` answers, or is the error that it gives."""
+    """A bench whose z presses with 4 N. `rig.sensor` and `rig.door` answer, or are the errors that
+    they give; of the latter the bench has a contact only where `rig.contacts` names one."""
     found: Any = Rig()
-    found.sensor = Sensor(found)
+    found.sensor, found.door, found.contacts = Sensor(found), Door(), []
     limits = {"position": Limits(0.0, 14.0, "mm", "z"), "speed": Limits(0.001, 50.0, "mm/s", "z")}
     found.limits = lambda: limits
-    own = BenchSettings.model_validate(
-        {"name": "b", "fixture": {"mounted": "plate", "parked_mm": 5.0} | CONTACT}
-    )
-    roles = ("stage_z", "force_sensor")
-    parts = tuple(InstrumentPlan(role, "made-up", DRIVER, Settings()) for role in roles)
+    own = {"name": "b", "fixture": {"mounted": "plate", "parked_mm": 5.0} | CONTACT}
+    settings = {"stage_z": Settings(), "force_sensor": Settings(), "daq": DaqSettings()}
+    parts = tuple(InstrumentPlan(role, "made-up", DRIVER, of) for role, of in settings.items())
+
+    def plan(*_: str) -> BenchPlan:
+        whole = BenchSettings.model_validate(own | {"interlock": found.contacts})
+        return BenchPlan(whole, parts, "", "b.toml")
 
     def connect(plan: BenchPlan, clock: object) -> Bench:
         (part,) = plan.instruments
-        if part.role == "force_sensor" and isinstance(found.sensor, Exception):
-            raise found.sensor
-        instrument: Any = found if part.role == "stage_z" else found.sensor
+        instruments = {"stage_z": found, "force_sensor": found.sensor, "daq": found.door}
+        instrument: Any = instruments[part.role]
+        if isinstance(instrument, Exception):
+            raise instrument
         instrument.make_safe = lambda: found.off.append(part.role)
         links: Any = SimpleNamespace(close=lambda: None)
         return Bench(plan, found, {part.role: instrument}, links)
 
     module = "rig.run.making_safe.still_pressed."
     monkeypatch.setattr(f"{module}connect", connect)
-    monkeypatch.setattr(f"{module}parse_bench", lambda *_: BenchPlan(own, parts, "", "b.toml"))
+    monkeypatch.setattr(f"{module}parse_bench", plan)
     monkeypatch.setattr(f"{module}WallClock", lambda: found)
+    found.plan = plan
     return found
 
 
@@ -194,3 +224,42 @@ def test_a_defect_is_said_to_be_one(rig: Any) -> None:
     rig.position_mm = lambda: 1 / 0
     state = pressed_state("", "", Orders(ZERO))
     assert state.text.endswith("ZeroDivisionError: division by zero")
+
+
+def test_z_is_lifted_behind_a_door_that_is_closed(rig: Any) -> None:
+    rig.contacts = [DOOR]
+    state = pressed_state("", "", Orders(ZERO))
+    assert (rig.moves, state.released) == ([CLEAR_mm], True)
+    assert sorted(rig.off) == ["daq", "force_sensor", "stage_z"]
+
+
+@pytest.mark.parametrize(
+    ("door", "why"),
+    [
+        (Door(closed=False), "interlock 'door' is open"),
+        (ConfigurationError("daq: no such host", "plug it in"), "interlock 'door' cannot be read"),
+    ],
+    ids=["open", "unplugged"],
+)
+def test_z_is_not_lifted_behind_a_door_that_is_open_or_cannot_be_read(
+    rig: Any, door: Any, why: str
+) -> None:
+    rig.contacts, rig.door = [DOOR], door
+    state = pressed_state("", "", Orders(ZERO))
+    assert state == PressedState(f"still pressed at 12.44 mm, 4.0 N; not lifted: {why}")
+    assert rig.moves == []
+
+
+def test_z_is_not_lifted_behind_a_door_whose_opening_is_recorded(
+    rig: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It has been closed since, but a person may still be there."""
+    monkeypatch.setenv(SHARED_FOLDER, str(tmp_path / "shared"))
+    rig.contacts = [DOOR]
+    store = InterlockStore(rig.plan(), lasting=True)
+    store.latch("door", "it was opened")
+    state = pressed_state("", "", Orders(ZERO, lasting=True))
+    assert state.text.endswith("not lifted: interlock 'door' is latched")
+    assert (rig.moves, state.released) == ([], False)
+    store.reset("door")
+    assert pressed_state("", "", Orders(ZERO, lasting=True)).released
