@@ -100,6 +100,28 @@ def test_a_contact_is_read_by_whichever_instrument_has_inputs(rig, which):
     assert rig.outputs() == [True, False]
 
 
+@pytest.mark.thorough
+@pytest.mark.parametrize("place", ["force_sensor.2.3", "daq.501.0"])
+def test_a_door_stops_the_bench_while_the_procedure_sits_in_a_blocking_read(rig, place):
+    """In real time: the DAQ's answer is lost, and its reader waits for 8 s. The door opens
+    meanwhile; where the DAQ reads its contact, that cannot be read."""
+    lost = '[[fault]]\ndevice = "daq"\nkind = "silence"\nat = 4\ncommand = "WAV:DATA"\n'
+    plan = rig.fault(lost + contact("opened", "acquisition = 4\nafter_s = 0.3\n"))
+    world = rig.world(f'{DOOR}input = "{place}"\nclosed_is = "low"\n')
+    with rig.served("--world", world, "--fault", plan) as path:
+        patient = re.sub(r"(\[daq\][^[]*timeout_s = )[0-9.]+", r"\g<1>8.0", path.read_text())
+        longer = "heartbeat_timeout_s = 45.0\n\n[simulation]"
+        path.write_text(patient.replace("\n[simulation]", longer, 1))
+        ended = rig.run("sweep", "--bench", str(path), "--json", "--no-figures", *SHORT)
+    assert ended.code == 4, ended.stderr
+    why = "cannot be read at" if place.startswith("daq") else "opened at"
+    assert f"error: interlock door (person) {why}" in ended.stderr
+    assert rig.outputs() == [True, False]
+    (lost_us,) = (line["t_us"] for line in rig.log() if line["value"] == "silence")
+    off_us = [line["t_us"] for line in rig.log() if line["what"] == "ch1.on"][-1]
+    assert 0 < (off_us - lost_us) * 1e-6 < 7.0, "off before the read came back"
+
+
 def test_a_contact_of_the_process_holds_the_run_and_lets_it_go_on_by_itself(rig):
     plan = contact("opened", MEASURING, "air pressure") + contact(
         "closed", MEASURING, "air pressure", "after_s = 2.0\n"

@@ -1,9 +1,11 @@
-"""Before a failure is handled, every contact has been read: of a fast and of a slow instrument."""
+"""The watch of the contacts in real time: what is armed is stopped from its own threads, and before
+a failure is handled every contact has been read, of a fast and of a slow instrument."""
 
 from __future__ import annotations
 
+import threading
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from types import SimpleNamespace
 from typing import Any
@@ -19,18 +21,22 @@ from rig.run.interlocks.watch import InterlockError, InterlockWatch
 
 EVERY_S = {"daq": 0.0, "stage_z": 0.1}
 """Shortest interval between two readings, by role: a DAQ is read every 20 ms."""
+PATIENCE_S = 60.0
 
 
 class Inputs:
-    """An instrument that reads one contact, which a test opens, or which it breaks."""
+    """An instrument that reads one contact, which a test opens, or which it breaks or holds up."""
 
     def __init__(self) -> None:
         self.closed, self.broken = True, False
+        self.answers = threading.Event()
+        self.answers.set()
         self.begun_s: list[float] = []
 
     def inputs_high(self, names: Sequence[str]) -> Mapping[str, bool]:
         """The level of the contact."""
         self.begun_s.append(time.monotonic())
+        self.answers.wait(PATIENCE_S)
         if self.broken:
             raise InstrumentError("it", "read inputs", "has no power", "look")
         return dict.fromkeys(names, self.closed)
@@ -57,7 +63,9 @@ class Store:
 
 
 @contextmanager
-def watched() -> Iterator[tuple[InterlockWatch, dict[str, Inputs]]]:
+def watched(
+    act: Callable[[], list[str]] = list,
+) -> Iterator[tuple[InterlockWatch, dict[str, Inputs]]]:
     """Two contacts, watched in real time: a door at the DAQ, an e-stop at a drive."""
     instruments = {role: Inputs() for role in EVERY_S}
     contacts = (
@@ -77,11 +85,13 @@ def watched() -> Iterator[tuple[InterlockWatch, dict[str, Inputs]]]:
         instruments=instruments,
     )
     store: Any = Store()
-    watch = InterlockWatch(bench, Holds(), list, store)
+    watch = InterlockWatch(bench, Holds(), act, store)
     watch.begin()
     try:
         yield watch, instruments
     finally:
+        for one in instruments.values():
+            one.answers.set()
         watch.end()
 
 
@@ -123,3 +133,40 @@ def test_a_contact_that_cannot_be_read_any_more_is_known_to_be_open_in_bounded_t
         called_s = time.monotonic()
         watch.settle()  # as the next one that handles a failure
         assert time.monotonic() - called_s < FRESH_S, "what is known to be open is not waited for"
+
+
+def opened(inputs: Inputs) -> None:
+    inputs.closed = False
+
+
+def broken(inputs: Inputs) -> None:
+    inputs.broken = True
+
+
+def silent(inputs: Inputs) -> None:
+    inputs.answers.clear()
+
+
+@pytest.mark.parametrize("happens", [opened, broken, silent])
+@pytest.mark.parametrize("role", EVERY_S)
+def test_what_is_armed_is_stopped_while_the_procedure_waits_for_something_else(
+    role: str, happens: Callable[[Inputs], None]
+) -> None:
+    """The procedure's thread is in one blocking call and looks at no contact; that call ends only
+    when the emergency actions have run."""
+    stopped = threading.Event()
+    stopped_by: list[threading.Thread] = []
+
+    def act() -> list[str]:
+        stopped_by.append(threading.current_thread())
+        stopped.set()
+        return []
+
+    with watched(act) as (watch, instruments):
+        happens(instruments[role])
+        assert stopped.wait(PATIENCE_S), "nothing was stopped before the call returned"
+        assert threading.current_thread() not in stopped_by
+        watch.poll()  # as the procedure's next wait
+        with pytest.raises(InterlockError, match="opened at" if happens is opened else "cannot be"):
+            watch.check()
+    assert len(stopped_by) == 1
