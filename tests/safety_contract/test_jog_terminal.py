@@ -21,6 +21,8 @@ LESS, MORE = b"\x1b[A", b"\x1b[B"
 REPEAT_S = 0.033
 PATIENCE_S = 30.0
 STEP_mm, SPEED_mm_s = 0.1, 1.0
+SLOW_mm_s = 0.3
+"""Speed at which a late line of the terminal is still seen below the largest force."""
 LATE_S = 1.5
 """What a loaded machine may add to a stop; the figure itself is a benchmark's business."""
 START_mm, CONTACT_mm = 10.0, 10.5
@@ -220,15 +222,20 @@ def test_ctrl_backslash_at_a_held_key_ends_in_order(rig, jogs, bench_file):
 
 @pytest.mark.thorough
 def test_a_killed_program_leaves_at_most_a_step_and_the_guard_tells(rig, jogs, bench_file):
-    typist = jogs("--bench", bench_file, "--largest-force", "30N")
+    """It presses: a guard that lifts would lift z here."""
+    path = rig.folder / bench_file
+    text = path.read_text()
+    assert "contact_from_mm = 12.0" in text
+    path.write_text(text.replace("contact_from_mm = 12.0", f"contact_from_mm = {CONTACT_mm}"))
+    typist = jogs("--bench", bench_file, "--largest-force", "30N", "--speed", f"{SLOW_mm_s}mm/s")
     typist.sees(r"stage_z 10\.000 mm \|")
-    typist.holds(MORE, r"stage_z 10\.[12]\d+ mm moving")
+    typist.holds(MORE, r"stage_z 10\.[6-9]\d+ mm")
     typist.process.send_signal(signal.SIGKILL)
     typist.process.wait()
     rig.await_world("at-rest", count=3)
     last_seen_mm = float(re.findall(r"stage_z (\d+\.\d+) mm", typist.ends()[1])[-1])
     rest_mm = stage_log(rig, "at-rest")[-1]["value"]
-    shown_late_mm = LATE_S * SPEED_mm_s  # the line is shown now and then
+    shown_late_mm = LATE_S * SLOW_mm_s  # the line is shown now and then
     assert rest_mm <= last_seen_mm + shown_late_mm + STEP_mm
 
     report = rig.results / "guard-simulated.json"
@@ -236,8 +243,15 @@ def test_a_killed_program_leaves_at_most_a_step_and_the_guard_tells(rig, jogs, b
     while not (report.exists() and "file" in report.read_text()):
         assert time.monotonic() < deadline, "the guard never reported"
         time.sleep(0.05)
-    assert json.loads(report.read_text())["safe"] is True
-    again = jogs("--bench", bench_file)
+    written = json.loads(report.read_text())
+    assert written["safe"] is True
+    assert "was lifted" not in written["pressed"]
+    assert re.match(r"stage_z is at 10\.\d+ mm, the force sensor reads \d", written["pressed"])
+    assert written["released"] is False
+    downwards = [START_mm, *(e["value"]["target_mm"] for e in stage_log(rig, "move")[1:])]
+    assert downwards == sorted(downwards), "nothing has moved z up beside a person"
+    assert stage_log(rig, "at-rest")[-1]["value"] == rest_mm > CONTACT_mm + 0.1
+    again = jogs("--bench", bench_file, "--largest-force", "30N")
     again.sees(
         r"the guard of an earlier run had to act at .*; everything was stopped and switched off, "
     )
