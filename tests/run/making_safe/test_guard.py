@@ -21,8 +21,9 @@ from rig.bench.plan import BenchPlan, parse_bench
 from rig.core.clock import ControlLink, WallClock
 from rig.core.errors import InstrumentError
 from rig.run.locks.bench_mark import read_marks
-from rig.run.making_safe.guard import act, make_bench_safe
+from rig.run.making_safe.guard import PRESSED_S, MadeSafe, act, make_bench_safe
 from rig.run.making_safe.guard_link import GuardLink
+from rig.run.making_safe.still_pressed import Orders, PressedState
 
 PATIENCE_S = 60.0
 
@@ -293,6 +294,33 @@ def test_a_bench_that_is_gone_is_reported_unsafe_with_every_instrument(
     assert mark.refuses
     for words in ("left unsafe at ", "generator: OUTP1 0", "daq: STOP", "stage_z: "):
         assert words in mark.in_words()
+
+
+def test_the_lift_has_less_time_than_the_guard_waits_for_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    given: list[Orders] = []
+
+    def pressed(bench_toml: str, source: str, orders: Orders) -> PressedState:
+        given.append(orders)
+        return PressedState("nothing is pressed", released=True)
+
+    monkeypatch.setattr("rig.run.making_safe.still_pressed.pressed_state", pressed)
+    monkeypatch.setattr("rig.run.making_safe.guard.make_bench_safe", lambda *_: MadeSafe())
+    order = {
+        "run_pid": 0,
+        "journal": None,
+        "report": str(tmp_path / "guard.json"),
+        "bench": "b",
+        "marks": [],
+        "bench_toml": "",
+        "bench_source": "",
+        "zero": [1.0, 2.0, 3.0],
+        "limit": 40.0,
+        "lifts": False,
+    }
+    assert act(order, "it died")["pressed"] == "nothing is pressed"
+    assert given == [Orders((1.0, 2.0, 3.0), 40.0, lasting=False, lifts=False, within_s=PRESSED_S)]
 
 
 def test_an_instrument_that_hangs_keeps_no_other_from_being_made_safe(

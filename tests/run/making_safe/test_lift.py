@@ -189,6 +189,19 @@ def test_a_lift_for_which_too_little_time_is_left_ends_with_z_stopped() -> None:
     assert CLEAR_mm < stage.mm == stopped_mm
 
 
+def test_a_stage_that_does_not_come_up_is_given_up() -> None:
+    stage = Stage()
+
+    def creep(seconds: float) -> None:
+        stage.now_s += seconds
+        assert stage.now_s < 60.0, "it is still waited for"
+
+    stage.sleep = creep  # type: ignore[method-assign]
+    with pytest.raises(NotLiftedError, match=r"has come to 12\.44 mm and not to 11\.7 mm in time"):
+        lift_of(stage).carry_out(no_force)
+    assert not stage.moving()
+
+
 @pytest.mark.parametrize("contact", [DOOR, PRESSURE])
 @pytest.mark.parametrize("opens_at_s", [0.0, 0.3])
 def test_nothing_moves_while_a_contact_is_open_or_has_just_been(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -79,14 +80,16 @@ class Frames(SimpleNamespace):
 
 @dataclass
 class Sensor:
-    """The force sensor above such a rig; `share` of the force is what it reads."""
+    """The force sensor above such a rig; `share` of the force is what it reads, and `rest_N`."""
 
     rig: Rig
     share: float = 1.0
+    rest_N: float = 0.0
+    largest_N: float = 50.0
 
     def limits(self) -> dict[str, Limits]:
         return {
-            "force": Limits(-50.0, 50.0, "N", "force_sensor"),
+            "force": Limits(-self.largest_N, self.largest_N, "N", "force_sensor"),
             "rate": Limits(1.0, 1000.0, "Hz", "force_sensor"),
         }
 
@@ -97,7 +100,7 @@ class Sensor:
         return rate_S_s
 
     def read(self) -> Any:
-        force_N = self.share * max(0.0, self.rig.mm - TOUCHES_mm) * N_mm
+        force_N = self.rest_N + self.share * max(0.0, self.rig.mm - TOUCHES_mm) * N_mm
         return Frames(force_N=np.tile([0.0, 0.0, force_N], (50, 1)))
 
     def stop(self) -> None:
@@ -157,6 +160,8 @@ def rig(monkeypatch: pytest.MonkeyPatch) -> Rig:
     monkeypatch.setattr(f"{module}connect", connect)
     monkeypatch.setattr(f"{module}parse_bench", plan)
     monkeypatch.setattr(f"{module}WallClock", lambda: found)
+    times = SimpleNamespace(monotonic=found.now, sleep=found.sleep)
+    monkeypatch.setattr(f"{module}time", times)
     found.plan = plan
     return found
 
@@ -263,3 +268,15 @@ def test_z_is_not_lifted_behind_a_door_whose_opening_is_recorded(
     assert (rig.moves, state.released) == ([], False)
     store.reset("door")
     assert pressed_state("", "", Orders(ZERO, lasting=True)).released
+
+
+def test_a_lift_ends_by_itself_before_the_guard_gives_up(rig: Any) -> None:
+    """It has 0.8 s: half a second for the contacts, and too little for 0.74 mm."""
+    state = pressed_state("", "", Orders(ZERO, within_s=0.8))
+    assert re.search(
+        r"; not lifted: stage_z has come to 12\.1\d mm and not to 11\.7 mm in time$", state.text
+    )
+    assert (rig.moves, state.released) == ([CLEAR_mm], False)
+    stopped_mm = rig.mm
+    rig.sleep(1.0)
+    assert rig.mm == stopped_mm
