@@ -219,6 +219,16 @@ def test_a_force_over_the_limit_of_the_run_that_remains_is_reported_zeroed_or_no
     assert pressed_state("", "", Orders(zero, limit_N=15.0)).over_limit is None
 
 
+def test_a_force_over_the_limit_of_the_sensor_itself_is_reported_without_any_of_the_run(
+    rig: Any,
+) -> None:
+    rig.fault = lambda: "126 (following error)"
+    rig.sensor.largest_N = 3.0
+    state = pressed_state("", "", Orders(ZERO))
+    assert state.over_limit is not None
+    assert "4.0 N, over the limit of 3 N; not lifted: " in state.over_limit
+
+
 def test_nothing_moves_beside_a_person(rig: Any) -> None:
     state = pressed_state("", "", Orders(ZERO, lifts=False))
     assert state == PressedState("still pressed at 12.44 mm, 4.0 N")
