@@ -176,6 +176,13 @@ def test_what_is_pressed_is_lifted_and_both_are_said(rig: Any) -> None:
     assert rig.off == ["force_sensor", "stage_z"]
 
 
+def test_a_force_that_is_felt_after_the_lift_as_well_is_not_released(rig: Any) -> None:
+    rig.sensor.rest_N = 2.0
+    assert pressed_state("", "", Orders(ZERO)) == PressedState(
+        "was pressed at 12.44 mm, 6.0 N; stage_z was lifted: still pressed at 11.70 mm, 2.0 N"
+    )
+
+
 def test_z_is_lifted_although_the_force_sensor_is_not_there(rig: Any) -> None:
     rig.sensor = ConfigurationError("force_sensor: no such port: /dev/ttyUSB0", "plug it in")
     state = pressed_state("", "", Orders(ZERO))
