@@ -15,7 +15,7 @@ import pytest
 from rig.bench.connected import Bench
 from rig.bench.plan import BenchPlan, InstrumentPlan
 from rig.bench.settings import BenchSettings
-from rig.core.errors import ConfigurationError
+from rig.core.errors import ConfigurationError, InstrumentError
 from rig.core.settings import Settings
 from rig.instruments.roles import Limits
 from rig.run.interlocks.store import InterlockStore
@@ -198,6 +198,35 @@ def test_z_is_lifted_although_the_force_sensor_sends_nothing(rig: Any) -> None:
     state = pressed_state("", "", Orders(ZERO))
     assert (rig.moves, state.released) == ([CLEAR_mm], True)
     assert "too few frames" in state.text
+
+
+def silent_once(rig: Any, name: str) -> None:
+    """Let the first of these calls of z fail."""
+    answer = getattr(rig, name)
+
+    def fails() -> Any:
+        setattr(rig, name, answer)
+        raise InstrumentError("stage_z", name, "no answer", "look")
+
+    setattr(rig, name, fails)
+
+
+@pytest.mark.parametrize(("call", "moves"), [("position_mm", 1), ("moving", 2)])
+def test_z_that_does_not_answer_at_once_is_lifted_all_the_same(
+    rig: Any, call: str, moves: int
+) -> None:
+    silent_once(rig, call)
+    state = pressed_state("", "", Orders(ZERO))
+    assert rig.moves == [CLEAR_mm] * moves
+    assert state.released
+    assert state.text.endswith("stage_z was lifted: nothing is pressed at 11.70 mm, 0.0 N")
+
+
+def test_a_second_try_has_only_the_time_that_the_first_has_left(rig: Any) -> None:
+    silent_once(rig, "position_mm")
+    state = pressed_state("", "", Orders(ZERO, within_s=0.8))
+    assert state.text.endswith("not lifted: no time was left for it")
+    assert rig.moves == []
 
 
 def test_z_that_stands_clear_says_nothing_of_a_sensor_that_cannot_be_read(rig: Any) -> None:
