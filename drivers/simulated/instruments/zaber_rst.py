@@ -175,7 +175,7 @@ class SimulatedRotaryStage(SimulatedDrive[RotaryFault]):
             case ["stop" | "estop" as how]:
                 self._log(how, None, by)
                 mechanics, own = self.axis.mechanics, self._acceleration(self.values["accel"])
-                self.homing = False
+                self._end_motion()
                 self.axis.stop(now, mechanics.quick_deceleration_mm_s2 if how == "estop" else own)
             case ["move", "abs" | "rel" | "min" | "max", *_]:
                 self._move(words[1:], by)
@@ -222,6 +222,7 @@ class SimulatedRotaryStage(SimulatedDrive[RotaryFault]):
     def _home(self, by: str) -> None:
         self._require_power()
         self._interrupt()
+        self._end_motion()
         self.homing = True
         self.flags |= {"WR", "WH"}
         self._log("homing", 0.0, by)
@@ -254,8 +255,7 @@ class SimulatedRotaryStage(SimulatedDrive[RotaryFault]):
             self._port.tasks.begin(self.settings.name, self._port.now_us)
             turn = {"target_deg": round(target_deg, 6), "speed_deg_s": round(speed_deg_s, 6)}
             self._log("turn", turn, by)
-        reached_deg_s = speed_deg_s * self._motion_faults.speed_share
-        self._start(AxisCommand(target_deg, reached_deg_s, rate, rate))
+        self._start(self._motion_faults.command(target_deg, speed_deg_s, rate, rate))
 
     def _require_power(self) -> None:
         if self.flags & POWERLESS:
@@ -268,6 +268,10 @@ class SimulatedRotaryStage(SimulatedDrive[RotaryFault]):
         if self._moving and not by_hand:
             self.flags.add("NI")
         self.homing = False
+
+    def _end_motion(self) -> None:
+        """End homing, and the motion of a runaway."""
+        self.homing, self._motion_faults.runs_to_mm = False, None
 
     def _start(self, command: AxisCommand) -> None:
         self._moving = True
@@ -295,7 +299,7 @@ class SimulatedRotaryStage(SimulatedDrive[RotaryFault]):
         self.flags.add(flag)
         self._log("flag", flag, "stage")
         if flag.startswith("F") or flag == "WL":
-            self.homing = False
+            self._end_motion()
             self.axis.stop(t_us, self.axis.mechanics.quick_deceleration_mm_s2)
 
     def _apply_own_fault(self, fault: RotaryFault, t_us: int, velocity_mm_s: float) -> None:
@@ -311,7 +315,8 @@ class SimulatedRotaryStage(SimulatedDrive[RotaryFault]):
         if self._moving:
             self.flags.add("NI")
         self.flags.add("NC")
-        self.homing, self._moving = False, True
+        self._end_motion()
+        self._moving = True
         rate = self._acceleration(self.values["accel"])
         target = self.axis.position(t_us) + by_deg
         self.axis.move(t_us, AxisCommand(target, KNOB_SPEED_deg_s, rate, rate))

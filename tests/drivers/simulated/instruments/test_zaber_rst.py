@@ -112,6 +112,34 @@ def test_a_turned_knob_is_reported_until_the_next_command_to_move() -> None:
     assert talk("") == "OK IDLE -- 0"
 
 
+@pytest.mark.parametrize("how", ["stop", "estop"])
+def test_a_runaway_stage_passes_its_target_and_obeys_no_other_until_it_is_stopped(how: str) -> None:
+    talk = Talk({"kind": "runaway", "move": 1, "after_s": 0.2})
+    talk("move abs 64000 104858 100", wait_s=1.5)
+    assert talk("move abs 32000 104858 100", wait_s=0.5) == "OK BUSY NI 0"
+    assert talk.stage.speed_deg_s(talk.bench.now_us) == pytest.approx(10.0, rel=0.01)
+    assert talk.angle > 18.0
+    talk(how, wait_s=0.5)
+    assert talk.stage.speed_deg_s(talk.bench.now_us) == 0.0
+    talk("move abs 32000 104858 100", wait_s=5.0)
+    assert talk.angle == pytest.approx(5.0)
+
+
+@pytest.mark.parametrize(
+    "ends",
+    [{"kind": "warning-flag", "flag": "FQ"}, {"kind": "knob", "by_deg": 2.0}, None],
+    ids=["fault", "knob", "home"],
+)
+def test_a_runaway_ends_with_whatever_else_ends_a_turn(ends: dict[str, Any] | None) -> None:
+    others = () if ends is None else ({**ends, "after_s": 1.0},)
+    talk = Talk({"kind": "runaway", "move": 1, "after_s": 0.2}, *others)
+    talk("move abs 64000 104858 100", wait_s=1.5)
+    if ends is None:
+        talk("home", wait_s=3.0)
+    talk("move abs 32000 104858 100", wait_s=5.0)
+    assert talk.angle == pytest.approx(5.0)
+
+
 def test_a_powerless_stage_turns_when_it_is_enabled() -> None:
     talk = Talk({"kind": "warning-flag", "flag": "FD", "move": 1, "after_s": 0.2})
     talk("move abs 64000", wait_s=1.0)
