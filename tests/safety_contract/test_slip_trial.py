@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import signal
 
 import numpy as np
@@ -273,6 +274,25 @@ def test_a_force_over_the_limit_lifts_off_and_ends_the_run_after_one_retake(rig)
     assert ended.code == 4, ended.stderr
     assert "retaking point trial-001 once" in ended.stderr
     assert_off_the_plate(rig)
+
+
+@pytest.mark.thorough
+def test_from_contact_on_z_is_slow_enough_to_brake_within_the_margin_to_the_limit(rig):
+    """Half a newton is left at 150 N/mm; a press with more of a margin is faster."""
+    ended = rig.run(*arguments(rig, *SHORT, "--largest-force", "4.5N"))
+    assert ended.code == 0, ended.stderr
+    with RunFile.open(rig.only("*.h5")) as run:
+        (reading,) = run.readings()
+        (ticks,) = run.waveforms("trial-001", stream="ticks")
+        (position,) = run.waveforms("trial-001", stream="position")
+        looked_s, z_mm = ticks.values("elapsed"), position.values("z")
+        messages = [message.decode() for message in run.entry["events/message"][()]]
+        (reported,) = (event for event in messages if event.startswith("z follows the force"))
+    allowed_mm_s = float(re.findall(r"at up to ([0-9.]+) mm/s", reported)[0])
+    touched_s = looked_s[z_mm >= reading["contact_mm"]][0]
+    speeds_mm_s = np.abs(np.diff(z_mm) / np.diff(looked_s))
+    fastest_mm_s = speeds_mm_s[looked_s[:-1] > touched_s + 0.03].max()
+    assert fastest_mm_s < 1.3 * allowed_mm_s < 0.2, "positions are read to 0.1 um and more"
 
 
 @pytest.mark.thorough
