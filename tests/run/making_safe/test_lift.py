@@ -91,8 +91,9 @@ def lift_of(
     opened: str | None = None,
     first_mm: float | None = FIRST_mm,
     until_s: float = float("inf"),
+    parked_mm: float = PARKED_mm,
 ) -> Lift:
-    fixture = SimpleNamespace(parked_mm=PARKED_mm, contact_from_mm=first_mm)
+    fixture = SimpleNamespace(parked_mm=parked_mm, contact_from_mm=first_mm)
     settings = SimpleNamespace(fixture=fixture, interlock=contacts)
     bench: Any = SimpleNamespace(settings=settings, stage_z=stage, clock=stage)
     store: Any = SimpleNamespace(get=lambda name: SimpleNamespace(opened=opened))
@@ -126,6 +127,21 @@ def test_without_a_contact_range_it_goes_to_the_parking_place() -> None:
     stage = Stage()
     lift_of(stage, first_mm=None).carry_out(no_force)
     assert stage.moves == [(PARKED_mm, LIFT_mm_s)]
+
+
+def test_it_goes_to_a_parking_place_that_is_nearer() -> None:
+    stage = Stage()
+    lift_of(stage, parked_mm=CLEAR_mm + 0.1).carry_out(no_force)
+    assert stage.moves == [(CLEAR_mm + 0.1, LIFT_mm_s)]
+
+
+def test_no_stage_is_moved_beyond_its_limits() -> None:
+    stage = Stage()
+    short = stage.limits() | {"position": Limits(CLEAR_mm + 0.1, 14.0, "mm", "stage_z")}
+    stage.limits = lambda: short  # type: ignore[method-assign]
+    with pytest.raises(NotLiftedError, match=r"11\.7 mm is outside the limits of stage_z"):
+        lift_of(stage).carry_out(no_force)
+    assert stage.moves == []
 
 
 def test_z_that_stands_clear_is_not_moved_and_none_is_ever_moved_deeper() -> None:

@@ -20,7 +20,7 @@ from rig.core.settings import Settings
 from rig.instruments.roles import Limits
 from rig.run.interlocks.store import InterlockStore
 from rig.run.locks.shared_folder import VARIABLE as SHARED_FOLDER
-from rig.run.making_safe.still_pressed import Orders, PressedState, pressed_state
+from rig.run.making_safe.still_pressed import Orders, PressedState, _Sensor, pressed_state
 
 FIRST_mm, CLEAR_mm, STANDS_mm, TOUCHES_mm = 12.0, 11.7, 12.44, 12.4
 N_mm = 100.0
@@ -227,6 +227,31 @@ def test_a_second_try_has_only_the_time_that_the_first_has_left(rig: Any) -> Non
     state = pressed_state("", "", Orders(ZERO, within_s=0.8))
     assert state.text.endswith("not lifted: no time was left for it")
     assert rig.moves == []
+
+
+def test_z_is_lifted_although_the_force_sensor_sends_no_numbers(rig: Any) -> None:
+    rig.sensor.share = float("nan")
+    state = pressed_state("", "", Orders(ZERO))
+    assert rig.moves == [CLEAR_mm]
+    assert "not known since force_sensor: it sends forces that are not finite numbers" in state.text
+
+
+def test_a_pull_is_a_force_as_well(rig: Any) -> None:
+    rig.sensor.share = -1.0
+    assert pressed_state("", "", Orders(ZERO)).text.startswith("was pressed at 12.44 mm, 4.0 N; ")
+
+
+def test_a_force_sensor_that_fails_on_the_way_up_leaves_no_force_behind(rig: Any) -> None:
+    plan = rig.plan()
+    links: Any = SimpleNamespace(close=lambda: None)
+    sensor = _Sensor(Bench(plan, rig, {"force_sensor": rig.sensor}, links), Orders(ZERO))
+    assert sensor.latest_N() == pytest.approx(4.0)
+
+    def fails() -> None:
+        raise InstrumentError("force_sensor", "read", "no answer", "look")
+
+    rig.sensor.read = fails
+    assert sensor.latest_N() is None
 
 
 def test_z_that_stands_clear_says_nothing_of_a_sensor_that_cannot_be_read(rig: Any) -> None:
