@@ -86,8 +86,8 @@ ORDINALS = {"5": "5th percentile", "50": "median", "95": "95th percentile"}
 LEGEND = (
     "In time: 10 ms before to 30 ms after the whole ridge slips. Rates: share (95 % interval) of "
     "the number of cases. Times: value (95 % interval) in ms. Possible: what an ideal observer "
-    "finds, who knows what the slip does to the signals, in noise and servo steps like those "
-    "before it, with one false alarm an hour; more is found only with more false alarms."
+    "finds, who knows when the slip comes: a change of the signals that Gaussian noise like that "
+    "before it shows once an hour."
 )
 
 

@@ -1,11 +1,14 @@
-"""What an ideal observer could find in a record: the bound with which a detector is compared.
+"""What an observer who knows when a slip comes could find in a record, for comparison.
 
-The observer knows when the slip comes and what it does to both signals. What it does not know is
-what noise, mains and the servo do meanwhile: of these it knows how they were from the press on to
-the slip, as a Gaussian process. For such an observer the likelihood ratio is the output of the
-matched filter behind a filter that whitens (Kay 1998, Fundamentals of Statistical Signal Processing
-II, 4.4 and 13.3), and its detectability d' is the size of the whitened change. It is a bound: no
-real detector knows the change, and steps of a servo are more often large than a Gaussian process.
+The observer knows when the slip comes. What it does not know is what noise, mains and the servo do
+meanwhile: of these it knows how they were from the press on to the slip, as a Gaussian process. The
+size of what that process does not foretell is the detectability d' (Kay 1998, Fundamentals of
+Statistical Signal Processing II, 4.4 and 13.3). The slip is found where so much would come by
+chance, without a change, in fewer stretches of that length than the stated rate of false alarms
+allows. The test is Chow's for observations that were not fitted (1960, Econometrica 28, 591), of
+both channels together: it allows for the errors of a process that was learnt from few rows.
+
+The stated rate is that in Gaussian noise: steps of a servo are more often large.
 """
 
 from __future__ import annotations
@@ -15,8 +18,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
 from rig.core.settings import Settings
+from rig.detector.contract import DESIGN_RATE_Hz
+from rig.detector.resampling import RATE_ERROR, StreamingResampler
 from rig.evaluation.scoring.outcomes import (
     EARLY_WITHIN_S,
     FOUND_WITHIN_S,
@@ -37,10 +43,9 @@ LEAST_NOISE_V = 1e-6
 class IdealSettings(Settings):
     """Parameters of the ideal observer."""
 
-    needed: float = 6.0
-    """Detectability from which a slip can be found: with it 95 % are found at one false alarm an
-    hour. It is the sum of the quantiles of the normal distribution for 0.95 (1.6) and for one in
-    the 1.4e5 stretches of 25 ms of an hour (4.4)."""
+    false_per_hour: float = Field(1.0, gt=0)
+    """False alarms an hour in Gaussian noise, if stretches of the length that is judged follow one
+    another. One of 40 ms is then taken for a slip with a probability of 1.1e-5."""
 
 
 @dataclass(frozen=True)
@@ -92,23 +97,71 @@ def detectability(change: Floats, process: Process) -> float:
     return float(np.linalg.norm(whitened(change, process)))
 
 
-def slip_detectability(volts: Floats, rate_Hz: float, truth: Truth) -> float:
-    """Return d' of the slip of a trial from its record (n, 2) up to 30 ms after the slip of the
-    whole ridge; NaN where too little comes before it to learn the process from.
+def probability_unchanged(before: Floats, during: Floats) -> float:
+    """Return the probability that a process shows, in the rows `during` (m, channels) that follow
+    the rows `before` (n, channels), at least as much as they do of what the latter do not foretell.
 
-    The change is what the rows before do not foretell, from the first node's slip on, 10 ms before
-    that of the whole ridge at the earliest. It is measured with the noise in it, whose mean share
-    of d'^2, one for each number, is taken off.
+    The errors of the prediction are weighted by their covariance, with that of the weights in it.
+    The trace of their matrix over that of the rows before is Hotelling's generalised T^2, for which
+    an F distribution is taken (McKeon 1974, Biometrika 61, 381).
+    """
+    # Imported here because scipy takes long to import and not every command comes here.
+    from scipy.special import fdtrc
+
+    scale = np.maximum(before.std(axis=0), LEAST_NOISE_V)
+    rows = (np.vstack([before, during]) - before.mean(axis=0)) / scale
+    past = [rows[ORDER - lag : len(rows) - lag] for lag in range(1, ORDER + 1)]
+    known = np.hstack([np.ones((len(rows) - ORDER, 1)), *past])
+    learnt, channels = len(before) - ORDER, rows.shape[1]
+    inverse = np.linalg.pinv(known[:learnt])
+    lever = known[learnt:] @ inverse
+    left = rows[ORDER:] - known @ (inverse @ rows[ORDER : ORDER + learnt])
+    within = left[:learnt].T @ left[:learnt] + learnt * np.diag((LEAST_NOISE_V / scale) ** 2)
+    beyond = np.linalg.solve(np.eye(len(during)) + lever @ lever.T, left[learnt:])
+    found = float(np.trace(np.linalg.solve(within, left[learnt:].T @ beyond)))
+    free, count = learnt - known.shape[1], len(during)
+    first = channels * count
+    ratio = (free + count - channels - 1) * (free - 1) / (free - channels - 3) / (free - channels)
+    second = 4 + (first + 2) / (ratio - 1)
+    unit = first * (second - 2) / second / (free - channels - 1)
+    return float(fdtrc(first, second, found / unit))
+
+
+def slip_rows(volts: Floats, rate_Hz: float, truth: Truth) -> tuple[Floats, Floats, float]:
+    """Return the rows (n, 2) before the slip of a trial, from which the process is learnt, those
+    (m, 2) in which the slip shows, up to 30 ms after that of the whole ridge, and their rate in Hz.
+
+    The slip shows from that of the first node on, from 10 ms before that of the whole ridge at the
+    earliest. Faster recordings are judged at the rate at which detectors judge, by the same
+    resampler: as late as a detector sees it.
     """
     first_s = truth.ridge_slip_s - EARLY_WITHIN_S
     if math.isfinite(truth.node_slip_s):
         first_s = max(first_s, truth.node_slip_s)
-    first, last = round(first_s * rate_Hz), round((truth.ridge_slip_s + FOUND_WITHIN_S) * rate_Hz)
     pressed_s = truth.quiet_s[0][0] if truth.quiet_s else truth.motion_s
-    before = volts[round(pressed_s * rate_Hz) : first]
+    times_s = (pressed_s, first_s, truth.ridge_slip_s + FOUND_WITHIN_S)
+    begin, first, last = (round(time_s * rate_Hz) for time_s in times_s)
+    if rate_Hz > DESIGN_RATE_Hz * (1 + RATE_ERROR):
+        resampler = StreamingResampler(rate_Hz, DESIGN_RATE_Hz, volts.shape[1])
+        missing = resampler.outputs
+        volts, rate_Hz = resampler.add(volts), resampler.rate_Hz
+        rows = (resampler.ratio.outputs_before(row) - missing for row in (begin, first, last))
+        begin, first, last = (max(row, 0) for row in rows)
+    return volts[begin:first], volts[first:last], rate_Hz
+
+
+def slip_detectability(volts: Floats, rate_Hz: float, truth: Truth) -> float:
+    """Return d' of the slip of a trial from its record (n, 2); NaN where too little comes before it
+    to learn the process from.
+
+    The change is what the rows before do not foretell (`slip_rows`). It is measured with the noise
+    in it, whose mean share of d'^2, one for each number, is taken off. What the noise scatters
+    remains: 9 times out of 10 d' is below 5 where nothing changes.
+    """
+    before, during, _ = slip_rows(volts, rate_Hz, truth)
     if len(before) < LEAST_ROWS:
         return math.nan
-    about = volts[first - ORDER : last] - before.mean(axis=0)
+    about = np.vstack([before[-ORDER:], during]) - before.mean(axis=0)
     change = whitened(about, process_of(before))[ORDER:]
     return math.sqrt(max(float((change**2).sum()) - change.size, 0.0))
 
@@ -119,10 +172,12 @@ def ideal_report(
     """Return the alarm of an observer who finds what can be found: at the end of the time in which
     the slip is found, all of which it uses, if the slip stands out, and none otherwise. Nothing is
     judged where the process is not known."""
-    needed = (IdealSettings() if settings is None else settings).needed
+    settings = IdealSettings() if settings is None else settings
     if not truth.slipped:
         return DetectorReport()
-    found = slip_detectability(volts, rate_Hz, truth)
-    if math.isnan(found):
+    before, during, judged_Hz = slip_rows(volts, rate_Hz, truth)
+    if len(before) < LEAST_ROWS or not len(during):
         return DetectorReport(unjudged_s=((0.0, math.inf),))
-    return DetectorReport(np.array([truth.window_s()[1]] if found >= needed else []))
+    allowed = settings.false_per_hour * len(during) / judged_Hz / 3600
+    found = probability_unchanged(before, during) <= allowed
+    return DetectorReport(np.array([truth.window_s()[1]] if found else []))

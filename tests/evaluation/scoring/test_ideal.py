@@ -1,6 +1,7 @@
 """The bound by an ideal observer, against closed forms."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,8 +14,10 @@ from rig.evaluation.scoring.ideal import (
     Process,
     detectability,
     ideal_report,
+    probability_unchanged,
     process_of,
     slip_detectability,
+    slip_rows,
     whitened,
 )
 from rig.evaluation.scoring.outcomes import Truth, judge
@@ -79,10 +82,42 @@ def test_what_stands_out_is_found_at_the_last_moment_and_what_does_not_is_not():
     outcome = judge(TRUTH, ideal_report(recorded(2e-3), RATE_Hz, TRUTH), {})
     assert outcome.found_first
     assert ideal_report(recorded(0.0), RATE_Hz, TRUTH).alarms_s.size == 0
-    never = IdealSettings(needed=1e9)
+    never = IdealSettings(false_per_hour=1e-99)
     assert ideal_report(recorded(2e-3), RATE_Hz, TRUTH, never).alarms_s.size == 0
     hold = Truth("hold", 1.0, record_s=1.5)
     assert ideal_report(recorded(2e-3), RATE_Hz, hold).alarms_s.size == 0
+
+
+@pytest.mark.parametrize(("rate_Hz", "draws"), [(1000.0, 400), (10_000.0, 40)])
+def test_in_noise_alone_nothing_is_found_at_any_rate(rate_Hz, draws):
+    """With a threshold on d' of 6 there were alarms in 2 % at 1 kHz and in 22 % at 10 kHz."""
+    short = replace(TRUTH, quiet_s=((0.88, 1.0),))
+    noise = (
+        NOISE_V * np.random.default_rng(seed).standard_normal((round(1.5 * rate_Hz), 2))
+        for seed in range(draws)
+    )
+    assert not sum(ideal_report(volts, rate_Hz, short).alarms_s.size for volts in noise)
+
+
+@pytest.mark.parametrize("rows", [LEAST_ROWS, 400])
+def test_the_probability_of_what_comes_by_chance_is_true(rows):
+    """Also where the process was learnt from few rows."""
+    draws = 1000
+    noise = (first_order(rows + 240, 0.9, 1.0, seed)[200:] for seed in range(draws))
+    found = np.array([probability_unchanged(one[:rows], one[rows:]) for one in noise])
+    for probability in (0.5, 0.1, 0.01):
+        scatter = math.sqrt(draws * probability * (1 - probability))
+        assert abs((found < probability).sum() - draws * probability) < 3 * scatter
+
+
+def test_a_fast_recording_is_judged_at_the_rate_of_detectors_and_no_earlier_than_by_them():
+    volts = np.zeros((15_000, 2))
+    volts[11_900:] = 1.0  # the slip of the first node, at 1.19 s
+    before, during, rate_Hz = slip_rows(volts, 10_000.0, TRUTH)
+    assert rate_Hz == 1000.0
+    assert during.shape == (40, 2)
+    assert not before.any()
+    assert during[-1] == pytest.approx(1.0, abs=0.02)
 
 
 def test_without_time_to_learn_the_noise_nothing_is_judged():
