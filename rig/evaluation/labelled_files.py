@@ -30,7 +30,7 @@ from rig.detector.notices import Notice, notices_in
 from rig.evaluation import simulated_truth
 from rig.evaluation.scored_trials import judge_one
 from rig.evaluation.scoring.contenders import Contender
-from rig.evaluation.scoring.outcomes import LABELS, SLIPPED, Truth, check_slip
+from rig.evaluation.scoring.outcomes import LABELS, LIFT_OFF, SLIPPED, Truth, check_slip
 from rig.evaluation.scoring.results import ScoredTrial
 from rig.evaluation.scoring.tables import NAMES
 from rig.files.errors import RunFileError
@@ -44,8 +44,6 @@ TEXTS = ("file", "point", "label", *NAMES)
 """Columns that are not numbers."""
 LIKE = 0.8
 """Similarity, from 0 to 1, from which on the name of a column is taken for a slip of the pen."""
-LIFT_OFF = "lift-off"
-"""Label of a trial in which the ridge may slip as a whole when it is let go."""
 UNITS = ("_mm", "_um", "_deg", "_N", "_V", "_mV", "_Hz")
 """Ends of names that are of no time: ``motion_mm`` is a trait."""
 OF_TRAITS = "leave the column out: one of your own is a trait of the trials and holds numbers"

@@ -4,8 +4,9 @@ A slip is found in time by an alarm from 10 ms before to 30 ms after the whole r
 has slipped. An alarm since the motion began that is earlier is early, one that is later is late;
 neither finds the slip in time, and both are recorded separately. An alarm before the motion is
 false, and so is every alarm in a trial in which the ridge does not slip as a whole. One exception:
-a ridge that lifts off does slip, so in those trials the alarms before the lift-off are recorded
-separately. What happens after the end of a record is not in its truth.
+a ridge that lifts off does slip, so in those trials only the alarms before the time in which that
+slip is found are false, and those before the lift-off are recorded separately. What happens after
+the end of a record is not in its truth.
 """
 
 from __future__ import annotations
@@ -30,7 +31,9 @@ SLIPS = ("slip", "slip in a slide")
 with it, or continues."""
 SLIPPED = (*SLIPS, "slip in a roll")
 """Labels of trials in which the ridge slips as a whole."""
-NO_SLIP = ("roll", "lift-off", "hold", "partial slip", "tap")
+LIFT_OFF = "lift-off"
+"""Label of trials in which the ridge leaves the object, and may slip as a whole before it does."""
+NO_SLIP = ("roll", LIFT_OFF, "hold", "partial slip", "tap")
 """Labels of the others. In a partial slip some of the ridge slips, never all of it."""
 LABELS = (*SLIPPED, *NO_SLIP)
 """Labels that a trial may have."""
@@ -72,9 +75,21 @@ class Truth:
         """Return the interval in which an alarm finds the slip in time."""
         return self.ridge_slip_s - EARLY_WITHIN_S, self.ridge_slip_s + FOUND_WITHIN_S
 
+    def false_until_s(self) -> float:
+        """Return the time before which every alarm is early or false: the begin of the time in
+        which the slip is found, which a lift-off has too; infinite where the ridge neither slips as
+        a whole nor lifts off."""
+        if self.slipped:
+            return self.window_s()[0]
+        if self.label != LIFT_OFF:
+            return math.inf
+        times_s = (self.window_s()[0], self.lift_off_s)
+        return min((time_s for time_s in times_s if math.isfinite(time_s)), default=math.inf)
+
     def without_slip_s(self) -> float:
         """Return the length of the part of the record in which every alarm is early or false."""
-        return min(self.window_s()[0], self.record_s) if self.slipped else self.record_s
+        until_s = self.false_until_s()
+        return min(until_s, self.record_s) if math.isfinite(until_s) else self.record_s
 
 
 @dataclass(frozen=True)
@@ -201,7 +216,7 @@ def judge(truth: Truth, report: DetectorReport, traits: Mapping[str, float | str
         finds = alarms[(alarms >= first) & (alarms <= last)]
         early, late = moved[moved < first], alarms[alarms > last]
     found_s = float(finds[0]) if finds.size else math.nan
-    false = int((alarms < first).sum()) if truth.slipped else int(alarms.size)
+    until_s = truth.false_until_s()
     moving = armings[armings >= truth.motion_s]
     predicting = moving[moving <= truth.ridge_slip_s] if truth.slipped else _NOTHING
     rolls = report.rolls_s[report.rolls_s < truth.ridge_slip_s] if truth.slipped else report.rolls_s
@@ -233,11 +248,11 @@ def judge(truth: Truth, report: DetectorReport, traits: Mapping[str, float | str
         followed=int(predicting.size),
         in_vain=0 if truth.slipped else int(moving.size),
         classified_as_roll=bool(rolls.size),
-        false_alarms=false,
+        false_alarms=int((alarms < until_s).sum()),
         without_slip_s=truth.without_slip_s(),
         quiet_alarms=int(sum(quiet)),
         quiet_s=float(sum(end - begin for begin, end in truth.quiet_s)),
-        tick_phases=_tick_phases(truth, early if truth.slipped else moved),
+        tick_phases=_tick_phases(truth, moved[moved < until_s]),
     )
 
 

@@ -97,6 +97,21 @@ def test_where_the_ridge_lifts_off_the_alarms_before_count_apart():
     assert (before.alarmed, before.alarmed_touching) == (True, True)
 
 
+def test_an_alarm_at_the_slip_of_a_ridge_that_lifts_off_is_not_false():
+    ticked = {"record_s": 2.5, "tick_s": 0.01, "tick_from_s": 1.0}
+    lifted = Truth("lift-off", 1.0, 1.9, 1.95, lift_off_s=2.0, **ticked)
+    for right in (1.945, 1.955, 2.01):
+        outcome = judged(lifted, [right])
+        assert (outcome.false_alarms, outcome.tick_phases) == (0, ())
+    outcome = judged(lifted, [0.5, 1.935])
+    assert (outcome.false_alarms, len(outcome.tick_phases)) == (2, 1)
+    assert outcome.without_slip_s == pytest.approx(1.94)
+    at_once = judged(Truth("lift-off", 1.0, lift_off_s=2.0, record_s=2.5), [1.99, 2.01])
+    assert (at_once.false_alarms, at_once.without_slip_s) == (1, 2.0)
+    unknown = judged(Truth("lift-off", 1.0, record_s=2.5), [1.99, 2.01])
+    assert (unknown.false_alarms, unknown.without_slip_s) == (2, 2.5)
+
+
 def test_a_slip_is_predicted_by_armings_between_the_motion_and_its_whole_ridge():
     reported = judged(SLIP, [], [0.3, 0.6, 0.9, 1.1])
     assert reported.armed
