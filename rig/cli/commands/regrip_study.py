@@ -99,8 +99,9 @@ def lines_of(rows: list[StudyRow], mark: str = "") -> list[str]:
     """Return a table as aligned lines, the first of which bears the mark."""
     lines = [
         f"SIMULATED. {mark}Weights are shares of the holding force of the same bench; saved: not "
-        "lost; force: over the least that holds, median of those saved; 95 % by Wilson. Left out: "
-        "trials that could not be made or were invalid.",
+        "lost; force: over the least that holds, median of those saved; 95 % by Wilson, of as many "
+        "cases as benches: the weights of a bench are alike. Left out: trials that could not be "
+        "made or were invalid.",
         f"{'weight':>7} {'strategy':<16}{'n':>4} {'left out':>8}  {'saved':<18}"
         f"{'squeezed':<18}{'squeezes':>8} {'force':>6} {'risen (ms)':>10}",
     ]

@@ -1,4 +1,9 @@
-"""Rates and percentiles of outcomes with 95 % intervals, for all trials and by their conditions."""
+"""Rates and percentiles of outcomes with 95 % intervals, for all trials and by their conditions.
+
+The intervals take the trials for independent. Trials of several kinds at one seed on the simulated
+bench share friction, force, noise and skin, so that an interval over kinds is too narrow: by up to
+the square root of their number in a seed, if all of these had the same outcome.
+"""
 
 from __future__ import annotations
 
@@ -78,7 +83,7 @@ NAMES = ("pattern", "kind", "stop")
 """Traits that are names. Each name is a bin."""
 
 
-def rate(hits: int, of: int) -> ScoredNumber:
+def rate(hits: float, of: int) -> ScoredNumber:
     """Return the share of hits with Wilson's score interval (Wilson 1927, J. Am. Stat. Assoc. 22,
     209).
 
@@ -94,6 +99,17 @@ def rate(hits: int, of: int) -> ScoredNumber:
     low = 0.0 if hits == 0 else middle - half
     high = 1.0 if hits == of else middle + half
     return ScoredNumber(share, low, high, of, "1")
+
+
+def rate_of_groups(hits: int, of: int, groups: int) -> ScoredNumber:
+    """Return the share of hits with Wilson's score interval of as many cases as there are groups,
+    within each of which the cases may all have the same outcome.
+
+    >>> every = rate_of_groups(36, 36, 12)
+    >>> every.of, round(every.low, 2)
+    (12, 0.76)
+    """
+    return rate(hits / of * groups if of else 0, groups)
 
 
 def per_hour(count: int, seconds: float, of: int) -> ScoredNumber:

@@ -5,6 +5,9 @@ force is measured first: a ramp without a grip, up to gross slip. Then weights t
 shares of it are lowered onto the same bench, once for each strategy: `none`, `always` (squeeze when
 the motion begins), or the name of a detector whose alarms the grip answers. Shares above 1 are
 drops; those below are holds, in which every squeeze is a false one.
+
+All weights of a seed are on one bench, with one friction and one holding force, so that one share
+says much of the next: the intervals are those of as many cases as there are benches.
 """
 
 from __future__ import annotations
@@ -23,7 +26,7 @@ from rig.core.cache import Cache
 from rig.core.json_text import finite
 from rig.core.settings import fingerprint
 from rig.detector.registered import chosen_detector
-from rig.evaluation.scoring.tables import ScoredNumber, rate
+from rig.evaluation.scoring.tables import ScoredNumber, rate_of_groups
 from rig.evaluation.wire.kinds import (
     LARGEST_FORCE_N,
     ANY_ERROR_percent,
@@ -227,9 +230,9 @@ class StudyRow:
     n: int
     failed: int
     saved: ScoredNumber
-    """Share of weights that were not lost, with Wilson's interval."""
+    """Share of weights that were not lost, with Wilson's interval of as many cases as benches."""
     squeezed: ScoredNumber
-    """Share of trials with a squeeze."""
+    """Share of trials with a squeeze, with the same kind of interval."""
     squeezes: int
     force_over_least: float
     """Median of the normal force at the end over the least that would have held, of the weights
@@ -256,14 +259,15 @@ def _row(name: str, strategy: str, weights: list[Weight]) -> StudyRow:
     made = [one for one in weights if one.outcome]
     kept = [one for one in made if one.outcome != "lost"]
     ratios = [one.force_used_N / one.least_force_N for one in kept if one.force_used_N]
+    benches = len({one.seed for one in made})
     risen_ms = [1e3 * one.risen_s for one in made if one.risen_s is not None]
     return StudyRow(
         name,
         strategy,
         len(made),
         len(weights) - len(made),
-        rate(len(kept), len(made)),
-        rate(sum(one.squeezes > 0 for one in made), len(made)),
+        rate_of_groups(len(kept), len(made), benches),
+        rate_of_groups(sum(one.squeezes > 0 for one in made), len(made), benches),
         sum(one.squeezes for one in made),
         statistics.median(ratios) if ratios else math.nan,
         statistics.median(risen_ms) if risen_ms else math.nan,

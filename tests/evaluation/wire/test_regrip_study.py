@@ -124,6 +124,22 @@ def test_the_table_has_shares_with_intervals_and_counts_false_squeezes(
     assert json.dumps(as_object(found), allow_nan=False)
 
 
+@pytest.mark.parametrize(("lost", "low"), [(0, 0.757), (1, 0.646)])
+def test_the_weights_of_a_bench_count_as_one_case_of_an_interval(lost: int, low: float) -> None:
+    """36 of 36 on twelve benches were said to be 90 to 100 %."""
+    weights = [
+        Weight(seed, share, "rig", 1.0, 1.0, outcome="lost" if seed < lost else "averted")
+        for seed in range(12)
+        for share in (1.05, 1.1, 1.3)
+    ]
+    rows = {row.weights: row for row in table(weights)}
+    assert (rows["drops"].n, rows["drops"].saved.of) == (36, 12)
+    assert rows["drops"].saved.value == pytest.approx(1 - lost / 12)
+    for row in rows.values():
+        assert row.saved.low == pytest.approx(low, abs=0.001)
+        assert row.squeezed.high == pytest.approx(0.243, abs=0.001)
+
+
 def test_a_bench_that_cannot_be_made_is_said_and_counted(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(
         regrip_study, "make_one", lambda trial, bench, read: (None, "exit code 3: stuck", True)
