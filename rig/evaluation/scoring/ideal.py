@@ -177,7 +177,7 @@ def ideal_report(
         return DetectorReport()
     before, during, judged_Hz = slip_rows(volts, rate_Hz, truth)
     if len(before) < LEAST_ROWS or not len(during):
-        return DetectorReport(unjudged_s=((0.0, math.inf),))
+        return DetectorReport(unjudged_s=((0.0, len(volts) / rate_Hz),))
     allowed = settings.false_per_hour * len(during) / judged_Hz / 3600
     found = probability_unchanged(before, during) <= allowed
     return DetectorReport(np.array([truth.window_s()[1]] if found else []))

@@ -236,7 +236,7 @@ def judge(truth: Truth, report: DetectorReport, traits: Mapping[str, float | str
         alarmed_after=bool(late.size),
         cannot_judge=bool(report.unjudged_s),
         says_inverted=report.inverted,
-        slip_unjudged=truth.slipped and _covers(report.unjudged_s, *truth.window_s()),
+        slip_unjudged=truth.slipped and _slip_unjudged(truth, report),
         unjudged_s=float(sum(end - begin for begin, end in report.unjudged_s)),
         record_s=truth.record_s,
         early_by_s=truth.ridge_slip_s - float(early[0]) if early.size else math.nan,
@@ -254,6 +254,13 @@ def judge(truth: Truth, report: DetectorReport, traits: Mapping[str, float | str
         quiet_s=float(sum(end - begin for begin, end in truth.quiet_s)),
         tick_phases=_tick_phases(truth, moved[moved < until_s]),
     )
+
+
+def _slip_unjudged(truth: Truth, report: DetectorReport) -> bool:
+    """Return whether a detector judged none of the time in which the slip is found, as far as it is
+    in the record."""
+    first, last = truth.window_s()
+    return _covers(report.unjudged_s, first, min(last, truth.record_s))
 
 
 def _covers(intervals: Sequence[tuple[float, float]], begin: float, end: float) -> bool:

@@ -21,6 +21,7 @@ from rig.evaluation.scoring.ideal import (
     whitened,
 )
 from rig.evaluation.scoring.outcomes import Truth, judge
+from rig.evaluation.scoring.tables import score
 from rig.evaluation.scoring.trivial import POSSIBLE, with_trivial_answers
 
 RATE_Hz, NOISE_V = 1000.0, 0.2e-3
@@ -127,6 +128,11 @@ def test_without_time_to_learn_the_noise_nothing_is_judged():
     answers, (scored,) = with_trivial_answers(judged)
     at = [one.name for one in answers].index(POSSIBLE)
     assert scored.outcomes[at].slip_unjudged
+    assert scored.outcomes[at].unjudged_s == 1.5
+    assert score([scored.outcomes[at]])["unjudged_time"].value == pytest.approx(100.0)
+    near_its_end = replace(short, record_s=1.22)
+    outcome = judge(near_its_end, ideal_report(recorded(2e-3)[:1220], RATE_Hz, near_its_end), {})
+    assert (outcome.slip_unjudged, outcome.unjudged_s) == (True, 1.22)
 
 
 def test_a_dead_channel_is_judged_by_the_other():
