@@ -15,6 +15,7 @@ chi-square only says whether the errors of single points are right, and enlarges
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import combinations
 from statistics import NormalDist
@@ -39,6 +40,16 @@ FALSE_ALARM = 0.05
 load."""
 
 
+@dataclass(frozen=True)
+class LoadDifference:
+    """Difference of the mean gains under two loads."""
+
+    gain: Estimate
+    """Mean gain under the second load less that under the first, in dB."""
+    loads_N: tuple[float, float]
+    """The two loads, peak, in N."""
+
+
 @dataclass(frozen=True, eq=False)
 class LoadLinearity:
     """Gain against load, at every frequency with several loads and over all of them."""
@@ -53,12 +64,8 @@ class LoadLinearity:
     """Largest distance of a gain from the weighted mean at its frequency, in dB, (k,)."""
     slope: Estimate
     """Slope common to all frequencies, in dB per decade of load."""
-    largest_difference: Estimate
-    """Difference of the mean gains under the two loads for which it is largest, in dB."""
-    differing_loads_N: tuple[float, float]
-    """These two loads, peak: the difference is that of the second less that of the first."""
-    differences: int
-    """Number of pairs of loads, of which this is the largest difference."""
+    differences: tuple[LoadDifference, ...]
+    """Differences of the mean gains under each two loads."""
     preload_effect: Estimate | None
     """Change of the gain with the preload, in dB/N; None if the preloads are unknown."""
     chi_square: float
@@ -74,6 +81,23 @@ class LoadLinearity:
         """Probability of a chi-square at least this large if the stated errors are right and the
         gain depends on the load by one slope at most."""
         return probability_above(self.chi_square, self.degrees)
+
+    @property
+    def largest(self) -> LoadDifference:
+        """Difference with the largest value. Of several that are poorly known one may be large by
+        chance: its interval is that of a single difference."""
+        return max(self.differences, key=lambda one: abs(one.gain.value))
+
+    @property
+    def largest_difference(self) -> Estimate:
+        """Difference of the mean gains under the two loads for which its value is largest, in
+        dB."""
+        return self.largest.gain
+
+    @property
+    def differing_loads_N(self) -> tuple[float, float]:  # noqa: N802
+        """These two loads, peak: the difference is that of the second less that of the first."""
+        return self.largest.loads_N
 
     @property
     def worst_deviation_dB(self) -> float:  # noqa: N802
@@ -96,17 +120,29 @@ class LoadLinearity:
 
     def verdict(self, bounds: Bounds) -> Verdict:
         """Return whether the gain is independent of the load, within the bounds."""
-        low_N, high_N = self.differing_loads_N
-        levels = equivalence(self.largest_difference, 0.0, bounds.gain_dB, self.differences)
-        parts = [
-            equivalence(self.slope, 0.0, bounds.slope_dB_decade),
-            Verdict(levels.answer, f"gain under {high_N:.3g} N less {low_N:.3g} N {levels.reason}"),
-        ]
+        parts = [equivalence(self.slope, 0.0, bounds.slope_dB_decade), self._levels(bounds)]
         if (surely := self.beyond(bounds)).any():
             worst = int(np.argmax(np.where(surely, np.abs(self.slopes), 0.0)))
             where = f"{self.slopes[worst]:+.2g} dB/decade at {self.frequencies[worst]:g} Hz alone"
             parts.append(Verdict("does not hold", where))
         return all_of(parts)
+
+    def _levels(self, bounds: Bounds) -> Verdict:
+        """Return whether the mean gains under any two loads are the same, within the bounds: the
+        worst answer of all pairs, with the difference among those of this answer that is beyond
+        the bound most surely, or else may be largest."""
+        judged = [
+            (equivalence(one.gain, 0.0, bounds.gain_dB, len(self.differences)), one)
+            for one in self.differences
+        ]
+        answer = all_of(found for found, _ in judged).answer
+        size = _least if answer == "does not hold" else _largest
+        found, worst = max(
+            (pair for pair in judged if pair[0].answer == answer),
+            key=lambda pair: size(pair[1].gain),
+        )
+        low_N, high_N = worst.loads_N
+        return Verdict(answer, f"gain under {high_N:.3g} N less {low_N:.3g} N {found.reason}")
 
     def sentence(self, bounds: Bounds) -> str:
         """Return the result in words."""
@@ -249,7 +285,6 @@ def _over_all(curve: ResponseCurve, decades: Reals) -> LoadLinearity:
     gains = _Gains(group, stated.gains, stated.variances + extra**2)
     found, covariance, _ = gains.fitted(columns)
     errors = np.sqrt(np.diag(covariance))
-    difference, loads, pairs = _largest_difference(gains, decades, preloads)
     bare = gains.gains - sum((c * column for c, column in zip(found[1:], preloads, strict=True)))
     slopes, slope_errors = _slopes_alone(gains, decades, bare)
     deviations = np.abs(gains.about_means(bare))
@@ -259,9 +294,7 @@ def _over_all(curve: ResponseCurve, decades: Reals) -> LoadLinearity:
         slope_errors=slope_errors,
         worst_deviations=np.array([deviations[group == k].max() for k in range(frequency.size)]),
         slope=Estimate.normal(float(found[0]), float(errors[0]), "dB/decade"),
-        largest_difference=difference,
-        differing_loads_N=loads,
-        differences=pairs,
+        differences=tuple(_differences(gains, decades, preloads)),
         preload_effect=Estimate.normal(float(found[1]), float(errors[1]), "dB/N")
         if preloads
         else None,
@@ -280,11 +313,8 @@ def _slopes_alone(gains: _Gains, decades: Reals, bare: Reals) -> tuple[Reals, Re
     return slopes, errors
 
 
-def _largest_difference(
-    gains: _Gains, decades: Reals, preloads: list[Reals]
-) -> tuple[Estimate, tuple[float, float], int]:
-    """Return the largest difference of the mean gains under two loads, these loads, and the number
-    of pairs of loads."""
+def _differences(gains: _Gains, decades: Reals, preloads: list[Reals]) -> Iterator[LoadDifference]:
+    """Yield the difference of the mean gains under each two loads, the smaller one first."""
     order = np.argsort(decades)
     steps = np.diff(decades[order]) > SAME_LOAD_DECADES
     level = np.empty(decades.size, dtype=int)
@@ -297,15 +327,18 @@ def _largest_difference(
     spread[1:, 1:] = covariance[: count - 1, : count - 1]
     loads_N = [float(10 ** decades[level == k].mean()) for k in range(count)]
 
-    def between(a: int, b: int) -> Estimate:
+    for a, b in combinations(range(count), 2):
         variance = spread[a, a] + spread[b, b] - 2 * spread[a, b]
-        return Estimate.normal(float(mean[b] - mean[a]), math.sqrt(max(variance, 0.0)), "dB")
-
-    pairs = list(combinations(range(count), 2))
-    a, b = max(pairs, key=lambda pair: _largest(between(*pair)))
-    return between(a, b), (loads_N[a], loads_N[b]), len(pairs)
+        error_dB = math.sqrt(max(variance, 0.0))
+        gain = Estimate.normal(float(mean[b] - mean[a]), error_dB, "dB")
+        yield LoadDifference(gain, (loads_N[a], loads_N[b]))
 
 
 def _largest(difference: Estimate) -> float:
     """Return the largest size that a difference may have."""
     return max(abs(difference.low), abs(difference.high))
+
+
+def _least(difference: Estimate) -> float:
+    """Return the least size that a difference may have, below 0 where it may have either sign."""
+    return max(difference.low, -difference.high)

@@ -74,6 +74,27 @@ def test_a_dependence_that_is_no_straight_line_is_found():
     assert "gain under 1 N less" in verdict.reason or "less 1 N" in verdict.reason
 
 
+def test_a_sure_difference_is_not_hidden_by_a_larger_interval():
+    """0.25 dB at 10 N, and points at 0.2 N that are known to 15 %: it could not be decided."""
+    random = np.random.default_rng(0)
+    frequencies, loads = np.repeat(FREQUENCIES, 5), np.tile(LOADS, FREQUENCIES.size)
+    errors = np.where(loads < 0.3, 0.15, 0.001)
+    noise = random.standard_normal((2, loads.size))
+    responses = np.where(loads == 10, 10 ** (0.25 / 20), 1.0) * (
+        1 + errors * (noise[0] + 1j * noise[1])
+    )
+    found = load_linearity(
+        frequencies, responses, np.square(errors)[:, None, None] * np.eye(2), loads
+    )
+    assert found.largest_difference.value == max(
+        (one.gain.value for one in found.differences), key=abs
+    )
+    verdict = found.verdict(Bounds(slope_dB_decade=1.0))
+    assert verdict.answer == "does not hold"
+    assert "gain under 10 N less" in verdict.reason
+    assert "less 0.2 N" not in verdict.reason
+
+
 def test_a_dependence_at_one_frequency_is_named():
     frequencies, responses, covariances, loads = data2()
     at = FREQUENCIES[30]
