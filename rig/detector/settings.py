@@ -20,8 +20,9 @@ Logic = Literal["rig", "paper-literal", "paper-hp", "impulse"]
 class DetectorSettings(Settings):
     """Parameters that determine how v_1 and v_2 become events.
 
-    Every threshold is the larger of an absolute floor in mV and a multiple of the noise measured
-    while nothing touches. A relative threshold alone fails where there is hardly any noise.
+    Every threshold is the larger of an absolute floor in mV and a multiple of the measured noise:
+    the published logics measure it in quiet pieces, ``rig`` and ``impulse`` throughout. A relative
+    threshold alone fails where there is hardly any noise.
     """
 
     logic: Logic = "rig"
@@ -34,8 +35,9 @@ class DetectorSettings(Settings):
     """-3 dB frequency of the high-pass filter that extracts the impulse (Butterworth, third
     order)."""
     quiet_s: float = Field(0.25, gt=0)
-    """Length of the pieces on which offset and noise are measured. After the first quiet piece
-    every fourth one is used."""
+    """Length of the pieces on which offset and noise are measured. The published logics use quiet
+    pieces, every fourth one after the first. ``rig`` (with a network of 41 inputs or more) and
+    ``impulse`` measure noise on every piece and take the second least of the latest 16."""
     least_noise_mV: float = Field(0.02, gt=0)
     """Lowest noise that is assumed, rms."""
     arm_mV: float = Field(0.4, gt=0)
@@ -53,7 +55,7 @@ class DetectorSettings(Settings):
     `fire_mV` as well."""
     look_mV: float = Field(0.15, gt=0)
     """The network is evaluated at every row for 12 ms after an impulse above this threshold and
-    `look_sigmas`, otherwise every 8 ms."""
+    `look_sigmas`, otherwise every 4 ms, or every 8 ms by a network of fewer than 41 inputs."""
     look_sigmas: float = Field(3.0, gt=0)
     """The same threshold in standard deviations of the signal's noise."""
     fire_probability: float = Field(0.9, gt=0, lt=1)

@@ -5,6 +5,7 @@ The network here has one unit by hand, so that what is tested is the kernel and 
 slip is an impulse above a share of the touch, and every motion is a roll.
 """
 
+import inspect
 import itertools
 import math
 
@@ -462,3 +463,15 @@ def test_moves_of_x_without_a_held_force_are_as_unknown_for_a_network_taught_wit
     shorter = by_hand().model_copy(update={"network": before})
     shown = IncipientSlipDetector(shorter, RATE_Hz).network_inputs(rows, moves)
     assert shown.inputs[shown.rows >= 700, kernel.CHARGED_INPUTS.index("x known")].all()
+
+
+def test_the_settings_say_how_often_the_network_is_evaluated_and_noise_is_measured():
+    """They stated 8 ms and every fourth quiet piece, which is true of other networks and logics."""
+    source = inspect.getsource(DetectorSettings)
+    adapted = len(kernel.ADAPTED_INPUTS)
+    idle = f"every {kernel.ADAPTIVE_IDLE_ms:g} ms, or every {kernel.IDLE_ms:g} ms by a network of"
+    pieces = f"second least of the latest {kernel.NOISE_PIECES}."
+    assert f"{idle} fewer than {adapted} inputs" in source
+    assert pieces in source
+    assert f"with a network of {adapted} inputs or more" in source
+    assert len(named_detectors()["rig"].network.inputs) >= adapted
