@@ -7,7 +7,7 @@ import errno
 import fcntl
 import os
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -84,12 +84,15 @@ class BatchFolder:
         return self.path / "runs" / f"r{number:05d}.world.jsonl"
 
     @contextlib.contextmanager
-    def held_by(self, who: str, patience_s: float) -> Iterator[int]:
+    def held_by(
+        self, who: str, patience_s: float, check: Callable[[], object] = lambda: None
+    ) -> Iterator[int]:
         """Hold the lock of a batch's "worker", "supervisor" or "postprocess", which only one
         process can hold at a time.
 
         Gives the descriptor of the lock, for child processes that have to hold it as well. Raises
-        ConfigurationError if another process holds it for longer than `patience_s`.
+        ConfigurationError if another process holds it for longer than `patience_s`, and what
+        `check` raises, which is called while it waits.
         """
         path = self.path / f"{who}.lock"
         file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
@@ -102,6 +105,7 @@ class BatchFolder:
                         f"{self.path}: {_in_the_way(who, pid)}",
                         f"see: rig batch status {in_shell(self.path)}",
                     )
+                check()
                 time.sleep(0.05)
             with contextlib.suppress(OSError):  # a full disk: who holds it is for people only
                 os.pwrite(file, f"{os.getpid()}\n".encode(), 0)

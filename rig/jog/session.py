@@ -136,6 +136,8 @@ class JogSession:
         self._began_at = 0.0
         """Position at which the motion under way began."""
         self._left = False
+        self._trips = False
+        """True while a trip is handled, from the moment at which it is seen."""
 
     def go(self, guard: GuardLink, marks: BenchMarks) -> JogOutcome:
         """Jog until the operator leaves, a signal comes or something fails; then stop everything,
@@ -168,6 +170,7 @@ class JogSession:
         self._watch.limit_force(self._settings.largest_force_N)
 
     def _make_safe(self, ended: JogOutcome, guard: GuardLink, marks: BenchMarks) -> None:
+        pressed = self._jog.pressed or self._trips or self._watch.has_tripped()
         with self._bench.links.making_safe():
             failures = self._arming.make_safe(guard.beat)
         if (moved := self._jog.moving) is not None:
@@ -185,7 +188,7 @@ class JogSession:
         try:
             if ended.off_failures:
                 marks.unsafe({off.name: off.reason for off in ended.off_failures})
-            elif self._jog.pressed:
+            elif pressed:
                 marks.stopped(
                     f"`rig jog` ended with a force that was over {self._settings.largest_force_N:g}"
                     " N and had not fallen: something may be pressed; free it"
@@ -241,6 +244,7 @@ class JogSession:
     def _after_trip(self, trip: TripError) -> None:
         """Complete the stop that the watcher began; from then on only the retreat is allowed. A
         trip during the retreat ends the session."""
+        self._trips = True
         self._stop_all()
         self._log_end("tripped")
         self._say(f"stopped: {trip.message}")
@@ -254,6 +258,7 @@ class JogSession:
         force_N = self._watch.read_force()
         assert force_N is not None, "only a force sensor trips"
         self._perform(self._jog.trip(force_N))
+        self._trips = False
 
     # --- actions ------------------------------------------------------------------------------
 

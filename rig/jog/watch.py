@@ -95,6 +95,17 @@ class JogWatch:
         if self._force is not None:
             self._force.watch(limit_N)
 
+    def has_tripped(self) -> bool:
+        """Return whether the force has passed its limit and no wait has raised that yet."""
+        if self._force is None:
+            return False
+        try:
+            self._force.settle()
+            self._force.check_trip()
+        except RigError:
+            return True
+        return False
+
     def read_force(self) -> float | None:
         """Return the largest force along any axis, in N; None without a force sensor."""
         if self._force is None:

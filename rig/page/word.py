@@ -95,7 +95,9 @@ def bench_word(facts: Facts) -> BenchWord:
     if facts.held_by_another:
         return BenchWord("unknown", f"in use by {facts.held_by_another}, which records no run here")
     if facts.unfinished and not facts.run_lives:
-        return BenchWord("UNSAFE", "the run died; its guard has not reported yet")
+        return BenchWord(
+            "UNSAFE", "the run died; its guard has not reported yet that it has finished"
+        )
     if facts.bench_problem:
         return BenchWord("unknown", facts.bench_problem)
     if not facts.recorded:
@@ -115,7 +117,7 @@ def bench_word(facts: Facts) -> BenchWord:
         return BenchWord("safe", "the latest run reported that it made the bench safe")
     if facts.guard_reported:
         return BenchWord("safe", "the run died; its guard reported that it made the bench safe")
-    return BenchWord("UNSAFE", "the run died; its guard has not reported yet")
+    return BenchWord("UNSAFE", "the run died; its guard has not reported yet that it has finished")
 
 
 def _of_a_run(facts: Facts) -> BenchWord:

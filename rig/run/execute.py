@@ -18,6 +18,7 @@ from __future__ import annotations
 import contextlib
 import gc
 import logging
+import threading
 from datetime import datetime
 
 from rig.bench.apply_calibrations import apply_calibrations
@@ -27,8 +28,9 @@ from rig.bench.plan import BenchPlan
 from rig.control.tick_loop import TooSlowError
 from rig.core.clock import Clock
 from rig.core.errors import ExitCode, InstrumentTimeoutError, RigError
+from rig.core.threads import start_thread
 from rig.files.journal.recorder import Recorder
-from rig.run.arming import ShutdownFailure
+from rig.run.arming import ShutdownFailure, Task
 from rig.run.checked_procedure import (
     CheckedProcedure,
     ProcedureFaultError,
@@ -71,10 +73,18 @@ SLOW_SAVING_S = 10.0
 SLOW_SAVING = {
     True: "the bench is safe; the data are still being saved: the file is large, or the disk "
     "does not answer",
-    False: "the bench could NOT be made safe in full: look before you go near it; its guard is "
-    "trying, then the data are saved",
+    False: "the bench could NOT be made safe in full: look before you go near it; the data are "
+    "still being saved: the file is large, or the disk does not answer",
 }
 """What is shown then, by whether the bench is safe."""
+AT_THE_GUARD = (
+    "the bench could NOT be made safe in full: look before you go near it; its guard is trying, "
+    "then the data are saved"
+)
+"""What is shown after the same time where the guard acts."""
+HAND_OVER_S = 20.0
+"""Longest time in s for closing the links of a bench that is left to its guard. After it the guard
+acts all the same, and reaches what is not held by a link."""
 
 
 def execute(
@@ -236,13 +246,17 @@ class _Execution:
                 self._make_safe()
                 unregister_interlocks()
                 self._end_interlocks()
-        safe = self.outcome.safe
-        self.observers.unless_over(SLOW_SAVING_S, SLOW_SAVING[safe], "info" if safe else "warning")
-        if self.outcome.off_failures:
-            self._hand_over()
-        self.phases.enter(RunPhase.SAVING)
-        self.saving.save()
-        self.observers.end()
+        try:
+            if self.outcome.off_failures:
+                self._hand_over()
+        finally:
+            taken = self.outcome.taken_over
+            safe = self.outcome.safe if taken is None else taken.safe
+            level = "info" if safe else "warning"
+            self.observers.unless_over(SLOW_SAVING_S, SLOW_SAVING[safe], level)
+            self.phases.enter(RunPhase.SAVING)
+            self.saving.save()
+            self.observers.end()
         if not self.outcome.off_failures:
             self.guard.done()
 
@@ -270,9 +284,15 @@ class _Execution:
 
     def _hand_over(self) -> None:
         """Leave the bench to the guard, and mark the bench as that leaves it. Before the data are
-        saved, which may take long; the recorder writes meanwhile, and the guard finds the journal
-        in use."""
-        self.bench.hand_over()
+        saved, which may take long; the recorder writes meanwhile."""
+        self.observers.unless_over(SLOW_SAVING_S, AT_THE_GUARD, "warning")
+        # With signs of life: a link whose call hangs may keep this waiting.
+        closing = Task(self.bench.hand_over)
+        try:
+            start_thread(threading.Thread(target=closing.run, name="hand over", daemon=True))
+        except RigError:
+            closing.run()
+        closing.done_by(closing.begun_s + HAND_OVER_S, self.guard.beat)
         failures = self.outcome.off_failures
         reasons = "; ".join(f"{off.name}: {off.reason}" for off in failures)
         cause = f"the run could not make the bench safe: {reasons}"

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import os
 import signal
+import threading
 from pathlib import Path
 
 import made_up
 import pytest
 
+from rig.bench.connected import Bench
 from rig.core.errors import ExitCode, InstrumentError, RigError, UnsafeError
 from rig.core.settings import Settings
+from rig.run import execute as execution
 from rig.run.context import Run
 from rig.run.making_safe.guard_link import judged
 from rig.run.saving import RunSaving
@@ -58,6 +61,37 @@ def test_the_guard_is_given_the_bench_before_the_data_are_saved(
     outcome = made_up.run_of(procedure, tmp_path, monkeypatch)
     assert outcome.file is not None
     assert procedure.log[-2:] == ["guard: take over ", "saving"]
+
+
+def test_a_link_that_does_not_close_keeps_the_bench_from_its_guard_for_a_while_only(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With signs of life: else the guard would kill the run, and nothing would be saved."""
+    procedure = Pressing(Settings())
+    procedure.why = NO_ANSWER
+    release = threading.Event()
+    monkeypatch.setattr(execution, "HAND_OVER_S", 0.3)
+    monkeypatch.setattr(Bench, "hand_over", lambda _: release.wait(60.0))
+    monkeypatch.setattr(made_up.Guard, "beat", lambda guard: guard._log.append("beat"))
+    outcome = made_up.run_of(procedure, tmp_path, monkeypatch)
+    release.set()
+    assert outcome.file is not None
+    assert procedure.log[-2:] == ["beat", "guard: take over "]
+
+
+def test_the_data_are_saved_although_the_guard_cannot_be_asked(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    procedure = Pressing(Settings())
+    procedure.why = NO_ANSWER
+
+    def fail(*_: object) -> None:
+        raise ZeroDivisionError("by nothing")
+
+    monkeypatch.setattr(made_up.Guard, "take_over", fail)
+    with pytest.raises(ZeroDivisionError):
+        made_up.run_of(procedure, tmp_path, monkeypatch)
+    assert len(list(tmp_path.glob("*/*.h5"))) == 1
 
 
 class Paused(made_up.Example):

@@ -77,13 +77,13 @@ class Worker:
         lock: int,
         stop: StopFlag,
         send: SendEvent,
-        paused_because: str = "",
+        commands: CommandListener,
     ):
         self._folder, self._queue, self._lock, self._stop = folder, queue, lock, stop
         self._send = send
         self._terms = BatchTerms.of(queue, folder)
         self._batch = self._terms.file.batch
-        self._commands = CommandListener(stop, send, paused_because)
+        self._commands = commands
         self._benches = RunBenches(self._terms, folder, stop, send)
         self._clock = clock_of(queue)
         self._watch = DriftWatch(queue, self._terms.file, self._terms.bench, self._terms.results)
@@ -456,10 +456,14 @@ def main(arguments: Sequence[str]) -> int:
     # reaches this process, whose session is its own.
     signal.signal(signal.SIGHUP, signal.SIG_DFL)
     with StopFlag() as stop:
+        commands = CommandListener(stop, send, given.paused)  # also while an earlier guard acts
         try:
-            with folder.held_by("worker", GUARD_PATIENCE_S) as lock, Queue.open(folder.queue) as q:
+            with (
+                folder.held_by("worker", GUARD_PATIENCE_S, stop.check) as lock,
+                Queue.open(folder.queue) as queue,
+            ):
                 os.set_inheritable(lock, True)
-                return int(Worker(folder, q, lock, stop, send, given.paused).work())
+                return int(Worker(folder, queue, lock, stop, send, commands).work())
         except StopRequestedError as stopped:
             send("end", state="stopped", text=stopped.one_line(), code=int(stopped.code))
             return int(stopped.code)

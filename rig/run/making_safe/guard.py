@@ -180,7 +180,10 @@ def act(order: dict[str, Any], cause: str, already_safe: bool = False) -> dict[s
         _add_what_is_pressed(order, report)
         _publish(order, report)
     journal = order["journal"]
-    report["file"] = None if journal is None else _compile(Path(journal))
+    if journal is not None and not order.get("saves"):
+        report["file"] = _compile(Path(journal))
+    else:
+        report["file"] = None if journal is None else "saved by the run itself"
     _publish(order, report)
     return report
 
@@ -189,6 +192,7 @@ def _add_what_is_pressed(order: dict[str, Any], report: dict[str, Any]) -> None:
     """Measure what is still pressed, and lift z off it where that may be done. A force over its
     limit that remains makes the bench unsafe, since only a person can release it."""
     found: list[PressedState] = []
+    why = f"the instruments gave no answer within {PRESSED_S + REST_S:g} s"
 
     def measure() -> None:
         from rig.run.making_safe.still_pressed import Orders, pressed_state
@@ -209,15 +213,14 @@ def _add_what_is_pressed(order: dict[str, Any], report: dict[str, Any]) -> None:
     try:
         thread.start()
     except RuntimeError:  # the limit on threads is reached: without the deadline, but lifted
-        with contextlib.suppress(Exception):
+        try:
             measure()
+        except Exception as error:  # noqa: BLE001 - the data come next
+            why = f"{type(error).__name__}: {error}"
     else:
         thread.join(PRESSED_S + REST_S)
     if not found:
-        report["pressed"] = (
-            "not known whether something is still pressed: the instruments gave no answer within "
-            f"{PRESSED_S + REST_S:g} s"
-        )
+        report["pressed"] = f"not known whether something is still pressed: {why}"
         return
     report["pressed"], report["released"] = found[0].text, found[0].released
     if found[0].over_limit is not None:
@@ -341,6 +344,8 @@ def _understand(line: bytes, watch: _Watch | None) -> _Watch:
         if line.startswith(word.encode() + b" "):
             watch.order[word] = json.loads(line[len(word) :])
     watch.hangs = json.loads(line[len(b"hangs ") :]) if line.startswith(b"hangs ") else ""
+    if line == b"saves":
+        watch.order["saves"] = True
     watch.safe = watch.safe or line == b"safe"
     watch.done = watch.done or line == b"done"
     watch.kill = watch.kill or line == b"kill"

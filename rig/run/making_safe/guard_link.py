@@ -212,9 +212,10 @@ class GuardLink:
 
     def take_over(self, over_limit: Sequence[str] = (), cause: str = "") -> TakenOver:
         """Leave the bench to the guard for this cause, and return the result of its try; see
-        `judged`."""
+        `judged`. The data are the run's to save."""
         assert self._process.stdin is not None
         self._send_unsent(needed=True)
+        self._send("saves")
         if cause:
             self.cause(cause)
         with contextlib.suppress(OSError):
