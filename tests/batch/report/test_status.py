@@ -28,6 +28,7 @@ from rig.run.locks.bench_mark import BenchMarks
 from rig.run.locks.lock import address_names
 from rig.run.making_safe.guard_link import TakenOver
 from rig.run.outcome import RunOutcome
+from rig.run.stopping import StopFlag, StopRequestedError
 
 BENCH = """
 name = "bench-3"
@@ -72,6 +73,18 @@ def test_the_lock_of_a_batch_can_be_opened_by_its_owner_alone(tmp_path: Path) ->
     with folder.held_by("supervisor", 0.0):
         assert folder.is_held("supervisor")
         assert (tmp_path / "supervisor.lock").stat().st_mode & 0o777 == 0o600
+
+
+def test_who_waits_for_the_lock_of_a_batch_can_be_stopped(tmp_path: Path) -> None:
+    """The guard of an earlier worker may hold it for minutes."""
+    stop, folder = StopFlag(), BatchFolder(tmp_path)
+    stop.requested = signal.SIGTERM
+    with (
+        folder.held_by("worker", 0.0),
+        pytest.raises(StopRequestedError),
+        folder.held_by("worker", 600.0, stop.check),
+    ):
+        pass
 
 
 HOLDER = """
