@@ -57,6 +57,7 @@ class AttemptResult:
     code: int = 0
     reason: str = ""
     bench_s: float = 0.0
+    """Bench time without `on_hold_s`: what an attempt takes that nothing disturbs."""
     points_done: int = 0
     points_planned: int = 0
     summary: Mapping[str, Any] | None = None
@@ -64,9 +65,16 @@ class AttemptResult:
     """Holds of this attempt, which are counted for the batch, not for each run."""
     presses: int = 0
     """Number of presses of the object; counted likewise."""
+    on_hold_s: float = 0.0
+    """Bench time for which it waited, on hold or paused. It is not kept."""
     bench: str = ""
     """How the attempt left the bench, as a sentence; empty where that is not known. It is not
     kept."""
+
+    @property
+    def elapsed_s(self) -> float:
+        """All the bench time from its beginning to its end."""
+        return self.bench_s + self.on_hold_s
 
 
 @dataclass(frozen=True)

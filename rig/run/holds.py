@@ -17,6 +17,9 @@ from rig.bench.settings import HoldLimits
 from rig.core.errors import ExitCode, RigError
 from rig.core.units import counted
 
+ON_HOLD, HOLD_OVER = "on-hold", "hold-over"
+"""Codes of a run's events when it begins to wait, with its bench safe, and when it continues."""
+
 
 class HoldError(RigError):
     """Raised in a wait that a hold disturbs; it is never the outcome of a run."""

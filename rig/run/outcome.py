@@ -30,6 +30,8 @@ class RunOutcome:
     """Journal, if it is still needed to resume the run or to recover its data."""
     duration_s: float = 0.0
     """Bench time of this attempt, from its start until the bench was safe."""
+    on_hold_s: float = 0.0
+    """That part of it for which the run waited, on hold or paused, with the bench safe."""
     holds: int = 0
     """Holds of this attempt, pauses by the operator not included."""
     presses: int = 0

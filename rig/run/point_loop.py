@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING
 
 from rig.core.errors import ExitCode, LimitError, RigError, UnsafeError
 from rig.run.arming import ShutdownFailure
-from rig.run.holds import PAUSE, HoldError
+from rig.run.holds import HOLD_OVER, ON_HOLD, PAUSE, HoldError
 from rig.run.observers import HOLD, PAUSED, RUNNING
 from rig.run.phases import RunPhase
 from rig.run.points import Point, Reading, RetakeError, check_points, remedy
@@ -214,20 +214,24 @@ class PointLoop:
         if self._run.ending.failures:
             raise _not_safe(self._run.ending.failures) from hold
         self._phases.enter(RunPhase.ON_HOLD)
-        self._run.event("info", "on-hold", hold.message)
+        self._run.event("info", ON_HOLD, hold.message)
         if not asked_for:
             self._count(hold, where)
             self._observers.event(
                 "warning", f"on hold: {hold.message}; the bench is safe and the run waits"
             )
         self._observers.state(PAUSED if asked_for else HOLD)
-        self._run.check_stop()
-        while self._run.holds.active:
-            self._stop.check_between_points(0.0)  # no point is under way
-            self._run.clock.sleep(HOLD_POLL_S)
-            self._run.check_force_stream()
+        begun_s = self._run.clock.now()
+        try:
+            self._run.check_stop()
+            while self._run.holds.active:
+                self._stop.check_between_points(0.0)  # no point is under way
+                self._run.clock.sleep(HOLD_POLL_S)
+                self._run.check_force_stream()
+        finally:
+            self._outcome.on_hold_s += self._run.clock.now() - begun_s
         self._phases.enter(RunPhase.READY)
-        self._run.event("info", "hold-over", "the run arms the bench again")
+        self._run.event("info", HOLD_OVER, "the run arms the bench again")
         self._observers.state(RUNNING)
 
     def _count(self, hold: HoldError, where: str) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from pathlib import Path
 
 import pytest
@@ -76,3 +77,22 @@ def test_a_contact_that_stays_loose_ends_the_run_with_its_counts(
         assert codes[:6] == ["hold", "on-hold", "hold-over"] * 2
     else:
         assert outcome.code is ExitCode.DONE
+
+
+class Paused(Example):
+    """A hold of 0.3 s disturbs the first attempt at a point."""
+
+    def take(self, run: Run, point: Point) -> Reading:
+        if run.holds.count == 0:
+            run.holds.begin("the door is open")
+            threading.Timer(0.3, run.holds.end, ["the door is open"]).start()
+        return super().take(run, point)
+
+
+def test_the_time_on_hold_is_part_of_the_run_s_and_is_known(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A batch does not expect it of its later runs."""
+    outcome = run_of(Paused(Settings()), tmp_path, monkeypatch)
+    assert outcome.code is ExitCode.DONE
+    assert 0.15 < outcome.on_hold_s < outcome.duration_s

@@ -22,6 +22,7 @@ from rig.files.journal.reader import JournalContents, read_journal
 from rig.files.naming import RUN_SUFFIX
 from rig.files.runfile.reader import RunFile
 from rig.files.runfile.recover import interrupted
+from rig.run.holds import HOLD_OVER, ON_HOLD
 from rig.run.results import results_of
 
 if TYPE_CHECKING:
@@ -44,12 +45,13 @@ def outcome_from_journal(journal: Path, began: datetime | None = None) -> Attemp
         except JournalError as error:
             return AttemptResult("died", "died", reason=error.one_line())
         readings = [point.reading for point in contents.kept()]
+        codes = [(event.time, event.code) for event in contents.events]
         end = contents.ends[-1] if contents.complete else None
         return _ended(
             contents.header,
             None if end is None else end.exit,
             readings,
-            _bench_s(contents.header, contents.last_time, began),
+            *_times_s(contents.header, contents.last_time, _holds(codes), began),
         )
     run_file = journal.with_suffix(RUN_SUFFIX)
     if run_file.exists():
@@ -57,8 +59,8 @@ def outcome_from_journal(journal: Path, began: datetime | None = None) -> Attemp
             with RunFile.open(run_file) as run:
                 outcome = run.outcome
                 code = outcome.exit if outcome.status == "complete" else None
-                bench_s = _bench_s(run.header, outcome.duration, began)
-                return _ended(run.header, code, run.readings(), bench_s)
+                times_s = _times_s(run.header, outcome.duration, _holds(run.event_codes()), began)
+                return _ended(run.header, code, run.readings(), *times_s)
         except RigError as error:
             return AttemptResult("died", "died", reason=error.one_line())
     return AttemptResult("died", "died", reason="it died before its first record")
@@ -91,17 +93,42 @@ def archive_files(journal: Path) -> Path:
     return archived
 
 
-def _bench_s(header: RunHeader, run_s: float, began: datetime | None) -> float:
-    """Return the bench time, up to a time since the run's start, of the attempt that `began` then;
-    without that of the whole run."""
-    if began is None or header.start_time is None:
-        return run_s
-    until = datetime.fromisoformat(header.start_time) + timedelta(seconds=run_s)
-    return min(run_s, max(0.0, (until - began).total_seconds()))
+def _holds(codes: Sequence[tuple[float, str]]) -> list[tuple[float, float]]:
+    """Return begin and end, in s since the run's start, of the holds that have ended, by the times
+    and codes of a run's events."""
+    found, begun_s = list[tuple[float, float]](), None
+    for time_s, code in codes:
+        if code == ON_HOLD:
+            begun_s = time_s
+        elif code == HOLD_OVER and begun_s is not None:
+            found.append((begun_s, time_s))
+            begun_s = None
+    return found
+
+
+def _times_s(
+    header: RunHeader,
+    run_s: float,
+    holds: Sequence[tuple[float, float]],
+    began: datetime | None,
+) -> tuple[float, float]:
+    """Return the bench time without holds, and that on hold, up to a time since the run's start, of
+    the attempt that `began` then; without that of the whole run."""
+    elapsed_s = run_s
+    if began is not None and header.start_time is not None:
+        until = datetime.fromisoformat(header.start_time) + timedelta(seconds=run_s)
+        elapsed_s = min(run_s, max(0.0, (until - began).total_seconds()))
+    since_s = run_s - elapsed_s
+    held_s = sum(max(0.0, min(over_s, run_s) - max(at_s, since_s)) for at_s, over_s in holds)
+    return elapsed_s - held_s, held_s
 
 
 def _ended(
-    header: RunHeader, code: int | None, readings: Sequence[Reading], bench_s: float
+    header: RunHeader,
+    code: int | None,
+    readings: Sequence[Reading],
+    bench_s: float,
+    on_hold_s: float,
 ) -> AttemptResult:
     """Return the result of a run that was completed with this exit code, or, where it is None, of
     one that was interrupted."""
@@ -111,6 +138,7 @@ def _ended(
             "died",
             reason="the process that ran it died",
             bench_s=bench_s,
+            on_hold_s=on_hold_s,
             points_done=len(readings),
             points_planned=len(header.points),
         )
@@ -120,6 +148,7 @@ def _ended(
         "complete",
         code=code,
         bench_s=bench_s,
+        on_hold_s=on_hold_s,
         points_done=len(readings),
         points_planned=max(len(readings), len(header.points)),
         summary=_summary(procedure(settings), readings),

@@ -148,9 +148,12 @@ def _restore(queue: Queue, folder: BatchFolder, plan: BatchPlan) -> None:
         ended = outcome_from_journal(journal)
         state: RunState = "done" if ended.ending == "complete" else "queued"
         if state == "queued" and (failed := _failure_of(journal)) is not None:
-            ended, state = replace(failed, bench_s=ended.bench_s), "failed"
+            ended, state = (
+                replace(failed, bench_s=ended.bench_s, on_hold_s=ended.on_hold_s),
+                "failed",
+            )
         queue.finish(queue.claim(run.number), ended, state)
-        passed_s += ended.bench_s + condition.rest_s
+        passed_s += ended.elapsed_s + condition.rest_s
     queue.set_meta(PASSED_S, f"{passed_s:.6f}")
 
 

@@ -138,10 +138,15 @@ class Worker:
         if self._terms.bench is None:
             ended = outcome_from_journal(journal)
             earlier_s = self._queue.bench_s(claim.number)
-            ended = replace(ended, bench_s=max(0.0, ended.bench_s - earlier_s))
+            ended = replace(
+                ended,
+                bench_s=max(0.0, ended.bench_s - earlier_s),
+                # Of several attempts the journal does not say whose holds they were.
+                on_hold_s=ended.on_hold_s if claim.attempt == 1 else 0.0,
+            )
         else:
             ended = outcome_from_journal(journal, self._queue.began(claim))
-        self._clock.used(ended.bench_s)
+        self._clock.used(ended.elapsed_s)
         if ended.reason:
             self._send("note", level="warning", text=f"run {claim.number}: {ended.reason}")
         self._conclude(claim, ended)
@@ -239,7 +244,7 @@ class Worker:
             ended = _ended(outcome)
         finally:
             self._commands.in_run = False
-        self._clock.used(ended.bench_s)
+        self._clock.used(ended.elapsed_s)
         self._conclude(claim, ended)
 
     def _completed_elsewhere(self, claim: Claim) -> AttemptResult | None:
@@ -409,12 +414,13 @@ def _ended(outcome: RunOutcome) -> AttemptResult:
         kind_of(outcome.code, outcome.failures, safe_after_all) if failed else "",
         int(outcome.code),
         "; ".join(reasons),
-        outcome.duration_s,
+        outcome.duration_s - outcome.on_hold_s,
         outcome.points_done,
         outcome.points_planned,
         dict(outcome.summary),
         outcome.holds,
         outcome.presses,
+        outcome.on_hold_s,
         _bench_of(outcome),
     )
 

@@ -106,7 +106,7 @@ class StopWhen(Settings):
     failed_runs: int | None = Field(default=None, ge=1)
     """This many runs have failed for good."""
     bench_hours: float | None = Field(default=None, gt=0)
-    """The bench has been in use for this long."""
+    """The bench has been in use for this long, rests and holds not included."""
 
 
 class HoldWhen(Settings):

@@ -120,7 +120,9 @@ class BatchStatus:
             spread = f" ± {time_span(self.remaining.spread_s)}" if self.remaining.spread_s else ""
             ends = f", until {self.finish.isoformat(' ', 'minutes')}" if self._real_time else ""
             shown.append(f"remaining: {time_span(self.remaining.bench_s)}{spread}{ends}")
-        shown.append(f"used by runs: {time_span(self.bench_s)} of bench time, rests not included")
+        shown.append(
+            f"used by runs: {time_span(self.bench_s)} of bench time, rests and holds not included"
+        )
         if self.presses or self.holds:
             shown.append(f"so far: {self._holds_and_presses()}")
         if self.running:

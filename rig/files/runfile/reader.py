@@ -149,6 +149,12 @@ class RunFile(OpenFile):
         values = with_present_names(self.header.layout, stored.values)
         return stored.model_copy(update={"values": values})
 
+    def event_codes(self) -> list[tuple[float, str]]:
+        """Return time, in s since the run's start, and code of each event of the run, in order."""
+        with self._naming():
+            times_s = whole(self.entry["events/time"]).tolist()
+            return list(zip(times_s, texts_of(self.entry["events/code"]), strict=True))
+
     def point_ids(self) -> list[str]:
         """Return the ids of the kept points, in the order of ``column``'s rows."""
         with self._naming():

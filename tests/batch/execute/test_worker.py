@@ -21,8 +21,9 @@ from rig.batch.folder import BatchFolder
 from rig.batch.plan.read import parse_batch
 from rig.batch.queue import Queue
 from rig.batch.queue_records import AttemptResult, RunEstimate
-from rig.core.errors import RigError
+from rig.core.errors import ExitCode, RigError
 from rig.files.journal.writer import JournalWriter
+from rig.run.outcome import RunOutcome
 from rig.run.stopping import NOTHING_CONNECTED, StopFlag, StopRequestedError
 
 BATCH = """
@@ -128,3 +129,17 @@ def test_the_night_between_two_attempts_is_not_time_on_a_real_bench(queue: Queue
     worker._recover()
     assert claim.attempt == 2
     assert [one.bench_s for one in ended] == [300.0]
+
+
+def test_a_run_that_was_paused_is_not_expected_to_take_that_long_again(queue: Queue) -> None:
+    """After a pause of 2 h the night would end 2 h early."""
+    outcome = RunOutcome("complete", ExitCode.DONE, duration_s=7220.0, on_hold_s=7200.0)
+    outcome.holds, passed_s = 1, list[float]()
+    worker = worker_of(queue)
+    worker._clock = SimpleNamespace(used=passed_s.append)
+    worker._perform = lambda *_: outcome
+    worker._conclude = lambda claim, ended: queue.finish(claim, ended, "done")
+    with ExitStack() as at_the_end:
+        worker._take(queue.upcoming(), at_the_end)
+    assert passed_s == [7220.0]
+    assert queue.bench_s() == 100.0 + 20.0, "with the attempt before"
