@@ -135,15 +135,25 @@ class BetweenRuns:
         self._clock.wait_until(self._from, self.check)
         self._send("state", state="running")
 
-    def hold(self, why: str, over: SelfEnding | None = None, bench: str = BENCH_SAFE) -> None:
+    def hold(
+        self,
+        why: str,
+        over: SelfEnding | None = None,
+        bench: str = BENCH_SAFE,
+        *,
+        by_resume: bool = True,
+    ) -> None:
         """Wait for a person, or end the batch by an EndOfBatchError, as `on_hold` says. With `over`
         the batch also continues by itself as soon as that is so, unless a person has paused it.
-        `bench` says how the bench is meanwhile."""
+        `bench` says how the bench is meanwhile; `by_resume` is False where `why` says what is to be
+        done instead of a mere `rig batch resume`."""
         self._queue.add_event("hold", why)
         if self._on_hold == "stop":
-            raise EndOfBatchError(why, "rig batch resume", ExitCode.STOPPED_BY_CONDITION)
+            hint = "rig batch resume" if by_resume else None
+            raise EndOfBatchError(why, hint, ExitCode.STOPPED_BY_CONDITION)
         self._commands.paused.set()
-        self._send("hold", text=why, by_itself="" if over is None else over.words, bench=bench)
+        by_itself = "" if over is None else over.words
+        self._send("hold", text=why, by_itself=by_itself, bench=bench, by_resume=by_resume)
         self._wait("held", over)
         self._stay_paused()
 

@@ -23,6 +23,10 @@ LARGE_LOSS_dB = 20.0
 LARGE_LOSS = 0.1
 """The same loss of a figure that is not in dB: the share that is left."""
 AXES = "xyz"
+DISK_HINT = (
+    "free space there; or stop the batch and begin a new one with the runs that are left, in a "
+    "results folder on another disk"
+)
 WORN_HINT = "check the film, its cable and its connector; replace it and calibrate the new one"
 
 
@@ -145,7 +149,7 @@ def disk_space(free_bytes: float, needed_bytes: float, least_GB: float) -> list[
         f"disk of the results: {free_GB:.3g} GB free{rest}; {least_GB:g} GB have to remain free "
         "(hold_when.free_disk_GB)"
     )
-    return [HoldReason("disk", text, "free space there, or give another folder for the results")]
+    return [HoldReason("disk", text, DISK_HINT)]
 
 
 def expiring(
@@ -167,7 +171,8 @@ def expiring(
             HoldReason(
                 "calibration",
                 f"{source}: the calibration of {record.sensor!r} of {date} {expires}",
-                f"calibrate with `{COMMANDS[record.kind]}`, or set allow_expired = true",
+                f"stop the batch, calibrate with `{COMMANDS[record.kind]}`, name the new record in "
+                "the bench file, then: rig batch resume --despite-changes",
             )
         )
     return findings

@@ -44,7 +44,7 @@ from rig.batch.execute.run_benches import RunBenches
 from rig.batch.execute.terms import BatchTerms
 from rig.batch.execute.worker_link import CommandListener, Reporter, SendEvent
 from rig.batch.folder import BatchFolder
-from rig.batch.plan.policy import after_failure, kind_of, reason_to_end
+from rig.batch.plan.policy import after_failure, kind_of, reason_to_end, remedy_at_the_end
 from rig.batch.plan.procedures import installed, procedure_of
 from rig.batch.queue import Queue, give_up
 from rig.batch.queue_file import QueueWriteError
@@ -160,11 +160,10 @@ class Worker:
             if upcoming is None:
                 return None
             rest_s = 0.0 if rested == upcoming.number else self._rest_before(upcoming)
-            counts = self._queue.counts()
-            if why := reason_to_end(
-                self._batch, counts["done"], counts["failed"], self._queue.bench_s()
-            ):
-                raise EndOfBatchError(why, "rig batch resume", ExitCode.STOPPED_BY_CONDITION)
+            counts, used_s = self._queue.counts(), self._queue.bench_s()
+            if why := reason_to_end(self._batch, counts["done"], counts["failed"], used_s):
+                remedy = remedy_at_the_end(self._batch, counts["done"], used_s)
+                raise EndOfBatchError(why, remedy, ExitCode.STOPPED_BY_CONDITION)
             takes_s = rest_s + upcoming.estimate_s + MAKING_SAFE_S
             self._between.require_time(takes_s, upcoming.spread_s)
             if found := self._watch.before(upcoming, self._clock.now()):
@@ -190,7 +189,7 @@ class Worker:
             over = room_on_disk(self._disk_has_room)
         elif kinds == {"folder"}:
             over = SelfEnding(lambda: not self._watch.folder(), "the folder is in its place")
-        self._between.hold(_text_of(found), over)
+        self._between.hold(_text_of(found), over, by_resume="calibration" not in kinds)
 
     def _disk_has_room(self) -> bool:
         """Return whether the next run's files, and the rest of the batch, fit on the disk."""

@@ -197,6 +197,9 @@ class WorkerReports:
         if event["text"] != self._held_for:
             self._held_for = event["text"]
             self._people.notify("hold", event["text"])
+        if not event.get("by_resume", True):  # the reason says what to do
+            self._people.say(f"{event['bench']} and the batch waits")
+            return
         by_itself = f"when {event['by_itself']}, or " if event["by_itself"] else ""
         self._people.say(
             f"{event['bench']} and the batch waits; it continues {by_itself}with: "

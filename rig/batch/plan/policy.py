@@ -123,6 +123,19 @@ def after_failure(
     return FailureDecision("failed", set_aside=aside)
 
 
+NEW_BATCH = (
+    "begin a new batch with the runs that are left: rig batch resume does not change stop_when"
+)
+"""What to do once a stop condition is met that stays so, as an instruction without a capital."""
+TAKE_AGAIN = f"take failed runs again with rig batch resume --retry-failed, or {NEW_BATCH}"
+"""The same where the runs that have failed are what meets it."""
+
+
+def remedy_at_the_end(batch: BatchSettings, done: int, bench_s: float) -> str:
+    """Return what to do once `reason_to_end` has given one."""
+    return NEW_BATCH if reason_to_end(batch, done, 0, bench_s) else TAKE_AGAIN
+
+
 def reason_to_end(batch: BatchSettings, done: int, failed: int, bench_s: float) -> str:
     """Return the stop condition that is met; empty if none is."""
     when = batch.stop_when

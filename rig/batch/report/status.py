@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from rig.batch.folder import BatchFolder
+from rig.batch.plan.policy import TAKE_AGAIN, reason_to_end, remedy_at_the_end
 from rig.batch.plan.settings import BatchFile
 from rig.batch.plan.window import how_to_continue, window
 from rig.batch.queue_records import HOLDS, PRESSES, TIME_OVER, RemainingWork, RunRow, RunState
@@ -61,9 +62,9 @@ class BatchStatus:
     pressed."""
     to_make_safe: str = ""
     """What to do about that bench before anything can be continued; empty for nothing."""
-    for_want_of_time: str = ""
-    """What to do about the remaining runs where `stop_by` has a date and leaves no time for them;
-    else empty."""
+    instead: str = ""
+    """What to do about the remaining runs where a mere resume takes none of them: `stop_by` has a
+    date and leaves no time for them, or a stop condition is met; else empty."""
 
     @property
     def finish(self) -> datetime:
@@ -175,12 +176,12 @@ class BatchStatus:
         capital; empty where nothing is left to do."""
         resume = self.folder.resume_command
         steps = [self.to_make_safe] if self.to_make_safe else []
-        if self.remaining.runs and self.for_want_of_time:
+        if self.remaining.runs and self.instead:
             files = [f"make the missing files with: {resume}"] if self.unprocessed else []
-            return [*steps, self.for_want_of_time, *files]
+            return [*steps, self.instead, *files]
         if self.remaining.runs or self.unprocessed:
             steps.append(f"continue with: {resume}")
-        if (self.counts["failed"] or self.counts["set-aside"]) and not self.for_want_of_time:
+        if (self.counts["failed"] or self.counts["set-aside"]) and self.instead in ("", TAKE_AGAIN):
             steps.append(f"take failed and left-out runs again with: {resume} --retry-failed")
         return steps
 
@@ -247,14 +248,18 @@ def status_of(folder: BatchFolder, running: bool | None = None) -> BatchStatus:
             queue.events(LATEST),
             datetime.now().astimezone(),
             *_bench_of(queue.meta("bench", "")),
-            _for_want_of_time(queue),
+            _instead_of_a_resume(queue),
         )
 
 
-def _for_want_of_time(queue: QueueView) -> str:
-    """Return what to do about the remaining runs if a `stop_by` with a date is over."""
+def _instead_of_a_resume(queue: QueueView) -> str:
+    """Return what to do about the remaining runs if a `stop_by` with a date is over, or a stop
+    condition is met."""
     with suppress(ValueError):  # no file, or one that this version does not read: resume says so
         batch = BatchFile.model_validate_json(queue.meta("file", "")).batch
+        counts, used_s = queue.counts(), queue.bench_s()
+        if reason_to_end(batch, counts["done"], counts["failed"], used_s):
+            return remedy_at_the_end(batch, counts["done"], used_s)
         if not isinstance(batch.stop_by, datetime):
             return ""
         now = datetime.now().astimezone()

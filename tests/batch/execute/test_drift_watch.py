@@ -51,7 +51,9 @@ class Night:
         worker._batch = self.file.batch
         worker._commands = SimpleNamespace(take_given_up=lambda: False)
         worker._send = lambda *_, **__: None
-        worker._between = SimpleNamespace(hold=lambda why, over, *_: self.holds.append((why, over)))
+        worker._between = SimpleNamespace(
+            hold=lambda why, over, *_, **__: self.holds.append((why, over))
+        )
         self.worker = worker
 
     def move_away(self) -> None:

@@ -164,6 +164,7 @@ def test_a_disk_is_to_hold_the_rest_of_the_batch_and_what_is_to_be_left() -> Non
     )
     (found,) = disk_space(0.5e9, 0.0, 1.0)
     assert "0.5 GB free; 1 GB" in found.text
+    assert "begin a new one" in found.hint, "a batch keeps its folder"
 
 
 NOW = datetime(2026, 11, 22, 22, 0, tzinfo=UTC)
@@ -187,6 +188,9 @@ def test_a_record_that_expires_during_the_night_is_reported_and_one_that_lasts_i
         "film-7.json: the calibration of 'film 7' of 2026-08-24 expires on 2026-11-23 04:00, "
         "before the run is over (about 2026-11-23 09:00)"
     )
-    assert "rig calibrate pvdf" in found.hint
+    assert found.hint == (
+        "stop the batch, calibrate with `rig calibrate pvdf FILE`, name the new record in the "
+        "bench file, then: rig batch resume --despite-changes"
+    ), "the batch has the bench, and its own copy of the batch file"
     (found,) = expiring([record(-1.0)], NOW, timedelta(hours=11))
     assert "expired on 2026-11-21 22:00" in found.text

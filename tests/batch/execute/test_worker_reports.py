@@ -73,6 +73,15 @@ def test_people_are_notified_of_a_hold_once_and_its_state_is_set_each_time(night
     )
 
 
+def test_a_hold_that_a_mere_resume_does_not_end_is_not_said_to_continue_with_it(
+    night: Night,
+) -> None:
+    why = "cell.json has expired: stop the batch, calibrate"
+    night.report("hold", text=why, by_itself="", bench=BENCH_SAFE, by_resume=False)
+    assert night.said[-1] == "the bench is safe and the batch waits"
+    assert night.queue.meta("state") == f"held: {why}"
+
+
 def test_what_only_a_person_can_end_is_kept_for_the_next_worker(night: Night) -> None:
     night.report("hold", text="it is in use", by_itself="", bench=BENCH_IN_USE)
     assert night.said[-1] == (

@@ -13,6 +13,7 @@ from rig.batch.plan.policy import (
     after_failure,
     kind_of,
     reason_to_end,
+    remedy_at_the_end,
 )
 from rig.batch.plan.settings import BatchSettings
 from rig.core.errors import (
@@ -156,3 +157,7 @@ def test_stop_conditions_tell_what_was_met(when: dict[str, Any], reported: str) 
     why = reason_to_end(batch(stop_when=when), done=3, failed=2, bench_s=7200.0)
     assert reported in why
     assert bool(why) == bool(reported)
+    if why:
+        remedy = remedy_at_the_end(batch(stop_when=when), done=3, bench_s=7200.0)
+        assert "begin a new batch with the runs that are left" in remedy
+        assert ("--retry-failed" in remedy) == ("failed_runs" in when), "they count no more"

@@ -358,6 +358,24 @@ def test_a_simulated_batch_is_over_where_its_own_time_is(
     assert lines[-1].startswith(words)
 
 
+@pytest.mark.parametrize(
+    ("when", "words"),
+    [
+        ({"finished_runs": 1}, "Begin a new batch with the runs that are left"),
+        ({"failed_runs": 1}, "Take failed runs again with rig batch resume --retry-failed, or "),
+        ({"finished_runs": 2}, "Take failed and left-out runs again with: rig batch resume "),
+    ],
+)
+def test_a_resume_that_would_end_at_once_is_not_proposed(
+    tmp_path: Path, when: dict[str, int], words: str
+) -> None:
+    """A stop condition stays met."""
+    given = {"batch": {"name": "night", "stop_when": when}, "experiment": [{"procedure": "sweep"}]}
+    file = {"file": BatchFile.model_validate(given).model_dump_json()}
+    lines = ended(tmp_path, "stopped: 1 runs are finished", "done", "failed", entries=file)
+    assert lines[-1].startswith(words)
+
+
 def test_files_still_to_be_made_are_made_by_a_resume_also_after_stop_by(tmp_path: Path) -> None:
     folder, (plan, estimates) = BatchFolder(tmp_path), three_runs()
     meta = {"name": "night", "state": "", "file": file_until("2026-01-14T07:00:00")}
