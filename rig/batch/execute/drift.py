@@ -23,6 +23,8 @@ LARGE_LOSS_dB = 20.0
 LARGE_LOSS = 0.1
 """The same loss of a figure that is not in dB: the share that is left."""
 AXES = "xyz"
+ZERO = "force_zero_N"
+"""The figure of a summary that holds the force sensor's reading in free air, before taring."""
 DISK_HINT = (
     "free space there; or stop the batch and begin a new one with the runs that are left, in a "
     "results folder on another disk"
@@ -39,6 +41,8 @@ class HoldReason:
     """Part, value, unit and limit."""
     hint: str
     """The remedy, for the operator."""
+    figures: tuple[str, ...] = ()
+    """Names of the figures of the summary that it is about."""
 
 
 @dataclass(frozen=True)
@@ -95,10 +99,12 @@ def judge(
     now: ReferenceRun,
     watched: Mapping[str, DriftFigure],
     parts: Mapping[str, str],
+    since: Mapping[str, int] | None = None,
 ) -> list[HoldReason]:
     """Return the changes of a reference run from the ones before it, oldest first.
 
-    Each figure is compared with the first run that has it; `parts` are names as of `part_names`.
+    Each figure is compared with the first run that has it, from the run on whose number `since`
+    gives; `parts` are names as of `part_names`.
     A small change that has crept is reported as wear, a sudden one as wear or a tear, one that
     leaves next to nothing as a tear or a cable; where all figures of several parts have moved
     alike, what they have in common is named instead. The first reference is only asked whether it
@@ -113,11 +119,12 @@ def judge(
     moved = {
         name: found
         for name, figure in watched.items()
-        if (found := _moved(name, figure, earlier, now)) is not None
+        if (found := _moved(name, figure, _from((since or {}).get(name, 1), earlier), now))
+        is not None
     }
     if _together(list(moved.values()), watched):
-        return [_common_cause(moved, parts)]
-    return [_of_one_part(found, parts) for found in moved.values()]
+        return [replace(_common_cause(moved, parts), figures=tuple(moved))]
+    return [replace(_of_one_part(found, parts), figures=(name,)) for name, found in moved.items()]
 
 
 def zero_drift(
@@ -135,7 +142,7 @@ def zero_drift(
         "overloaded, warmed up, or touched by something"
     )
     hint = "check that nothing touches the sensor; let it warm up; if it stays so, have it checked"
-    return [HoldReason("force-zero", text, hint)]
+    return [HoldReason("force-zero", text, hint, (ZERO,))]
 
 
 def disk_space(free_bytes: float, needed_bytes: float, least_GB: float) -> list[HoldReason]:
@@ -186,6 +193,10 @@ def _number(value: Any) -> float | None:
     if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
         return None
     return float(value)
+
+
+def _from(number: int, runs: Sequence[ReferenceRun]) -> list[ReferenceRun]:
+    return [run for run in runs if run.number >= number]
 
 
 def _moved(
@@ -264,4 +275,5 @@ def _no_figure(name: str, figure: DriftFigure, run: ReferenceRun) -> HoldReason:
         f"run {run.number}, the first of the reference, has no {figure.what} ({name}): whether it "
         "drifts cannot be judged",
         "have the reference measure it, or name figures of its summary in drift",
+        (name,),
     )

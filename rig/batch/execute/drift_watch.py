@@ -5,10 +5,12 @@ from __future__ import annotations
 
 import os
 import shutil
+from collections.abc import Sequence
 from datetime import datetime, timedelta
 from pathlib import Path
 
 from rig.batch.execute.drift import (
+    ZERO,
     HoldReason,
     ReferenceRun,
     disk_space,
@@ -27,11 +29,10 @@ from rig.bench.apply_calibrations import records_of
 from rig.bench.plan import BenchPlan, read_bench
 from rig.bench.settings import BenchSettings
 
-ZERO = "force_zero_N"
-"""The figure of a summary that holds the force sensor's reading in free air, before taring."""
 ACCEPTED = "accepted "
 """Prefix of the queue's entries that say from which run on a figure is compared, after a person has
-looked at the bench and resumed the batch."""
+looked at the bench and resumed the batch: of the force sensor's zero, and of each figure of each
+reference. Earlier versions have one for all figures of a reference."""
 
 PUT_BACK = (
     f"put its contents back into that folder, {QUEUE} last (a folder of this name may have been "
@@ -87,10 +88,12 @@ class DriftWatch:
         of the force sensor's zero."""
         return [*self._zero(claim, ended), *self._drift(claim, ended, bench)]
 
-    def accept(self, claim: Claim) -> None:
-        """Compare later runs with this one, because a person has resumed the batch."""
-        self._queue.set_meta(ACCEPTED + ZERO, str(claim.number))
-        self._queue.set_meta(ACCEPTED + claim.condition.id, str(claim.number))
+    def accept(self, claim: Claim, found: Sequence[HoldReason]) -> None:
+        """Compare the figures of later runs that were `found` in this one with it, because a person
+        has resumed the batch."""
+        for figure in (figure for reason in found for figure in reason.figures):
+            of = ZERO if figure == ZERO else f"{claim.condition.id} {figure}"
+            self._queue.set_meta(ACCEPTED + of, str(claim.number))
 
     def _zero(self, claim: Claim, ended: AttemptResult) -> list[HoldReason]:
         now_N = (ended.summary or {}).get(ZERO)
@@ -107,11 +110,13 @@ class DriftWatch:
             return []
         usual = installed(condition.procedure).drift
         watched = watched_figures(usual, self._file.experiment[condition.experiment].drift)
-        since = int(self._queue.meta(ACCEPTED + condition.id, "1"))
+        accepted = ACCEPTED + condition.id
+        all_since = self._queue.meta(accepted, "1")
+        since = {name: int(self._queue.meta(f"{accepted} {name}", all_since)) for name in watched}
         earlier = [
             ReferenceRun(number, summary)
             for number, summary in self._queue.summaries(condition.id)
-            if since <= number < claim.number
+            if number < claim.number
         ]
         now = ReferenceRun(claim.number, ended.summary)
-        return judge(earlier, now, watched, part_names(bench))
+        return judge(earlier, now, watched, part_names(bench), since)

@@ -271,7 +271,7 @@ class Worker:
                 found := self._watch.after(claim, ended, self._mounted)
             ):
                 self._between.hold(_text_of(found))
-                self._watch.accept(claim)
+                self._watch.accept(claim, found)
             return
         if ended.ending == "stopped" and given_up:
             self._give_up(claim, ended)

@@ -21,6 +21,7 @@ from rig.batch.folder import BatchFolder
 from rig.batch.plan.read import parse_batch
 from rig.batch.queue import Queue
 from rig.batch.queue_records import AttemptResult, RunEstimate
+from rig.bench.settings import BenchSettings
 
 BATCH = """
 [batch]
@@ -34,10 +35,12 @@ procedure = "sweep"
 class Night:
     """A batch of one run between its runs, and the holds that its worker asks for."""
 
+    batch = BATCH
+
     def __init__(self, path: Path) -> None:
         self.folder, self.moved = path / "night", path / "moved"
         (self.folder / "runs").mkdir(parents=True)
-        self.file, plan, _ = parse_batch(BATCH, "night.toml")
+        self.file, plan, _ = parse_batch(self.batch, "night.toml")
         estimates = dict.fromkeys(plan.conditions, RunEstimate(18.0, 1.0))
         self.queue = Queue.create(self.folder / "queue.sqlite", plan, estimates, {"name": "night"})
         self.watch = DriftWatch(self.queue, self.file, None, path)
@@ -52,7 +55,7 @@ class Night:
         worker._commands = SimpleNamespace(take_given_up=lambda: False)
         worker._send = lambda *_, **__: None
         worker._between = SimpleNamespace(
-            hold=lambda why, over, *_, **__: self.holds.append((why, over))
+            hold=lambda why, over=None, *_, **__: self.holds.append((why, over))
         )
         self.worker = worker
 
@@ -155,3 +158,60 @@ def test_a_disk_that_locks_nothing_has_no_room_for_a_journal(
     monkeypatch.setattr(fcntl, "flock", refuse)
     assert not has_room(tmp_path, 1000)
     assert not list(tmp_path.iterdir())
+
+
+REFERENCES = """
+[batch]
+name = "night"
+hold_when = { free_disk_GB = 0.0, zero_drift_N = 1.0 }
+[[experiment]]
+procedure = "slip-trial"
+every = 1
+[[experiment]]
+procedure = "sweep"
+repeat = 2
+"""
+GAINS = ("mean_touch_gain_1_dB", "mean_touch_gain_2_dB")
+
+
+class ReferenceNight(Night):
+    """A batch with two references, and a third after its last run."""
+
+    batch = REFERENCES
+
+    def finish(self, first_dB: float, second_dB: float, zero_N: float) -> list[str]:
+        """Finish a reference, and the run after it; return the holds that follow, which a person
+        ends by a resume."""
+        before = len(self.holds)
+        figures = dict(zip(GAINS, (first_dB, second_dB), strict=True))
+        summary = figures | {"force_zero_N": [0.0, 0.0, zero_N]}
+        upcoming = self.queue.upcoming()
+        assert upcoming is not None
+        assert upcoming.condition.reference
+        claim = self.queue.claim(upcoming.number)
+        self.worker._conclude(claim, AttemptResult("complete", summary=summary))
+        if (upcoming := self.queue.upcoming()) is not None:
+            self.queue.finish(self.queue.claim(upcoming.number), AttemptResult("complete"), "done")
+        return [why for why, _ in self.holds[before:]]
+
+
+@pytest.fixture
+def reference_night(tmp_path: Path) -> Iterator[ReferenceNight]:
+    found = ReferenceNight(tmp_path)
+    with found.queue:
+        yield found
+
+
+def test_resuming_accepts_what_was_found_and_nothing_else(reference_night: ReferenceNight) -> None:
+    """What has moved within its tolerance was shown to no one: it would creep from hold to hold."""
+    night = reference_night
+    night.worker._mounted = BenchSettings(name="b", fixture={"mounted": "plate"})
+    assert night.finish(12.0, 12.0, 0.0) == []
+    (why,) = night.finish(6.0, 11.7, 0.7)
+    assert "strip 1" in why
+    assert "strip 2" not in why
+    assert "zero" not in why
+    (why,) = night.finish(5.8, 11.3, 1.3)
+    assert "strip 1" not in why, "accepted"
+    assert "moved by -0.70 dB (from 12.00 to 11.30 dB; tolerance 0.5 dB) since run 1" in why
+    assert "its zero along z moved by +1.30 N (from 0.00 to 1.30 N; limit 1 N) since run 1" in why
