@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from datetime import datetime, timedelta
 from pathlib import Path
 
@@ -83,10 +83,16 @@ class DriftWatch:
         free_B = shutil.disk_usage(self._results).free
         return disk_space(free_B, needed_B, self._file.batch.hold_when.free_disk_GB)
 
-    def after(self, claim: Claim, ended: AttemptResult, bench: BenchSettings) -> list[HoldReason]:
+    def after(
+        self, claim: Claim, ended: AttemptResult, bench: BenchSettings | None
+    ) -> list[HoldReason]:
         """Return the reasons to hold that a finished run shows: drift of a reference's figures, or
-        of the force sensor's zero."""
-        return [*self._zero(claim, ended), *self._drift(claim, ended, bench)]
+        of the force sensor's zero. The parts are named as on this bench; without one, as in the
+        bench file, if there is one."""
+        if bench is None and self._plan is not None:
+            bench = self._plan.settings
+        parts = {} if bench is None else part_names(bench)
+        return [*self._zero(claim, ended), *self._drift(claim, ended, parts)]
 
     def accept(self, claim: Claim, found: Sequence[HoldReason]) -> None:
         """Compare the figures of later runs that were `found` in this one with it, because a person
@@ -104,7 +110,9 @@ class DriftWatch:
         limit_N = self._file.batch.hold_when.zero_drift_N
         return zero_drift(first[1][ZERO], now_N, limit_N, first[0])
 
-    def _drift(self, claim: Claim, ended: AttemptResult, bench: BenchSettings) -> list[HoldReason]:
+    def _drift(
+        self, claim: Claim, ended: AttemptResult, parts: Mapping[str, str]
+    ) -> list[HoldReason]:
         condition = claim.condition
         if not condition.reference or ended.summary is None:
             return []
@@ -119,4 +127,4 @@ class DriftWatch:
             if number < claim.number
         ]
         now = ReferenceRun(claim.number, ended.summary)
-        return judge(earlier, now, watched, part_names(bench), since)
+        return judge(earlier, now, watched, parts, since)

@@ -267,9 +267,7 @@ class Worker:
         if ended.ending == "complete":
             self._queue.finish(claim, ended, "done")
             self._finished(claim, ended, "done")
-            if self._mounted is not None and (
-                found := self._watch.after(claim, ended, self._mounted)
-            ):
+            if found := self._watch.after(claim, ended, self._mounted):
                 self._between.hold(_text_of(found))
                 self._watch.accept(claim, found)
             return

@@ -51,7 +51,7 @@ class Night:
             self.queue,
             self.watch,
         )
-        worker._batch = self.file.batch
+        worker._batch, worker._mounted = self.file.batch, None
         worker._commands = SimpleNamespace(take_given_up=lambda: False)
         worker._send = lambda *_, **__: None
         worker._between = SimpleNamespace(
@@ -215,3 +215,18 @@ def test_resuming_accepts_what_was_found_and_nothing_else(reference_night: Refer
     assert "strip 1" not in why, "accepted"
     assert "moved by -0.70 dB (from 12.00 to 11.30 dB; tolerance 0.5 dB) since run 1" in why
     assert "its zero along z moved by +1.30 N (from 0.00 to 1.30 N; limit 1 N) since run 1" in why
+
+
+def test_a_reference_that_an_earlier_worker_has_taken_is_judged_as_well(
+    reference_night: ReferenceNight,
+) -> None:
+    """This worker has had no bench yet: the parts are named by the bench file."""
+    night = reference_night
+    assert night.finish(12.0, 12.0, 0.0) == []
+    (why,) = night.finish(6.0, 12.0, 0.0)
+    assert why.startswith("gain by touch-down and tap moved by -6.00 dB"), "on simulated benches"
+    skin = {"name": "B", "films": {"strip_1": "film 7"}}
+    own = BenchSettings(name="b", fixture={"mounted": "plate"}, skin=skin)
+    night.watch._plan = SimpleNamespace(settings=own)  # type: ignore[assignment]
+    (why,) = night.finish(0.0, 12.0, 0.0)
+    assert why.startswith("film 'film 7' in strip 1 of skin 'B': gain by touch-down")
