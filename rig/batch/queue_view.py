@@ -23,6 +23,9 @@ ROW = (
     " json_extract(summary, '$.valid_trials') AS valid_trials"
 )
 """Columns of a `RunRow`."""
+LATEST_FIRST = "julianday(ended) DESC, ended DESC, number DESC"
+"""Order of the runs that have ended. Their times are local: as text they are not in order across a
+change from summer time; as Julian days they have ms."""
 AT_ONCE = 1000
 """Number of runs that are read at once."""
 LATEST = 20
@@ -128,7 +131,7 @@ class QueueView:
         """Return the runs that ended last, latest first."""
         cursor = self._sql.execute(
             f"SELECT {ROW} FROM run WHERE state IN ({','.join('?' * len(states))})"
-            " AND ended IS NOT NULL ORDER BY number DESC LIMIT ?",
+            f" AND ended IS NOT NULL ORDER BY {LATEST_FIRST} LIMIT ?",
             (*states, most),
         )
         return [RunRow(**dict(row)) for row in cursor]
@@ -140,7 +143,7 @@ class QueueView:
         code = int(ExitCode.FINISHED_WITH_FAILURES)
         number = self._sql.execute(f"SELECT count(*) {where}", (code,)).fetchone()[0]
         cursor = self._sql.execute(
-            f"SELECT {ROW} {where} ORDER BY number DESC LIMIT ?", (code, most)
+            f"SELECT {ROW} {where} ORDER BY {LATEST_FIRST} LIMIT ?", (code, most)
         )
         return int(number), [RunRow(**dict(row)) for row in cursor]
 
@@ -182,7 +185,7 @@ class QueueView:
         since."""
         rows = self._sql.execute(
             "SELECT state FROM run WHERE ended IS NOT NULL AND state IN ('done', 'failed')"
-            " ORDER BY ended DESC, number DESC LIMIT ?",
+            f" ORDER BY {LATEST_FIRST} LIMIT ?",
             (most,),
         ).fetchall()
         states = [row[0] for row in rows]

@@ -11,6 +11,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from rig.batch import queue as queues
 from rig.batch import queue_file
 from rig.batch.execute.rebuild import is_sound
 from rig.batch.folder import BatchFolder
@@ -135,6 +136,29 @@ def test_failures_in_a_row_end_with_a_run_that_is_done(tmp_path: Path) -> None:
             )
             queue.finish(claim, ending, state)  # type: ignore[arg-type]
         assert queue.failed_in_a_row(10) == 2
+
+
+def test_runs_are_in_the_order_of_their_ends_also_when_summer_time_ends(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """At 03:00 the clock shows 02:00 again; run 1 was queued again and has ended last."""
+    times = {
+        2: "2026-10-25T02:30:00.000000+02:00",
+        3: "2026-10-25T02:59:00.000000+02:00",
+        4: "2026-10-25T02:10:00.000000+01:00",
+        1: "2026-10-25T02:20:00.000000+01:00",
+    }
+    with created(tmp_path, plan()) as queue:
+        for number, ended in times.items():
+            monkeypatch.setattr(queues, "_now", lambda ended=ended: ended)
+            state = "done" if number in (2, 3) else "failed"
+            result = (
+                AttemptResult("complete", code=5) if state == "done" else AttemptResult("failed")
+            )
+            queue.finish(queue.claim(number), result, state)  # type: ignore[arg-type]
+        assert queue.failed_in_a_row(10) == 2
+        assert [row.number for row in queue.latest(("done", "failed"), 9)] == [1, 4, 3, 2]
+        assert [row.number for row in queue.invalid(9)[1]] == [3, 2]
 
 
 def taken_next(queue: Queue) -> int:
