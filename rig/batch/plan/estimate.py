@@ -19,13 +19,14 @@ import numpy as np
 from rig.batch.plan.conditions import BatchCondition, BatchPlan, PlannedRun
 from rig.batch.plan.procedures import installed
 from rig.batch.plan.settings import BatchSettings
-from rig.batch.plan.window import window
+from rig.batch.plan.window import does_not_fit, window
 from rig.bench.apply_calibrations import records_of
 from rig.bench.plan import BenchPlan
 from rig.bench.settings import FixtureSettings
 from rig.instruments.calibration import CalibrationRecord
 from rig.run.checked_procedure import CheckedProcedure
 from rig.run.points import Point
+from rig.run.stopping import MAKING_SAFE_S
 
 CONNECTING_S = 0.6
 """Time in s on a real bench from the end of a run to the beginning of the next (journal, guard,
@@ -91,7 +92,8 @@ class Forecast:
     runs: tuple[PlacedRun, ...]
     stop_by: datetime | None
     in_time: int
-    """Number of runs of the queue, from the first on, that will have ended by `stop_by`."""
+    """Number of runs of the queue, from the first on, that are begun if all take what is expected:
+    there is time for each by `stop_by`, with the same margin as when it is about to begin."""
     expiring: tuple[ExpiringRecord, ...]
 
     @property
@@ -143,8 +145,11 @@ def forecast(
     common_s = math.fsum(expected[run.condition].common_s for run in plan.runs)
     spread_s = math.hypot(common_s, math.sqrt(len(durations)) * RANDOM_S)
     in_time = len(durations)
-    if stop_by is not None:
-        in_time = int(np.searchsorted(over_s, (stop_by - begins).total_seconds(), "right"))
+    for number, (run, end_s) in enumerate(zip(plan.runs, over_s.tolist(), strict=True)):
+        takes_s = end_s + MAKING_SAFE_S
+        if does_not_fit(begins, stop_by, takes_s, expected[run.condition].spread_s):
+            in_time = number
+            break
     ends = begins + timedelta(seconds=total_s + 2 * spread_s)
     return Forecast(
         begins=begins,

@@ -151,17 +151,26 @@ def test_what_all_runs_share_adds_up_and_what_they_do_not_averages() -> None:
     assert own.spread_s < 2.0
 
 
-def test_a_window_places_the_batch_and_says_how_many_runs_are_in_time() -> None:
+@pytest.mark.parametrize(
+    ("common_s", "in_time"),
+    [
+        (0.0, 9),  # the tenth would end at 22:10:00, and making safe may take 10 s
+        (40.0, 8),  # two standard deviations more for each: the ninth would end at 22:10:30
+    ],
+)
+def test_a_window_places_the_batch_and_says_how_many_runs_are_in_time(
+    common_s: float, in_time: int
+) -> None:
     plan = plan_of({"repeat": 100})
     night = forecast(
         batch(not_before="22:00", stop_by="22:10"),
         plan,
-        {"slip-trial-001": ExpectedRun(60.0, 0.0, 0)},
+        {"slip-trial-001": ExpectedRun(60.0, common_s, 0)},
         NOW,
     )
     assert night.begins == NOW.replace(hour=22)
     assert night.stop_by == NOW.replace(hour=22, minute=10)
-    assert night.in_time == 10
+    assert night.in_time == in_time
 
 
 def bench_with(folder: Path, valid_until: str) -> BenchPlan:
