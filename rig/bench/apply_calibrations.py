@@ -11,7 +11,9 @@ from typing import Any, TypeVar
 from rig.bench.connected import Bench
 from rig.bench.plan import BenchPlan
 from rig.bench.settings import STRIPS
+from rig.core.errors import ConfigurationError
 from rig.instruments.calibration import (
+    COMMANDS,
     CalibrationRecord,
     FilmCalibration,
     ForceCalibration,
@@ -60,10 +62,10 @@ def check_records(plan: BenchPlan, now: datetime, allow_expired: bool = False) -
         mounted["load_cell"] = settings.load_cell.name
     if settings.skin is not None:
         mounted |= {strip: settings.skin.films.get(strip, "") for strip in STRIPS}
-    return [
-        warning
-        for key, path, record in records_of(plan)
-        for warning in require_valid(
+    warnings = []
+    for key, path, record in records_of(plan):
+        _require_gain(key, path, record)
+        warnings += require_valid(
             record,
             mounted.get(key, record.sensor),
             now,
@@ -72,7 +74,19 @@ def check_records(plan: BenchPlan, now: datetime, allow_expired: bool = False) -
             allow_expired=allow_expired,
             warning_days=settings.calibrations.expiry_warning_days,
         )
-    ]
+    return warnings
+
+
+def _require_gain(key: str, path: Path, record: CalibrationRecord) -> None:
+    """Raise ConfigurationError for the record of a strip without the gain of its amplifier: the
+    strip's own amplifier has another gain, to which its level could not be scaled."""
+    if key in STRIPS and isinstance(record, FilmCalibration) and record.amplifier_gain is None:
+        raise ConfigurationError(
+            f"calibrations.{key}: {path}: the record of film {record.sensor!r} does not state its "
+            "amplifier_gain",
+            f"make it again with `{COMMANDS[record.kind]}` from a sweep whose bench file has a "
+            "[film] table",
+        )
 
 
 def apply_calibrations(
@@ -81,17 +95,18 @@ def apply_calibrations(
     """Check each calibration record of the bench file against its sensor and apply it to the bench.
 
     Returns the records in the form of a run's header, and warnings. Raises ConfigurationError for a
-    record that has expired (unless `allow_expired`), that belongs to another sensor, or that was
-    made on a simulated bench and is used on a real one.
+    record that has expired (unless `allow_expired`), that belongs to another sensor, that was made
+    on a simulated bench and is used on a real one, or that is of a strip and states no gain.
     """
     files, plan = bench.settings.calibrations, bench.plan
     folder = Path(plan.source).parent
     entries: list[dict[str, Any]] = []
     warnings: list[str] = []
 
-    def used(file: Path, kind: type[R], sensor: str) -> R:
+    def used(key: str, file: Path, kind: type[R], sensor: str) -> R:
         path = folder / file
         record = read_calibration(path, kind)
+        _require_gain(key, path, record)
         warnings.extend(
             require_valid(
                 record,
@@ -107,13 +122,15 @@ def apply_calibrations(
         return record
 
     if files.film is not None:
-        used(files.film, FilmCalibration, bench.film.name)
+        used("film", files.film, FilmCalibration, bench.film.name)
     if files.force_sensor is not None:
         sensor = bench.force_sensor
-        force = used(files.force_sensor, ForceCalibration, sensor.identity.serial_number)
+        force = used(
+            "force_sensor", files.force_sensor, ForceCalibration, sensor.identity.serial_number
+        )
         sensor.calibrate(force.matrix_N_mV_V)
     if files.load_cell is not None:
-        cell = used(files.load_cell, LoadCellCalibration, bench.load_cell.name)
+        cell = used("load_cell", files.load_cell, LoadCellCalibration, bench.load_cell.name)
         calibrated = {"sensitivity_V_N": cell.sensitivity_V_N.value}
         part = bench.load_cell.model_copy(update=calibrated)
         bench.plan = replace(plan, settings=plan.settings.model_copy(update={"load_cell": part}))
@@ -121,5 +138,5 @@ def apply_calibrations(
         file = getattr(files, strip)
         if file is not None:
             film = bench.skin.films.get(strip, "")
-            bench.strip_calibrations[strip] = used(file, FilmCalibration, film)
+            bench.strip_calibrations[strip] = used(strip, file, FilmCalibration, film)
     return entries, warnings

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
 import pytest
 from calibrated import write_record
 
-from rig.bench.apply_calibrations import check_records
+from rig.bench.apply_calibrations import apply_calibrations, check_records
+from rig.bench.connected import Bench
 from rig.bench.plan import BenchPlan, read_bench
 from rig.core.errors import ConfigurationError
+from rig.instruments.calibration import FilmCalibration, as_text, make_record
 
 NOW = datetime(2026, 11, 28, tzinfo=UTC)
 BENCH = """
@@ -57,3 +60,66 @@ def test_an_expired_record_is_refused_unless_it_is_allowed(tmp_path: Path) -> No
         check_records(expired, NOW)
     (warning,) = check_records(expired, NOW, allow_expired=True)
     assert "is used because that was allowed" in warning
+
+
+SKIN = """
+name = "b"
+[fixture]
+mounted = "plate"
+[skin]
+films = { strip_1 = "film 7" }
+[daq]
+driver = "keysight-u2300a"
+resource = "USB0::0x0957::0x1518::TW1::INSTR"
+channels = { strip_1 = 101, strip_2 = 102 }
+[calibrations]
+strip_1 = "film.json"
+"""
+
+
+def write_film(path: Path, amplifier_gain: float | None) -> None:
+    """Write the record of film 7."""
+    interval: dict[str, Any] = {"standard_error": 0.03, "low": None, "high": None}
+    fields = {
+        "sensor": "film 7",
+        "date": "2026-11-01T00:00:00Z",
+        "valid_until": "2027-01-30T00:00:00Z",
+        "simulated": False,
+        "source": {"run_uuid": "", "file": "", "simulated": False},
+        "b_dB": {"value": -30.0, "unit": "dB re 1 V/N", **interval},
+        "corner_Hz": {"value": 2000.0, "unit": "Hz", **interval},
+        "delay_us": {"value": 0.0, "unit": "us", **interval},
+        "inverse_corner_s": 8e-5,
+        "polarity": 1,
+        "covariance": [[1e-3, 0, 0], [0, 1e-12, 0], [0, 0, 1e-12]],
+        "points": 100,
+        "lowest_frequency_Hz": 2.0,
+        "highest_frequency_Hz": 20e3,
+        "amplifier_gain": amplifier_gain,
+    }
+    path.write_text(as_text(make_record(FilmCalibration, fields)))
+
+
+def unconnected(plan: BenchPlan) -> Bench:
+    """A bench without a connected instrument."""
+    nothing: Any = None
+    return Bench(plan, nothing, {}, nothing)
+
+
+def test_the_record_of_a_strip_needs_the_gain_of_its_amplifier(tmp_path: Path) -> None:
+    """Found by a review: such a record was refused only when a run was armed, without its file."""
+    file = tmp_path / "bench.toml"
+    file.write_text(SKIN)
+    write_film(tmp_path / "film.json", 1.0)
+    plan = read_bench(file)
+    assert check_records(plan, NOW) == []
+    assert len(apply_calibrations(unconnected(plan), NOW)[0]) == 1
+    write_film(tmp_path / "film.json", None)
+    words = (
+        r"calibrations\.strip_1: .*film\.json: the record of film 'film 7' does not state its am"
+    )
+    with pytest.raises(ConfigurationError, match=words) as refusal:
+        check_records(plan, NOW)
+    assert "rig calibrate pvdf FILE" in str(refusal.value.hint)
+    with pytest.raises(ConfigurationError, match=words):
+        apply_calibrations(unconnected(plan), NOW)

@@ -103,7 +103,7 @@ def film_record(
             "lowest_frequency_Hz": float(run.column("frequency").min()),
             "highest_frequency_Hz": float(run.column("frequency").max()),
             "preload_N": None if preload is None else float(preload.mean()),
-            "amplifier_gain": described.get("amplifier_gain"),
+            "amplifier_gain": _gain(described),
             "load_cell_error_percent": None if cell_error is None else 100 * cell_error,
         },
     )
@@ -125,6 +125,19 @@ def _film_of(run: RunFile) -> dict[str, Any]:
         table = parse_toml(run.header.bench_toml, str(run.path)).get("film")
         return table if isinstance(table, dict) else {}
     return {}
+
+
+def _gain(described: dict[str, Any]) -> float | None:
+    """Return the gain of the film's amplifier from the run's [film] table, where it may be the
+    default; None without a table, or with one that cannot be read."""
+    from pydantic import ValidationError
+
+    from rig.bench.settings import FilmSettings
+
+    if described:
+        with contextlib.suppress(ValidationError):
+            return FilmSettings.model_validate(described).amplifier_gain
+    return None
 
 
 def _load_cell_error(calibrations: Sequence[dict[str, Any]]) -> float | None:
@@ -159,6 +172,11 @@ def doubts(record: FilmCalibration) -> list[str]:
         warnings.append(
             "the run had no calibration record of its load cell: the interval of b does not "
             "include the error of the load"
+        )
+    if record.amplifier_gain is None:
+        warnings.append(
+            "the run does not state the gain of the film's amplifier: the record cannot be used "
+            "for a strip of the skin"
         )
     b = record.b_dB
     if b.low is None or b.high is None or b.high - b.low > 2 * POOR_LEVEL_DB:

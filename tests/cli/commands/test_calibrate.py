@@ -137,6 +137,28 @@ def test_the_load_cells_record_in_the_run_widens_b(rig: Any, tmp_path: Path) -> 
     assert found["b_dB"]["standard_error"] == pytest.approx(0.0869, rel=0.02)
 
 
+@pytest.mark.parametrize(
+    ("bench", "gain"),
+    [
+        ('[film]\nname = "film 7"\n', 1.0),
+        ('[film]\nname = "film 7"\namplifier_gain = 12.5\n', 12.5),
+        ("", None),
+    ],
+    ids=["the default", "stated", "no film"],
+)
+def test_a_record_states_the_gain_of_its_amplifier_or_warns(
+    rig: Any, tmp_path: Path, bench: str, gain: float | None
+) -> None:
+    """Found by a review: the default gain was recorded as none, and every pressing run refused."""
+    file = sweep_file(tmp_path, GRID[::8], bench_toml=bench)
+    done = rig.run("calibrate", "pvdf", str(file), "--film", "film 7", "--json")
+    assert done.code == 0, done.stderr
+    assert (
+        read_calibration(rig.folder / done.object["file"], FilmCalibration).amplifier_gain == gain
+    )
+    assert ("does not state the gain of the film's amplifier" in done.stderr) == (gain is None)
+
+
 @pytest.mark.thorough
 def test_a_second_record_of_a_day_stands_beside_the_first(rig: Any, good: Path) -> None:
     arguments = ("calibrate", "pvdf", str(good), "--to", "here", "--film", "film 9", "--valid",
