@@ -64,6 +64,7 @@ def check_records(plan: BenchPlan, now: datetime, allow_expired: bool = False) -
         mounted |= {strip: settings.skin.films.get(strip, "") for strip in STRIPS}
     warnings = []
     for key, path, record in records_of(plan):
+        _require_part(plan, key, path)
         _require_gain(key, path, record)
         warnings += require_valid(
             record,
@@ -75,6 +76,18 @@ def check_records(plan: BenchPlan, now: datetime, allow_expired: bool = False) -
             warning_days=settings.calibrations.expiry_warning_days,
         )
     return warnings
+
+
+def _require_part(plan: BenchPlan, key: str, path: Path) -> None:
+    """Raise ConfigurationError for a record whose part the bench file does not describe."""
+    table = "skin" if key in STRIPS else key
+    described = {part.role for part in plan.instruments}
+    if table not in described and getattr(plan.settings, table, None) is None:
+        raise ConfigurationError(
+            f"{plan.source}: calibrations.{key} names {path}, but the bench file has no [{table}] "
+            "table",
+            f"add a [{table}] table, or remove {key} from [calibrations]",
+        )
 
 
 def _require_gain(key: str, path: Path, record: CalibrationRecord) -> None:
@@ -96,12 +109,16 @@ def apply_calibrations(
 
     Returns the records in the form of a run's header, and warnings. Raises ConfigurationError for a
     record that has expired (unless `allow_expired`), that belongs to another sensor, that was made
-    on a simulated bench and is used on a real one, or that is of a strip and states no gain.
+    on a simulated bench and is used on a real one, that is of a strip and states no gain, or
+    whose part the bench file does not describe.
     """
     files, plan = bench.settings.calibrations, bench.plan
     folder = Path(plan.source).parent
     entries: list[dict[str, Any]] = []
     warnings: list[str] = []
+    for key in RECORDS:
+        if (file := getattr(files, key)) is not None:
+            _require_part(plan, key, folder / file)
 
     def used(key: str, file: Path, kind: type[R], sensor: str) -> R:
         path = folder / file

@@ -9,11 +9,12 @@ from typing import Any
 import pytest
 from calibrated import write_record
 
+from rig.bench import apply_calibrations as apply_calibrations_module
 from rig.bench.apply_calibrations import apply_calibrations, check_records
 from rig.bench.connected import Bench
 from rig.bench.plan import BenchPlan, read_bench
 from rig.core.errors import ConfigurationError
-from rig.instruments.calibration import FilmCalibration, as_text, make_record
+from rig.instruments.calibration import FilmCalibration, as_text, make_record, read_calibration
 
 NOW = datetime(2026, 11, 28, tzinfo=UTC)
 BENCH = """
@@ -121,5 +122,34 @@ def test_the_record_of_a_strip_needs_the_gain_of_its_amplifier(tmp_path: Path) -
     with pytest.raises(ConfigurationError, match=words) as refusal:
         check_records(plan, NOW)
     assert "rig calibrate pvdf FILE" in str(refusal.value.hint)
+    with pytest.raises(ConfigurationError, match=words):
+        apply_calibrations(unconnected(plan), NOW)
+
+
+@pytest.mark.parametrize(
+    ("key", "table"),
+    [
+        ("film", "film"),
+        ("force_sensor", "force_sensor"),
+        ("load_cell", "load_cell"),
+        ("strip_1", "skin"),
+        ("strip_2", "skin"),
+    ],
+)
+def test_a_record_whose_part_the_bench_file_lacks_is_refused_by_its_key(
+    tmp_path: Path, key: str, table: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Found by a review: it was accepted by the plan of a batch and refused in each of its runs."""
+    file = tmp_path / "bench.toml"
+    named = f'[calibrations]\n{key} = "it.json"\n'
+    file.write_text(f'name = "b"\n[fixture]\nmounted = "plate"\n{named}')
+    plan = read_bench(file)
+    write_film(tmp_path / "it.json", 1.0)
+    record = read_calibration(tmp_path / "it.json", FilmCalibration)
+    monkeypatch.setattr(apply_calibrations_module, "read_calibration", lambda *_: record)
+    words = rf"calibrations\.{key} names .*it\.json, but the bench file has no \[{table}\] table"
+    with pytest.raises(ConfigurationError, match=words) as refusal:
+        check_records(plan, NOW)
+    assert refusal.value.hint == f"add a [{table}] table, or remove {key} from [calibrations]"
     with pytest.raises(ConfigurationError, match=words):
         apply_calibrations(unconnected(plan), NOW)

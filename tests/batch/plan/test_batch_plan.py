@@ -117,8 +117,21 @@ def test_a_bench_with_another_fixture_is_refused_before_anything_is_connected(ri
 
 @pytest.mark.thorough
 def test_a_record_that_no_run_could_use_is_refused_before_anything_is_connected(rig: Any) -> None:
-    calibrated = '[fixture]\nmounted = "film-clamp"\n[calibrations]\nload_cell = "cell.json"\n'
-    (rig.folder / "bench.toml").write_text('name = "b"\n' + calibrated)
+    calibrated = """
+name = "b"
+[fixture]
+mounted = "film-clamp"
+[load_cell]
+name = "cell 3"
+sensitivity_V_N = 0.1
+[daq]
+driver = "keysight-u2300a"
+resource = "USB0::0x0957::0x1518::TW1::INSTR"
+channels = { load_cell = 101 }
+[calibrations]
+load_cell = "cell.json"
+"""
+    (rig.folder / "bench.toml").write_text(calibrated)
     missing = rig.run("batch", "plan", write(rig, SWEEPS))
     assert missing.code == 2
     assert "night.toml:1: cannot read the calibration record cell.json" in missing.stderr
