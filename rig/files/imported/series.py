@@ -197,6 +197,7 @@ def recording_of(source: ImportSource, stated: ChannelMap, name: str) -> Recordi
             for column in one.columns:
                 _check_unit(source, channel, column, stated, name)
     samples = _samples_a_row(made, name)
+    times_a_row = _times_a_row(made, samples, name)
     scale = {name: stated.scale.get(name, 1.0) for name in made if name not in LABEL_CHANNELS}
     needed = list(dict.fromkeys(column for one in made.values() for column in one.columns))
     table = source.values(needed)
@@ -207,7 +208,7 @@ def recording_of(source: ImportSource, stated: ChannelMap, name: str) -> Recordi
     raw = {channel: one.values(by_column) for channel, one in made.items()}
     times = raw.pop(TIME, None)
     times_s = None if times is None else times * scale.pop(TIME)
-    rate_Hz = _common_rate(source, stated, times_s, samples, name)
+    rate_Hz = _common_rate(source, stated, times_s, (samples, times_a_row), name)
     labels_s = {
         channel: _first_set(raw.pop(channel), rate_Hz * made[channel].samples / samples)
         for channel in LABEL_CHANNELS
@@ -265,6 +266,19 @@ def _samples_a_row(made: Mapping[str, Combination], name: str) -> int:
     return next(iter(counts.values()))
 
 
+def _times_a_row(made: Mapping[str, Combination], samples: int, name: str) -> int:
+    """Return how many times a row of the file holds, 1 without any. Raises ForeignFileError where
+    they do not divide its samples of each signal evenly."""
+    times = made[TIME].samples if TIME in made else 1
+    if samples % times:
+        raise ForeignFileError(
+            name,
+            f"times per row: {times}, samples of each channel per row: {samples}",
+            "give one --time column, or one for each sample",
+        )
+    return times
+
+
 def _first_set(values: NDArray[np.float64], rate_Hz: float) -> float | None:
     """Return the time in s of the first value that is not 0; None if there is none."""
     return float((values != 0).argmax()) / rate_Hz if (values != 0).any() else None
@@ -311,15 +325,17 @@ def _common_rate(
     source: ImportSource,
     stated: ChannelMap,
     times_s: NDArray[np.float64] | None,
-    samples: int,
+    a_row: tuple[int, int],
     name: str,
 ) -> float:
-    """Return the stated rate of the samples or the file's own; they have to agree. Header and times
-    of a file are of its rows, each of which holds `samples` of them."""
+    """Return the stated rate of the samples or the file's own; they have to agree. The header of a
+    file is about its rows, each of which holds so many samples and times (`a_row`)."""
+    samples, times = a_row
     own_Hz = None if source.rate_Hz is None else source.rate_Hz * samples
     known = [(STATED_RATE, stated.rate_Hz), ("the header says", own_Hz)]
     if times_s is not None:
-        known.append(("the times say", uniform_rate(times_s, source, name) * samples))
+        of_times_Hz = uniform_rate(times_s, source, name, times)
+        known.append(("the times say", of_times_Hz * (samples // times)))
     rates = [(whose, rate) for whose, rate in known if rate is not None]
     if not rates:
         raise ForeignFileError(name, "sampling rate unknown", "give --rate, or --time COLUMN")
@@ -347,8 +363,11 @@ def _check_rate(whose: str, rate_Hz: float, name: str) -> None:
         )
 
 
-def uniform_rate(times_s: NDArray[np.float64], source: ImportSource, name: str) -> float:
-    """Return the rate in 1/s of evenly spaced times (n,), the roundest that agrees with them.
+def uniform_rate(
+    times_s: NDArray[np.float64], source: ImportSource, name: str, a_row: int = 1
+) -> float:
+    """Return the rate in 1/s of evenly spaced times (n,), the roundest that agrees with them. A row
+    of the file holds `a_row` of them.
 
     Raises ForeignFileError where they are less even than STEP_TOLERANCE and LINE_TOLERANCE allow,
     and names the row.
@@ -359,7 +378,7 @@ def uniform_rate(times_s: NDArray[np.float64], source: ImportSource, name: str) 
         hint = "cut the file there, or resample it; a gap cannot be imported"
         if row and times_s[row] == times_s[row - 1]:
             hint += "; if its times are only rounded, leave out --time and give --rate"
-        return ForeignFileError(name, reason, hint, source.place(row))
+        return ForeignFileError(name, reason, hint, source.place(row // a_row))
 
     if np.abs(times_s).max() > LATEST_S:
         row = int(np.abs(times_s).argmax())

@@ -278,6 +278,31 @@ def test_rate_and_times_have_to_agree(tmp_path: Path) -> None:
         read(content, tmp_path, {"v_1": "2", "v_2": "3"})
 
 
+def packets(times: np.ndarray, a_row: int) -> str:
+    """Rows of several times and as many samples of two strips."""
+    rows = times.reshape(-1, a_row)
+    numbers = np.arange(times.size).reshape(rows.shape)
+    return files.text(dict(enumerate(np.hstack([rows, numbers, -numbers]).T)))
+
+
+def test_times_of_every_sample_in_a_row_give_the_rate_of_the_samples(tmp_path: Path) -> None:
+    """Found by a review: five samples a row at 1 kHz with --time 1..5 were imported at 5 kHz."""
+    content = packets(np.arange(100) / 1000, 5)
+    columns = {"v_1": "6..10", "v_2": "11..15"}
+    for times in ("1..5", "1"):
+        found = read(content, tmp_path, columns | {"time": times})
+        assert found.rate_Hz == 1000.0
+        assert found.raw["v_1"].tolist() == list(range(100))
+    with refused("times per row: 3, samples of each channel per row: 5; give one --time column"):
+        read(content, tmp_path, columns | {"time": "1..3"})
+    with refused("times per row: 5, samples of each channel per row: 1"):
+        read(content, tmp_path, {"v_1": "6", "v_2": "11", "time": "1..5"})
+    gap = np.arange(100) / 1000
+    gap[57:] += 0.003
+    with refused("line 12: 0.004 s after the row above"):
+        read(packets(gap, 5), tmp_path, columns | {"time": "1..5"})
+
+
 # LVM
 
 
