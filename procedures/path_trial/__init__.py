@@ -26,8 +26,8 @@ if TYPE_CHECKING:
 
 
 LATE_S, BESIDE_mm = 0.02, 0.02
-"""Delay of x in following, in addition to two ticks and a change of its speed, and distance from
-its path, both of which have to be exceeded for a warning."""
+"""Delay of x in following, in addition to two ticks and the largest change of its speed, and
+distance from its path, both of which have to be exceeded for a warning."""
 
 
 class PathTrial(PressedProcedure):
@@ -109,7 +109,7 @@ class PathTrial(PressedProcedure):
         if not settings.speeds_mm_s:
             return
         fastest_mm_s = settings.speeds_mm_s[-1]
-        turn_s = fastest_mm_s / settings.acceleration_mm_s2
+        turn_s = settings.largest_speed_step_mm_s / settings.acceleration_mm_s2
         late_s = 2 * trial.series.rates.tick_s + turn_s + LATE_S
         if farthest_mm > max(late_s * fastest_mm_s, BESIDE_mm):
             trial.run.event(

@@ -101,3 +101,15 @@ class PathTrialSettings(GripSettings):
         """Slowest and fastest speed of x along the path; empty if it rests."""
         speeds = [move.speed_mm_s for move in moves_along(self.path)]
         return (min(speeds), max(speeds)) if speeds else ()
+
+    @property
+    def largest_speed_step_mm_s(self) -> float:
+        """Largest change of the speed of x at a corner of its path, or where it begins or ends. A
+        reversal changes it by both speeds, also over a rest in which the stage cannot stop."""
+        stop_s = max(self.speeds_mm_s, default=0.0) / self.acceleration_mm_s2
+        speeds_mm_s = [0.0]
+        corners = zip(self.path_times_s, self.path_positions_mm, strict=True)
+        for (from_s, from_mm), (to_s, to_mm) in pairwise(corners):
+            if to_mm != from_mm or to_s - from_s >= stop_s:
+                speeds_mm_s.append((to_mm - from_mm) / (to_s - from_s))
+        return max(abs(after - before) for before, after in pairwise([*speeds_mm_s, 0.0]))
