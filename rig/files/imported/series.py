@@ -37,6 +37,9 @@ RATE_TOLERANCE = 1e-3
 ROUND_TOLERANCE = 0.01
 """Largest shift of the last row when a measured rate is rounded, as a share of the period; more
 where the times are less even than that."""
+STEP_RESOLUTION = 1e-6
+"""Error of the computer's own with which a shift of times is compared with their smallest step, as
+a share of that."""
 LOWEST_RATE_Hz, HIGHEST_RATE_Hz = 1.0, 1e7
 STATED_RATE = "--rate is"
 """How a message names the rate of the option, as opposed to one of the file's."""
@@ -208,7 +211,15 @@ def recording_of(source: ImportSource, stated: ChannelMap, name: str) -> Recordi
     raw = {channel: one.values(by_column) for channel, one in made.items()}
     times = raw.pop(TIME, None)
     times_s = None if times is None else times * scale.pop(TIME)
-    rate_Hz = _common_rate(source, stated, times_s, (samples, times_a_row), name)
+    remedy = "leave out --time and give --rate"
+    if times_s is not None and TIME not in stated.columns:  # the file's own times
+        row_Hz = source.rate_Hz or (stated.rate_Hz and stated.rate_Hz / samples)
+        remedy = "give --rate"
+        if row_Hz:
+            remedy = f"they are not those of {row_Hz:g} Hz: correct what is wrong"
+            if _are_rounded(times_s, row_Hz):
+                times_s = None
+    rate_Hz = _common_rate(source, stated, times_s, (samples, times_a_row), remedy, name)
     labels_s = {
         channel: _first_set(raw.pop(channel), rate_Hz * made[channel].samples / samples)
         for channel in LABEL_CHANNELS
@@ -326,15 +337,17 @@ def _common_rate(
     stated: ChannelMap,
     times_s: NDArray[np.float64] | None,
     a_row: tuple[int, int],
+    remedy: str,
     name: str,
 ) -> float:
     """Return the stated rate of the samples or the file's own; they have to agree. The header of a
-    file is about its rows, each of which holds so many samples and times (`a_row`)."""
+    file is about its rows, each of which holds so many samples and times (`a_row`). `remedy` is for
+    rounded times."""
     samples, times = a_row
     own_Hz = None if source.rate_Hz is None else source.rate_Hz * samples
     known = [(STATED_RATE, stated.rate_Hz), ("the header says", own_Hz)]
     if times_s is not None:
-        of_times_Hz = uniform_rate(times_s, source, name, times)
+        of_times_Hz = uniform_rate(times_s, source, name, remedy, times)
         known.append(("the times say", of_times_Hz * (samples // times)))
     rates = [(whose, rate) for whose, rate in known if rate is not None]
     if not rates:
@@ -363,11 +376,27 @@ def _check_rate(whose: str, rate_Hz: float, name: str) -> None:
         )
 
 
+def _are_rounded(times_s: NDArray[np.float64], rate_Hz: float) -> bool:
+    """Return whether times (n,) are those of this rate, rounded or cut to a number of digits.
+
+    They then stay within the smallest step between two of them, and reach it only where that is
+    several periods; a missing row shifts those behind it by a period.
+    """
+    import numpy as np
+
+    steps = np.diff(times_s)
+    smallest_s = float(steps[steps > 0].min()) if (steps > 0).any() else LATEST_S
+    sign = 1 if smallest_s * rate_Hz > 1 + STEP_TOLERANCE else -1
+    off_s = times_s - times_s[0] - np.arange(len(times_s)) / rate_Hz
+    allowed_s = smallest_s * (1 + sign * STEP_RESOLUTION)
+    return bool((steps >= 0).all()) and float(np.ptp(off_s)) < allowed_s
+
+
 def uniform_rate(
-    times_s: NDArray[np.float64], source: ImportSource, name: str, a_row: int = 1
+    times_s: NDArray[np.float64], source: ImportSource, name: str, remedy: str, a_row: int = 1
 ) -> float:
     """Return the rate in 1/s of evenly spaced times (n,), the roundest that agrees with them. A row
-    of the file holds `a_row` of them.
+    of the file holds `a_row` of them; `remedy` is for times that are only rounded.
 
     Raises ForeignFileError where they are less even than STEP_TOLERANCE and LINE_TOLERANCE allow,
     and names the row.
@@ -377,7 +406,7 @@ def uniform_rate(
     def refuse(row: int, reason: str) -> ForeignFileError:
         hint = "cut the file there, or resample it; a gap cannot be imported"
         if row and times_s[row] == times_s[row - 1]:
-            hint += "; if its times are only rounded, leave out --time and give --rate"
+            hint += f"; if its times are only rounded, {remedy}"
         return ForeignFileError(name, reason, hint, source.place(row // a_row))
 
     if np.abs(times_s).max() > LATEST_S:

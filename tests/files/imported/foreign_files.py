@@ -42,6 +42,7 @@ def lvm(
     separator: str = "Tab",
     decimal: str = ".",
     x_columns: str = "One",
+    x_digits: int = 6,
     **segment: str,
 ) -> str:
     """The columns after the first, over it, as LabVIEW writes them; `segment` changes its header,
@@ -78,7 +79,7 @@ def lvm(
     lines.append(mark.join([*heads, "Comment"]))
     sign = "comma" if decimal == "," else "point"
     for row, values in enumerate(zip(*(columns[name] for name in names), strict=True)):
-        x = f"{columns['time'][row]:.6f}".replace(".", decimal)
+        x = f"{columns['time'][row]:.{x_digits}f}".replace(".", decimal)
         cells = [cell(value, sign) for value in values]
         if x_columns == "Multi":
             cells = [part for value in cells for part in (x, value)]

@@ -342,6 +342,34 @@ def test_an_lvm_header_that_says_otherwise_is_refused(
         read(content, tmp_path, {"v_1": "2", "v_2": "3"})
 
 
+@pytest.mark.parametrize("x_digits", [0, 1, 2, 3])
+def test_a_rounded_x_column_gives_way_to_the_rate_that_is_stated(
+    tmp_path: Path, x_digits: int
+) -> None:
+    """Found by a review: it was refused, and to leave out --time, which was not given, advised."""
+    columns = {"v_1": "2", "v_2": "3"}
+    written = files.signals(400)
+    rounded = files.lvm(written, x_digits=x_digits, Samples="400|400")
+    assert_as_written(read(rounded, tmp_path, columns), written)
+    unstated = files.lvm(written, x_digits=x_digits, Samples="400|400", Delta_X="-")
+    assert_as_written(read(unstated, tmp_path, columns, rate_Hz=1000.0), written)
+    if x_digits == 2:
+        with refused("if its times are only rounded, give --rate$|not behind"):
+            read(unstated, tmp_path, columns)
+
+
+@pytest.mark.parametrize("x_digits", [2, 3, 6])
+def test_an_x_column_with_a_gap_is_refused_although_the_rate_is_stated(
+    tmp_path: Path, x_digits: int
+) -> None:
+    written = files.signals(400)
+    gap_s = 0.001 if x_digits > 2 else 0.01
+    written["time"] = written["time"] + gap_s * (np.arange(400) > 200)
+    content = files.lvm(written, x_digits=x_digits, Samples="400|400")
+    with refused("after the row above|not behind"):
+        read(content, tmp_path, {"v_1": "2", "v_2": "3"})
+
+
 def test_several_segments_and_special_blocks_are_refused_by_name(tmp_path: Path) -> None:
     content = files.lvm(files.signals(4))
     again = content[content.index("Channels") :]
