@@ -27,6 +27,9 @@ strips, and its lift-off."""
 UNIT = {"v_1": "V", "v_2": "V", "F_n": "N", "F_t": "N", TIME: "s"}
 """Units of the values that are made from a column."""
 
+_OF_A_VARIABLE = re.compile(r"(?:(\w+):)?([0-9]{1,9})", re.ASCII)
+"""Column of a variable of a MATLAB or npz file, or of its only one."""
+
 STEP_TOLERANCE = 0.5
 """Largest deviation of a time step from the period, as a share of the period: times are printed
 with few digits."""
@@ -136,17 +139,29 @@ def _columns_of(text: str, source: ImportSource, name: str) -> tuple[int, ...]:
     first, dots, last = text.partition("..")
     if not dots:
         return (source.column(text),)
-    begin, end = source.column(first.strip()), source.column(last.strip())
+    ends = first.strip(), last.strip()
+    if source.format in ("text", "LVM"):
+        begin, end = map(source.column, ends)
+        if end < begin:
+            earlier, later = source.name(end), source.name(begin)
+            raise ForeignFileError(name, f"{text}: {earlier} comes before {later}", "exchange them")
+        return tuple(range(begin, end + 1))
+    # Columns of a variable are numbered by when they were asked for, so their own numbers count.
+    found = [match for end in ends if (match := _OF_A_VARIABLE.fullmatch(end))]
+    variables = {match[1] for match in found if match[1]}
+    if len(found) < len(ends) or len(variables) > 1:
+        raise ForeignFileError(
+            name,
+            f"{text}: a range must be of the columns of one variable",
+            "write it like M:1..M:3; columns of several variables cannot be samples of a row",
+        )
+    begin, end = (int(match[2]) for match in found)
     if end < begin:
         raise ForeignFileError(
-            name, f"{text}: {source.name(end)} comes before {source.name(begin)}", "exchange them"
+            name, f"{text}: column {end} comes before column {begin}", "exchange them"
         )
-    if source.format in ("text", "LVM"):
-        return tuple(range(begin, end + 1))
-    # Columns of a variable have no index before they are asked for.
-    variable, colon, number = first.strip().rpartition(":")
-    numbers = range(int(number), int(last.strip().rpartition(":")[2]) + 1)
-    return tuple(source.column(f"{variable}{colon}{k}") for k in numbers)
+    variable = "".join(f"{one}:" for one in variables)
+    return tuple(source.column(f"{variable}{k}") for k in range(begin, end + 1))
 
 
 @dataclass(frozen=True)

@@ -89,6 +89,43 @@ def test_what_cannot_be_combined_is_named(
     assert reason in refused.value.one_line()
 
 
+def matrices(folder: Path) -> Path:
+    """An npz file of two matrices."""
+    path = folder / "m.npz"
+    np.savez(path, M=TABLE[:, 1:], N=TABLE)
+    return path
+
+
+def test_ranges_of_a_matrix_do_not_depend_on_the_order_of_asking(tmp_path: Path) -> None:
+    """Found by a review: `M:3 - M:1` before `M:1..M:3` was refused as reversed."""
+    path = matrices(tmp_path)
+    found = read(path, {"v_1": "M:2..M:3 - M:1..2", "v_2": "M:1..M:2"})
+    assert found.raw["v_1"].tolist() == (TABLE[:, 2:4] - TABLE[:, 1:3]).ravel().tolist()
+    assert found.raw["v_2"].tolist() == TABLE[:, 1:3].ravel().tolist()
+    with pytest.raises(ForeignFileError, match="samples per row: v_1 1, v_2 3"):
+        read(path, {"v_1": "M:3 - M:1", "v_2": "M:1..M:3"})
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("M:3..M:1", "M:3..M:1: column 1 comes before column 3; exchange them"),
+        ("M:1..N:3", "M:1..N:3: a range must be of the columns of one variable; write it like"),
+        ("M..N", "M..N: a range must be of the columns of one variable"),
+        ("M:1..", "M:1..: a range must be of the columns of one variable"),
+        ("M:1..M:9", "variable M has 4 columns: M:5 is none of them"),
+        ("K:1..K:2", "no variable 'K:1'"),
+    ],
+)
+def test_a_range_that_a_matrix_does_not_have_is_named(
+    tmp_path: Path, text: str, reason: str
+) -> None:
+    """Found by a review: a reversed one was an IndexError, one of two variables of the first."""
+    with pytest.raises(ForeignFileError) as refused:
+        read(matrices(tmp_path), {"v_1": text, "v_2": "M:1..M:2"})
+    assert reason in refused.value.one_line()
+
+
 def test_an_npz_is_read_as_a_matlab_file_is(tmp_path: Path) -> None:
     path = tmp_path / "a.npz"
     np.savez(path, strips=TABLE[:, 1:3], force=TABLE[:, 4].astype(np.float32), words=np.array("x"))
