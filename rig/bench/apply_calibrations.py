@@ -14,6 +14,7 @@ from rig.bench.settings import STRIPS
 from rig.core.errors import ConfigurationError
 from rig.instruments.calibration import (
     COMMANDS,
+    CalibrationFiles,
     CalibrationRecord,
     FilmCalibration,
     ForceCalibration,
@@ -100,6 +101,13 @@ def _require_gain(key: str, path: Path, record: CalibrationRecord) -> None:
             f"make it again with `{COMMANDS[record.kind]}` from a sweep whose bench file has a "
             "[film] table",
         )
+
+
+def with_force_record_only(plan: BenchPlan) -> BenchPlan:
+    """Return the plan with the calibration record of the force alone: no other, perhaps one that
+    cannot be used, keeps a person or the guard from reading the force."""
+    of_force = CalibrationFiles(force_sensor=plan.settings.calibrations.force_sensor)
+    return replace(plan, settings=plan.settings.model_copy(update={"calibrations": of_force}))
 
 
 def apply_calibrations(

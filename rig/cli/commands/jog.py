@@ -183,10 +183,9 @@ def _at_the_bench(
     not be stopped."""
     from datetime import datetime
 
-    from rig.bench.apply_calibrations import apply_calibrations
+    from rig.bench.apply_calibrations import apply_calibrations, with_force_record_only
     from rig.bench.connect import connect
     from rig.cli.terminal import HELP
-    from rig.instruments.calibration import CalibrationFiles
     from rig.jog.axes import AXES
     from rig.jog.session import JogSession
     from rig.run.interlocks.store import InterlockStore
@@ -198,11 +197,7 @@ def _at_the_bench(
     contacts = {contact.role for contact in plan.settings.interlock}
     roles = {*AXES, "force_sensor", *contacts}
     needed = tuple(part for part in plan.instruments if part.role in roles)
-    # Of the calibrations only that of the force: no other record, perhaps one that cannot be used,
-    # keeps a person from moving the axes by hand.
-    of_force = CalibrationFiles(force_sensor=plan.settings.calibrations.force_sensor)
-    settings_of_bench = plan.settings.model_copy(update={"calibrations": of_force})
-    part_of_plan = replace(plan, settings=settings_of_bench, instruments=needed)
+    part_of_plan = replace(with_force_record_only(plan), instruments=needed)
     try:
         connected = connect(part_of_plan, clock, stop.check, say)
     except RigError:

@@ -15,7 +15,7 @@ from datetime import datetime
 
 import numpy as np
 
-from rig.bench.apply_calibrations import apply_calibrations
+from rig.bench.apply_calibrations import apply_calibrations, with_force_record_only
 from rig.bench.clear_of_contact import PRESSED_N
 from rig.bench.connect import connect
 from rig.bench.connected import Bench, close_all
@@ -258,6 +258,7 @@ class _Sensor:
             self.trouble = f"since {_why(bench)}"
             return
         try:
+            bench.plan = with_force_record_only(bench.plan)
             apply_calibrations(bench, datetime.now().astimezone(), allow_expired=True)
             if orders.zero is not None:
                 bench.force_sensor.tare(orders.zero)

@@ -135,7 +135,7 @@ def rig(monkeypatch: pytest.MonkeyPatch) -> Rig:
     """A bench whose z presses with 4 N. `rig.sensor` and `rig.door` answer, or are the errors that
     they give; of the latter the bench has a contact only where `rig.contacts` names one."""
     found: Any = Rig()
-    found.sensor, found.door, found.contacts = Sensor(found), Door(), []
+    found.sensor, found.door, found.contacts, found.more = Sensor(found), Door(), [], {}
     limits = {"position": Limits(0.0, 14.0, "mm", "z"), "speed": Limits(0.001, 50.0, "mm/s", "z")}
     found.limits = lambda: limits
     own = {"name": "b", "fixture": {"mounted": "plate", "parked_mm": 5.0} | CONTACT}
@@ -143,7 +143,7 @@ def rig(monkeypatch: pytest.MonkeyPatch) -> Rig:
     parts = tuple(InstrumentPlan(role, "made-up", DRIVER, of) for role, of in settings.items())
 
     def plan(*_: str) -> BenchPlan:
-        whole = BenchSettings.model_validate(own | {"interlock": found.contacts})
+        whole = BenchSettings.model_validate(own | {"interlock": found.contacts} | found.more)
         return BenchPlan(whole, parts, "", "b.toml")
 
     def connect(plan: BenchPlan, clock: object) -> Bench:
@@ -181,6 +181,12 @@ def test_a_force_that_is_felt_after_the_lift_as_well_is_not_released(rig: Any) -
     assert pressed_state("", "", Orders(ZERO)) == PressedState(
         "was pressed at 12.44 mm, 6.0 N; stage_z was lifted: still pressed at 11.70 mm, 2.0 N"
     )
+
+
+def test_a_record_that_is_not_of_the_force_hides_no_force(rig: Any) -> None:
+    """It may have been moved or spoilt since the run began."""
+    rig.more = {"calibrations": {"film": "moved-away.json"}, "film": {"name": "A"}}
+    assert "was pressed at 12.44 mm, 4.0 N;" in pressed_state("", "", Orders(ZERO)).text
 
 
 def test_z_is_lifted_although_the_force_sensor_is_not_there(rig: Any) -> None:
