@@ -13,7 +13,6 @@ from rig.bench.plan import BenchPlan
 from rig.bench.settings import STRIPS
 from rig.core.errors import ConfigurationError
 from rig.instruments.calibration import (
-    COMMANDS,
     CalibrationFiles,
     CalibrationRecord,
     FilmCalibration,
@@ -98,8 +97,8 @@ def _require_gain(key: str, path: Path, record: CalibrationRecord) -> None:
         raise ConfigurationError(
             f"calibrations.{key}: {path}: the record of film {record.sensor!r} does not state its "
             "amplifier_gain",
-            f"make it again with `{COMMANDS[record.kind]}` from a sweep whose bench file has a "
-            "[film] table",
+            f"state the gain that the film had in its sweep in the record, or remove {key} from "
+            "[calibrations]",
         )
 
 

@@ -108,7 +108,7 @@ def unconnected(plan: BenchPlan) -> Bench:
 
 
 def test_the_record_of_a_strip_needs_the_gain_of_its_amplifier(tmp_path: Path) -> None:
-    """Found by a review: such a record was refused only when a run was armed, without its file."""
+    """It is refused before a run is armed, with its file."""
     file = tmp_path / "bench.toml"
     file.write_text(SKIN)
     write_film(tmp_path / "film.json", 1.0)
@@ -121,7 +121,7 @@ def test_the_record_of_a_strip_needs_the_gain_of_its_amplifier(tmp_path: Path) -
     )
     with pytest.raises(ConfigurationError, match=words) as refusal:
         check_records(plan, NOW)
-    assert "rig calibrate pvdf FILE" in str(refusal.value.hint)
+    assert "or remove strip_1 from [calibrations]" in str(refusal.value.hint)
     with pytest.raises(ConfigurationError, match=words):
         apply_calibrations(unconnected(plan), NOW)
 
@@ -139,7 +139,7 @@ def test_the_record_of_a_strip_needs_the_gain_of_its_amplifier(tmp_path: Path) -
 def test_a_record_whose_part_the_bench_file_lacks_is_refused_by_its_key(
     tmp_path: Path, key: str, table: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Found by a review: it was accepted by the plan of a batch and refused in each of its runs."""
+    """The plan of a batch refuses it as its runs would."""
     file = tmp_path / "bench.toml"
     named = f'[calibrations]\n{key} = "it.json"\n'
     file.write_text(f'name = "b"\n[fixture]\nmounted = "plate"\n{named}')

@@ -460,15 +460,22 @@ def main(arguments: Sequence[str]) -> int:
     signal.signal(signal.SIGHUP, signal.SIG_DFL)
     with StopFlag() as stop:
         commands = CommandListener(stop, send, given.paused)  # also while an earlier guard acts
+
+        def check() -> None:
+            stop.check()
+            if commands.stop_after_run:  # no run has begun
+                raise stopped_by_request("before a run")
+
         try:
             with (
-                folder.held_by("worker", GUARD_PATIENCE_S, stop.check) as lock,
+                folder.held_by("worker", GUARD_PATIENCE_S, check) as lock,
                 Queue.open(folder.queue) as queue,
             ):
                 os.set_inheritable(lock, True)
                 return int(Worker(folder, queue, lock, stop, send, commands).work())
-        except StopRequestedError as stopped:
-            send("end", state="stopped", text=stopped.one_line(), code=int(stopped.code))
+        except (StopRequestedError, EndOfBatchError) as stopped:
+            why = commands.ended_by or stopped.one_line()
+            send("end", state="stopped", text=why, code=int(stopped.code))
             return int(stopped.code)
         except RigError as error:
             send("end", state="failed", text=error.one_line(), code=int(error.code))

@@ -74,7 +74,13 @@ def pvdf(
     Determines level b and corner from the run file.
     """
     with reported(wanted.debug, wanted.as_json):
-        from rig.cli.commands.film_record import analysed, doubts, film_record, sentences
+        from rig.cli.commands.film_record import (
+            analysed,
+            doubts,
+            film_record,
+            gain_is_assumed,
+            sentences,
+        )
         from rig.files.runfile.reader import RunFile
         from rig.instruments.calibration import FOLDER
 
@@ -85,11 +91,11 @@ def pvdf(
             date = datetime.fromisoformat(run.header.start_time)
             fields = wanted.fields("pvdf", date, run.header.user.name)
             record = film_record(run, analysis, sensor_name("--film", film), fields)
-            bench_file = Path(run.header.bench_file)
+            bench_file, assumed = Path(run.header.bench_file), gain_is_assumed(run)
         folder = bench_file.parent if bench_file.is_file() else Path()
         for line in sentences(record, analysis):
             say(line)
-        _finish(record, wanted, folder / FOLDER, doubts(record))
+        _finish(record, wanted, folder / FOLDER, doubts(record, assumed))
 
 
 @app.command("force")

@@ -165,9 +165,22 @@ def sentences(record: FilmCalibration, analysis: SweepAnalysis) -> Iterator[str]
         yield f"  scatter about the model beyond noise: {record.gain_model_error_dB:.3f} dB"
 
 
-def doubts(record: FilmCalibration) -> list[str]:
+def gain_is_assumed(run: RunFile) -> bool:
+    """Return whether the run's [film] table leaves out the gain of its amplifier, which then is 1.
+    On a real bench nothing but the record depends on it, so it is easily left out."""
+    described = _film_of(run)
+    return bool(described) and "amplifier_gain" not in described
+
+
+def doubts(record: FilmCalibration, gain_is_assumed: bool = False) -> list[str]:
     """Return warnings to be read before the record is used."""
     warnings = []
+    if gain_is_assumed and record.amplifier_gain is not None:
+        warnings.append(
+            f"the bench file of the run does not state amplifier_gain in [film]: it is taken as "
+            f"{record.amplifier_gain:g}; if the film had another amplifier, correct amplifier_gain "
+            "in the record before it is used for a strip of the skin"
+        )
     if record.load_cell_error_percent is None:
         warnings.append(
             "the run had no calibration record of its load cell: the interval of b does not "

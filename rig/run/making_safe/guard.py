@@ -183,7 +183,7 @@ def act(order: dict[str, Any], cause: str, already_safe: bool = False) -> dict[s
     if journal is not None and not order.get("saves"):
         report["file"] = _compile(Path(journal))
     else:
-        report["file"] = None if journal is None else "saved by the run itself"
+        report["file"] = None if journal is None else "left to the run"
     _publish(order, report)
     return report
 

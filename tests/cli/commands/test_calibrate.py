@@ -149,7 +149,7 @@ def test_the_load_cells_record_in_the_run_widens_b(rig: Any, tmp_path: Path) -> 
 def test_a_record_states_the_gain_of_its_amplifier_or_warns(
     rig: Any, tmp_path: Path, bench: str, gain: float | None
 ) -> None:
-    """Found by a review: the default gain was recorded as none, and every pressing run refused."""
+    """A record without a gain is refused for a strip, so that the default is recorded as well."""
     file = sweep_file(tmp_path, GRID[::8], bench_toml=bench)
     done = rig.run("calibrate", "pvdf", str(file), "--film", "film 7", "--json")
     assert done.code == 0, done.stderr
@@ -157,6 +157,9 @@ def test_a_record_states_the_gain_of_its_amplifier_or_warns(
         read_calibration(rig.folder / done.object["file"], FilmCalibration).amplifier_gain == gain
     )
     assert ("does not state the gain of the film's amplifier" in done.stderr) == (gain is None)
+    assert ("does not state amplifier_gain in [film]: it is taken as 1;" in done.stderr) == (
+        gain == 1.0
+    )
 
 
 @pytest.mark.thorough

@@ -97,7 +97,7 @@ def matrices(folder: Path) -> Path:
 
 
 def test_ranges_of_a_matrix_do_not_depend_on_the_order_of_asking(tmp_path: Path) -> None:
-    """Found by a review: `M:3 - M:1` before `M:1..M:3` was refused as reversed."""
+    """`M:3 - M:1` before `M:1..M:3` is not a reversed range."""
     path = matrices(tmp_path)
     found = read(path, {"v_1": "M:2..M:3 - M:1..2", "v_2": "M:1..M:2"})
     assert found.raw["v_1"].tolist() == (TABLE[:, 2:4] - TABLE[:, 1:3]).ravel().tolist()
@@ -120,7 +120,7 @@ def test_ranges_of_a_matrix_do_not_depend_on_the_order_of_asking(tmp_path: Path)
 def test_a_range_that_a_matrix_does_not_have_is_named(
     tmp_path: Path, text: str, reason: str
 ) -> None:
-    """Found by a review: a reversed one was an IndexError, one of two variables of the first."""
+    """A range is of one variable, and in its order."""
     with pytest.raises(ForeignFileError) as refused:
         read(matrices(tmp_path), {"v_1": text, "v_2": "M:1..M:2"})
     assert reason in refused.value.one_line()

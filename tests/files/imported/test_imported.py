@@ -286,7 +286,7 @@ def packets(times: np.ndarray, a_row: int) -> str:
 
 
 def test_times_of_every_sample_in_a_row_give_the_rate_of_the_samples(tmp_path: Path) -> None:
-    """Found by a review: five samples a row at 1 kHz with --time 1..5 were imported at 5 kHz."""
+    """Five samples a row at 1 kHz with --time 1..5 are of 1 kHz, not 5."""
     content = packets(np.arange(100) / 1000, 5)
     columns = {"v_1": "6..10", "v_2": "11..15"}
     for times in ("1..5", "1"):
@@ -346,7 +346,7 @@ def test_an_lvm_header_that_says_otherwise_is_refused(
 def test_a_rounded_x_column_gives_way_to_the_rate_that_is_stated(
     tmp_path: Path, x_digits: int
 ) -> None:
-    """Found by a review: it was refused, and to leave out --time, which was not given, advised."""
+    """To leave out --time, which was not given, is no help."""
     columns = {"v_1": "2", "v_2": "3"}
     written = files.signals(400)
     rounded = files.lvm(written, x_digits=x_digits, Samples="400|400")

@@ -121,7 +121,7 @@ def test_an_x_that_does_not_follow_its_path_has_a_warning(share: float, warned: 
 def test_a_stage_with_the_acceleration_of_its_drive_has_no_warning(
     times_s: tuple[float, ...], positions_mm: tuple[float, ...], step_mm_s: float
 ) -> None:
-    """Found by a review: a turn at 20 mm/s takes an ideal stage 3.0 mm off, with 2.8 allowed."""
+    """A turn at 20 mm/s takes an ideal stage 3.0 mm off its path."""
     settings = PathTrialSettings(path_times_s=times_s, path_positions_mm=positions_mm)
     assert settings.largest_speed_step_mm_s == pytest.approx(step_mm_s)
     assert warnings_of(settings, Stage(acceleration_mm_s2=settings.acceleration_mm_s2)) == []

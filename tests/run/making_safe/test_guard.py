@@ -167,7 +167,7 @@ def test_a_guard_that_is_stopped_is_continued_when_it_is_needed(bench: Bench) ->
     taken_over = link.take_over()
     assert link._unsent == {}
     assert taken_over.safe, taken_over.summary
-    assert report_of(bench)["file"] == "saved by the run itself"
+    assert report_of(bench)["file"] == "left to the run"
     assert taken_over.summary.startswith("the guard then made the bench safe, ")
     assert [on for on, _ in bench.outputs()] == [True, False]
 
@@ -185,7 +185,7 @@ def test_a_closed_pipe_makes_the_guard_act_on_a_connection_of_its_own(bench: Ben
     report = report_of(bench)
     assert report["safe"] is True
     assert report["cause"] == "the run ended without saying so"
-    assert report["file"] == "saved by the run itself"
+    assert report["file"] == "left to the run"
 
 
 def test_a_run_that_died_after_it_was_safe_is_compiled_only(bench: Bench, guard: Guard) -> None:
