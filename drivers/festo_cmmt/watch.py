@@ -13,8 +13,8 @@ from drivers.shared.stage import (
     STOPPED_BY_OTHERS,
     MotionWatch,
     StageInterlock,
-    Ticket,
     TravelBound,
+    WatchesMotion,
 )
 from rig.core.clock import Clock
 from rig.core.errors import InstrumentError
@@ -34,7 +34,7 @@ LOOK = "check the drive's display and the axis"
 """Remedy where a drive does not do what it was asked for."""
 
 
-class CmmtWatch:
+class CmmtWatch(WatchesMotion):
     """The axis as its drive shows it, and the watch over its task.
 
     Any thread may read. A reading that shows that something is wrong ends the task: it drops
@@ -141,18 +141,6 @@ class CmmtWatch:
         self.motion = watch  # another thread may drop it at once
         self.acknowledged = not fresh
         return watch
-
-    def take_back(self, refused: MotionWatch, before: MotionWatch | None, ticket: Ticket) -> None:
-        """Watch over the motion of before again: the drive has refused `refused`, and an axis under
-        way keeps its old target. None is an axis at rest.
-
-        What has ended the motion meanwhile, a reading or a stop, stays in force.
-        """
-        if self.motion is not refused:
-            return
-        self.motion = before
-        if self._interlock.has_stopped(ticket):  # it may have dropped the motion before this did
-            self.motion = None
 
     def moves(self) -> bool:
         """Return whether a motion is under way; raises InstrumentError for a fault and for a motion

@@ -15,8 +15,8 @@ from drivers.shared.stage import (
     MotionWatch,
     StageInterlock,
     StageState,
-    Ticket,
     TravelBound,
+    WatchesMotion,
 )
 from rig.core.clock import Clock
 from rig.core.errors import InstrumentError
@@ -32,7 +32,7 @@ MAX_OVERTRAVEL_mm = 0.1
 """Largest distance beyond its target at which an axis may be seen that has started from rest."""
 
 
-class AzWatch:
+class AzWatch(WatchesMotion):
     """The axis as its drive shows it, and the watch over its motion.
 
     Any thread may read. A reading that shows that something is wrong ends the motion: it drops
@@ -170,18 +170,6 @@ class AzWatch:
         watch = MotionWatch.towards(target_mm, from_mm, speed_mm_s, overtravel_mm, most_s, now_s)
         self.motion = watch  # another thread may drop it at once
         return watch
-
-    def take_back(self, refused: MotionWatch, before: MotionWatch | None, ticket: Ticket) -> None:
-        """Watch over the motion of before again: the drive has refused `refused`, and an axis under
-        way keeps its old target. None is an axis at rest.
-
-        What has ended the motion meanwhile, a reading or a stop, stays in force.
-        """
-        if self.motion is not refused:
-            return
-        self.motion = before
-        if self._interlock.has_stopped(ticket):  # it may have dropped the motion before this did
-            self.motion = None
 
     def moves(self) -> bool:
         """Return whether a motion is under way; raises InstrumentError for an alarm and for a

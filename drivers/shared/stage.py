@@ -260,6 +260,25 @@ class MotionWatch:
         return (position - self.target) * self.direction > self.overtravel
 
 
+class WatchesMotion:
+    """What watches over the motion of an axis, `motion`, which any thread may end."""
+
+    motion: MotionWatch | None
+    _interlock: StageInterlock
+
+    def take_back(self, refused: MotionWatch, before: MotionWatch | None, ticket: Ticket) -> None:
+        """Watch over the motion of before again: the drive has refused `refused`, and an axis under
+        way keeps its old target. None is an axis at rest.
+
+        What has ended the motion meanwhile, a reading or a stop, stays in force.
+        """
+        if self.motion is not refused:
+            return
+        self.motion = before
+        if self._interlock.has_stopped(ticket):  # it may have dropped the motion before this did
+            self.motion = None
+
+
 T = TypeVar("T")
 
 BEYOND = 0.1

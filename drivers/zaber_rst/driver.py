@@ -34,6 +34,7 @@ from drivers.shared.stage import (
     StageInterlock,
     Ticket,
     TravelBound,
+    WatchesMotion,
     opened,
     prepared,
     stop_and_close,
@@ -64,7 +65,7 @@ MAX_OVERTRAVEL_deg = 0.1
 """Largest angle beyond its target at which a stage may be seen that has started from rest."""
 
 
-class ZaberAxis:
+class ZaberAxis(WatchesMotion):
     """One axis. `connect` has identified it and set its limits.
 
     One thread at a time commands motions; any thread may call `stop` or `make_safe` at any time: a
@@ -94,7 +95,7 @@ class ZaberAxis:
         self._seen_at_s = -math.inf
         self._idle_from_s = math.inf
         """Since when it has reported no motion; infinite while it moves."""
-        self._motion: MotionWatch | None = None
+        self.motion: MotionWatch | None = None
         """The turn under way; None if there is none. Another thread's stop clears it."""
         self._full_stop_s = settings.max_speed_deg_s / settings.max_acceleration_deg_s2
         self._braking_s = self._full_stop_s
@@ -178,7 +179,7 @@ class ZaberAxis:
         ticket = self._interlock.ticket()
         self._require_reach(angle_deg, speed_deg_s, acceleration_deg_s2)
         self._require_undisturbed()
-        before = self._motion
+        before = self.motion
         fresh = before is None
         if fresh:
             self._poll()
@@ -194,14 +195,14 @@ class ZaberAxis:
         # then not known which target a stage under way has; one that runs past the new one is
         # stopped.
         motion = self._watch(angle_deg, speed_deg_s, acceleration_deg_s2, fresh)
-        self._motion = motion  # another thread may drop it at once
+        self.motion = motion  # another thread may drop it at once
         try:
             reply = self._move(words, ticket, "turn")
         except MotionRefusedError:  # what stops the stage ends the turn of before as well
-            self._motion = None
+            self.motion = None
             raise
         except ZaberRejectionError:
-            self._take_back(motion, before, ticket)
+            self.take_back(motion, before, ticket)
             raise
         if self._note(reply.flag):
             with contextlib.suppress(InstrumentError):  # the flag is what has to be reported
@@ -215,17 +216,17 @@ class ZaberAxis:
         busy = self._poll()
         self._interlock.require_armed("turn")
         self._require_undisturbed()
-        motion = self._motion  # another thread may stop the stage
+        motion = self.motion  # another thread may stop the stage
         if motion is None:
             return busy
         missing_deg = abs(self._seen_deg - motion.target)
         if not busy and missing_deg <= self._settings.angle_tolerance_deg:
-            self._motion = None
+            self.motion = None
             return False
         now = self._clock.now()
         if now > motion.arrive_by_s or now - self._idle_from_s > SETTLED_S:
             stands = "is still turning, at" if busy else "is at rest at"
-            self._motion = None
+            self.motion = None
             raise self._dialogue.error(
                 "turn",
                 f"{stands} {self._seen_deg:.4f} deg and has not arrived at {motion.target:.4f} deg",
@@ -346,22 +347,10 @@ class ZaberAxis:
             self._clock.now(),
         )
 
-    def _take_back(self, refused: MotionWatch, before: MotionWatch | None, ticket: Ticket) -> None:
-        """Watch over the motion of before again: the stage has rejected `refused`, and one
-        under way keeps its old target. None is a stage at rest.
-
-        What has ended the motion meanwhile, a reading or a stop, stays in force.
-        """
-        if self._motion is not refused:
-            return
-        self._motion = before
-        if self._interlock.has_stopped(ticket):  # it may have dropped the motion before this did
-            self._motion = None
-
     def _halt(self, rearm: bool = False) -> None:
         """Stop and wait for rest; flags are not reported meanwhile."""
         with self._interlock.stopping(rearm):
-            self._motion = None
+            self.motion = None
             self._dialogue.command("stop")
             longest_s = self._braking_s + SETTLING_S
             give_up = self._clock.now() + longest_s
@@ -379,12 +368,12 @@ class ZaberAxis:
         busy = self._read()
         if self._disturbed and not known:
             raise self._dialogue.flagged("status", self._disturbed)
-        motion = self._motion  # another thread may stop the stage
+        motion = self.motion  # another thread may stop the stage
         wrong = self._travel.judge(self._seen_deg, self._asked_at_s, self._seen_at_s, motion)
         if wrong is not None:
             with contextlib.suppress(InstrumentError):  # `wrong` is what has to be reported
                 self._dialogue.command("stop")
-            self._motion = None
+            self.motion = None
             raise self._dialogue.error(
                 "turn",
                 wrong,
@@ -395,7 +384,7 @@ class ZaberAxis:
     def _read(self) -> bool:
         """Read angle, status and flag in one exchange; return whether the stage is busy."""
         reply = self._travel.settled(
-            self._look, lambda reply: self._seen_deg, self._clock.now, self._motion
+            self._look, lambda reply: self._seen_deg, self._clock.now, self.motion
         )
         if reply.busy:
             self._idle_from_s = math.inf
@@ -430,7 +419,7 @@ class ZaberAxis:
         if not self._disturbs(flag):
             return False
         self._disturbed = self._disturbed or flag
-        self._motion = None
+        self.motion = None
         return True
 
     def _require_undisturbed(self) -> None:

@@ -242,20 +242,19 @@ def test_a_stop_that_meets_a_refusal_leaves_no_motion_to_be_judged(case: Any, mo
     with running(case) as it:
         it.start(60.0, 10.0)
         it.clock.sleep(0.5)
-        owner, act = it.watch_owner, "_take_back" if case.name == "zaber-rst" else "take_back"
-        attribute = "_motion" if case.name == "zaber-rst" else "motion"
-        usual = getattr(owner, act)
+        owner = it.watch_owner
+        usual = owner.take_back
 
         def stop_first(refused: Any, before: Any, ticket: Any) -> None:
             elsewhere(it.stage.stop)
             if moment == "within":  # as if the stop had come after the look
-                setattr(owner, attribute, refused)
+                owner.motion = refused
             usual(refused, before, ticket)
 
-        setattr(owner, act, stop_first)
+        owner.take_back = stop_first
         refuse(it, 5.0)
-        delattr(owner, act)
-        assert getattr(owner, attribute) is None
+        del owner.take_back
+        assert owner.motion is None
         assert_stands(it)
         assert_can_move(it)
 

@@ -346,7 +346,7 @@ def test_an_lvm_header_that_says_otherwise_is_refused(
 def test_a_rounded_x_column_gives_way_to_the_rate_that_is_stated(
     tmp_path: Path, x_digits: int
 ) -> None:
-    """To leave out --time, which was not given, is no help."""
+    """The hint does not name --time, which was not given."""
     columns = {"v_1": "2", "v_2": "3"}
     written = files.signals(400)
     rounded = files.lvm(written, x_digits=x_digits, Samples="400|400")

@@ -122,7 +122,7 @@ def test_a_contact_that_has_just_opened_is_the_first_cause(role: str, after_s: f
 def test_a_contact_that_cannot_be_read_any_more_is_known_to_be_open_in_bounded_time(
     role: str,
 ) -> None:
-    """Its instrument fails at once, again and again: a failure is no reading."""
+    """Its instrument fails at once, again and again: a failure does not count as a reading."""
     with watched() as (watch, instruments):
         instruments[role].broken = True
         called_s = time.monotonic()
